@@ -23,7 +23,7 @@ from playwright.sync_api import sync_playwright
 
 from sherkit import save_robot
 from sherkit.cli.demo import EXAMPLE
-from sherkit.report.export import browser
+from sherkit.report.page import browser
 from sherkit.robots.delta.robot import paper_whole
 from sherkit.robots.delta.virtual import VirtualDelta
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import sherkit as sk
-from sherkit.report.picture import Panel, residual_maps
+from sherkit.base.names import CALIBRATED, state_with
+from sherkit.report.residual_arrows import Change
+from sherkit.report.residual_map import still
+from sherkit.report.residuals import on_rows, residuals_of
 
 FOLDER = Path("demo")
 OUT = Path(__file__).parent / "pictures" / "demo.svg"
@@ -18,15 +22,14 @@ def main() -> None:
     before = study.fit
     for name in study.diagnose().effects:
         study.add(name)
-    plane = (np.abs(before.predicted[:, 2]) > 10) & (before.predicted[:, 2] > 0) & (study.data.repeat == 1)
-    where = before.predicted[plane, :3]
-    panels = [
-        Panel("as drawn", where, before.nominal_residuals[plane, :3], 1000.0),
-        Panel("geometry calibrated", where, before.residuals[plane, :3], 200.0),
-        Panel(f"{' and '.join(study.effects)} found and added", where, study.fit.residuals[plane, :3], 200.0),
-    ]
-    caption = "Measured minus predicted in the plane z = 20 mm of the demo's simulated run (arrows: x, y; blue: lower, "
-    OUT.write_text(residual_maps(panels, caption + "orange: higher)."), encoding="utf-8")
+    upper = np.flatnonzero(before.predicted[:, 2] > 10)
+    drawn, calibrated, found = (
+        residuals_of(on_rows(fit, upper)) for fit in (replace(before, values=0.0 * before.values), before, study.fit)
+    )
+    as_drawn = Change(drawn, drawn, after_title="as drawn")
+    with_effects = Change(calibrated, found, CALIBRATED, state_with(study.effects))
+    caption = "Measured minus predicted in one plane of the demo. Arrows: x and y; blue: z lower, orange: higher."
+    OUT.write_text(still(as_drawn, with_effects, caption=caption), encoding="utf-8")
 
 
 if __name__ == "__main__":

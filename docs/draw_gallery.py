@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 
 import sherkit as sk
-from sherkit.report.export import save_picture
+from sherkit.report.page import save_picture
 
 HERE = Path(__file__).parent
 FOLDER, OUT, PAGE = Path("demo"), HERE / "pictures" / "gallery", HERE / "gallery.md"
@@ -56,7 +56,8 @@ ITEMS = [
          "x and y, its colour the error in z; left before, right with the effect added, all on one scale. Compare the "
          "arrows with the circle: noise alone would leave 95 of 100 inside it.",
          "from sherkit.report.residuals import residuals_of\n"
-         "from sherkit.report.residual_map import Change, residual_map\n"
+         "from sherkit.report.residual_arrows import Change\n"
+         "from sherkit.report.residual_map import residual_map\n"
          'change = Change(residuals_of(before), residuals_of(study.fit), "geometry calibrated", "+ rail_lean")\n'
          "residual_map(change, width_px=700)"),
     Item("residual_map_plane", "… of one plane and 20 rows",
@@ -87,7 +88,7 @@ ITEMS = [
          "Every step of a study: filled on poses that the fit had not seen, open on those it was fitted to. The "
          "further apart the two, the more the fit learned by heart. Dotted is the noise, below which nothing can be "
          "gained; dashed the accuracy that is needed.",
-         "from sherkit.report.error_history import error_history, error_history_of\n"
+         "from sherkit.report.states import error_history, error_history_of\n"
          "error_history(error_history_of(study, found))"),
     Item("candidates", "Candidates",
          "What each effect would bring if it were added: the error that would remain on poses held out, with two "
@@ -100,7 +101,7 @@ ITEMS = [
     Item("atlas", "Signature atlas",
          "The measured map, and beside it how each effect would look on the same poses at its best. The tile that is "
          "most alike names the effect; the percentage says how much of the squared error it explains.",
-         "from sherkit.report.atlas import atlas_of, signature_atlas\nsignature_atlas(atlas_of(before))"),
+         "from sherkit.report.candidates import atlas_of, signature_atlas\nsignature_atlas(atlas_of(before))"),
     Item("parameters", "Parameters",
          "Identified values with 95 % intervals: dark is what the readings leave, pale what no reading tells. A dark "
          "bar too short to be seen behind its dot is a parameter that is known well.",
@@ -115,24 +116,24 @@ ITEMS = [
     Item("accuracy", "Predicted accuracy",
          "The radius around a commanded position that holds 95 of 100, at three heights. The outline is the region "
          "that meets the requirement; hatched is where no pose was measured, so that the figure is extrapolated.",
-         "from sherkit.report.workspace import accuracy_map, accuracy_of\n"
+         "from sherkit.report.parameters import accuracy_map, accuracy_of\n"
          "accuracy_map(accuracy_of(study.calibration()))"),
     Item("next_poses", "Poses to measure next",
          "Where tied effects differ most, numbered in the order to measure them, from above and from the side. Here "
          "for the run of one plane and 20 rows: the run of the demo leaves nothing tied.",
-         "from sherkit.report.workspace import NextPoses, next_poses\n"
+         "from sherkit.report.parameters import NextPoses, next_poses\n"
          "next_poses(NextPoses(found.next_poses, residuals_of(before)))", "plane"),
     Item("noise_before", "Against the noise: geometry calibrated",
          "Left the readings in units of their noise, right the same as quantiles against those of a Gaussian. Where "
          "the line is steeper than the dashed one there is more than noise.",
-         "from sherkit.report.noise import noise_picture\nnoise_picture(residuals_of(before))"),
+         "from sherkit.report.residual_against import noise_picture\nnoise_picture(residuals_of(before))"),
     Item("noise", "Against the noise: with the effect",
          "What is left now lies on the dashed line: it is noise.",
          "noise_picture(residuals_of(study.fit))"),
     Item("run", "The run in time",
          "What is left in the order in which it was measured: steps, trends and single wild readings show here. "
          "Other columns that vary, a temperature for instance, stand below on the same axis.",
-         "from sherkit.report.run import run_in_time\nrun_in_time(residuals_of(study.fit))"),
+         "from sherkit.report.residual_against import run_in_time\nrun_in_time(residuals_of(study.fit))"),
     Item("estimate", "An estimate over time (made-up data)",
          "For a tool with sensors of its own: the filter's estimate with its 95 % band, the sensor alone, the truth "
          "where it is known, and the force below; under the dotted line the sensor says little. The numbers are drawn "
@@ -144,7 +145,7 @@ ITEMS = [
     Item("reprojection", "Reprojection errors on the camera's picture (made-up data)",
          "Where the camera saw the marker, and how far the model sees it from there; the arrows are much longer than "
          "the errors, and the note says by how much. The numbers are drawn at random, not measured.",
-         "from sherkit.report.reprojection import Reprojection, reprojection\n"
+         "from sherkit.report.residual_map import Reprojection, reprojection\n"
          "reprojection(Reprojection(seen, error, (1280, 960), line, image))", "camera"),
     Item("before_and_after", "Before and after: two nights of one telescope",
          "Measured: the mount of a 6.5 m telescope (tests/data/mmt_pointing), its raw encoders against stars, in July "
@@ -155,7 +156,7 @@ ITEMS = [
          "without that no set of changes is likely. Fits of either night alone differ by 13.2″. What else has "
          "changed these two nights cannot tell: the index error IH and any smooth course in elevation would each do. "
          "There are no repeats; the noise is what a night's own fit leaves.",
-         "from sherkit.report.changed import before_and_after\n"
+         "from sherkit.report.stories import before_and_after\n"
          "before_and_after(sk.compare(mount.Mount(), nights[1:3]))", "mount"),
     Item("course", "The course: four nights of one telescope",
          "The same mount from 2021 to 2025: in July 2023 alone its axis leaned by 12.6″ more. The verdict is `partly "
@@ -168,7 +169,7 @@ ITEMS = [
          "other mounts (tests/data/gem_mount_pointing), taken for before and after, are `unchanged` of one and "
          "`unexplained` of two: they bend another way when they are turned over, no term has changed, and none is "
          "named. Of the printer in tests/data there is one mesh: no pair.",
-         "from sherkit.report.changed import course\n"
+         "from sherkit.report.stories import course\n"
          "course(sk.history(mount.Mount(), nights, dates=dates))", "mount"),
 ]  # fmt: skip
 
@@ -189,7 +190,7 @@ def main() -> None:
         "",
         fill(
             "Where a heading says so, `study`, `before` and `found` are those of another run of the same virtual "
-            "robot, which the script simulates. `sherkit.report.export.save_picture(picture, path)` writes `.html`, "
+            "robot, which the script simulates. `sherkit.report.page.save_picture(picture, path)` writes `.html`, "
             "`.png` or `.svg`. In a notebook, studies, diagnoses, fits and calibrations draw themselves.",
             _LINE,
         ),

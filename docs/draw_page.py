@@ -19,7 +19,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from playwright.sync_api import sync_playwright
 
-from sherkit.report.export import browser
+from sherkit.report.page import browser
 
 OUT = Path(__file__).parent / "pictures"
 #: Under this name a picture keeps what the page said.

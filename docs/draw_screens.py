@@ -12,7 +12,7 @@ from typing import Any
 from draw_page import rested, served
 from playwright.sync_api import sync_playwright
 
-from sherkit.report.export import browser
+from sherkit.report.page import browser
 
 OUT = Path("target/screens")
 #: Widths and heights of windows, px.

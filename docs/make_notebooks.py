@@ -15,7 +15,7 @@ import nbformat
 from nbclient import NotebookClient
 from nbconvert import HTMLExporter
 
-from sherkit.cli.main import cli
+from sherkit.cli.verbs import cli
 from sherkit.model.kinds import known_kinds
 from sherkit.model.robot_file import save_robot
 from sherkit.robots.tool.tool import FlexibleTool

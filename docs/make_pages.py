@@ -13,13 +13,12 @@ from pathlib import Path
 import click
 
 from sherkit.base.names import listed
-from sherkit.cli.main import _GROUPS, cli
+from sherkit.cli.verbs import _GROUPS, cli
 from sherkit.errors import SherkitError
 from sherkit.model.effect import Effect
 from sherkit.model.kinds import Kind, known_kinds
-from sherkit.report.exaggerated import exaggerated
-from sherkit.report.mechanism import scene_of
-from sherkit.report.signature import signature_map
+from sherkit.report.card import exaggerated, scene_of
+from sherkit.report.residual_map import signature_map
 from sherkit.robots.tool.effects import TOOL_CATALOGUE
 from sherkit.robots.tool.tool import KIND
 

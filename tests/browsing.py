@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from sherkit.report.export import browser
+from sherkit.report.page import browser
 
 needs_browser = pytest.mark.skipif(
     browser() is None, reason="no Chromium on this machine: pages and PNG/SVG are not drawn (Debian: chromium)"

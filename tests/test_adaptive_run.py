@@ -15,7 +15,7 @@ import pytest
 import sherkit as sk
 from running import command
 from sherkit.cli import main
-from sherkit.cli.lab_demo import write_files
+from sherkit.cli.lab import write_files
 from sherkit.errors import ExperimentError
 from sherkit.lab.experiment import AdaptiveRun, Plan, PlanStep, RunFile, export_run, load_experiment
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory

@@ -9,7 +9,7 @@ import pytest
 
 import sherkit as sk
 from driven_worlds import DrivenDelta, World
-from sherkit.report.measured_story import write_adaptive
+from sherkit.report.stories import write_adaptive
 
 HIDDEN = "rail_lean"
 

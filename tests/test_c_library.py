@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 import sherkit as sk
 from sherkit import _core
 from sherkit.cli.c_library import archive as shipped
-from sherkit.cli.main import cli
+from sherkit.cli.verbs import cli
 from sherkit.errors import NotFinite, OutOfReach, SherkitError
 from sherkit.robots.serial import KIND, VirtualSerial, postures
 from sherkit.robots.tool.filters import estimate

@@ -23,7 +23,8 @@ import pytest
 
 from hostile import HOSTILE
 from mutations import HANGS_S, Hung, at_most, damaged_bytes, in_memory, watched
-from sherkit.cli.main import cli, main
+from sherkit.cli import main
+from sherkit.cli.verbs import cli
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool
 from test_fuzz import formats

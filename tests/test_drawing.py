@@ -27,11 +27,9 @@ from sherkit.data import Measurements
 from sherkit.model.effect import Effect
 from sherkit.model.kinds import kind_of, known_kinds, model_of
 from sherkit.report import notebook
-from sherkit.report.card import card_page, effect_card
-from sherkit.report.exaggerated import FACTORS, exaggerated, joints_over
-from sherkit.report.mechanism import scene_of, scene_of_robot
-from sherkit.report.scene import Arrows, Scene
-from sherkit.report.space import space_of
+from sherkit.report.card import FACTORS, card_page, effect_card, exaggerated, joints_over, scene_of, scene_of_robot
+from sherkit.report.residuals import State
+from sherkit.report.scene import Arrows, Scene, space_of
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -258,7 +256,7 @@ def test_hostile_texts_stay_texts() -> None:
 def test_errors_stand_where_they_were_measured(study: sk.Study) -> None:
     """Catches arrows of another sign or scale, of another row, and a mean over other poses."""
     before = next(s.fit for s in study.history if s.fit is not None)
-    scene = space_of(before, study.fit, ("geometry calibrated", "now"))
+    scene = space_of(State("geometry calibrated", before), State("now", study.fit))
     assert scene is not None
     assert scene.arrows is not None
     a, data = scene.arrows, study.data
@@ -276,7 +274,7 @@ def test_errors_stand_where_they_were_measured(study: sk.Study) -> None:
 def test_scenes_move(study: sk.Study, tmp_path: Path) -> None:
     """Catches a scene that stays empty, a slider that moves nothing, and a hover without the row's number."""
     before = next(s.fit for s in study.history if s.fit is not None)
-    scene = space_of(before, study.fit, ("geometry calibrated", "now"))
+    scene = space_of(State("geometry calibrated", before), State("now", study.fit))
     assert scene is not None
     card = effect_card(study.fit.model.effects[0], EXAMPLE, fit=study.fit)
     file = tmp_path / "card.html"

@@ -13,7 +13,7 @@ import pytest
 
 from dummies import dummy_bench
 from laboratories import ROBOT, experiment, laboratory
-from sherkit.cli.main import main
+from sherkit.cli import main
 from sherkit.errors import ExperimentError, Implausible, InstrumentError, NotReferenced, SherkitError, SherkitWarning
 from sherkit.lab import clock
 from sherkit.lab.experiment import Control, RunFile, load_experiment, plan_of_poses, run

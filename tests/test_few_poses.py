@@ -16,7 +16,7 @@ from scipy import stats
 
 import sherkit as sk
 from sherkit.base.types import Floats
-from sherkit.cli.main import cli
+from sherkit.cli.verbs import cli
 from sherkit.data.doubts.repeats import copied
 from sherkit.diagnosis.fitted_run import FittedRun
 from sherkit.diagnosis.held_out import by_noise_alone

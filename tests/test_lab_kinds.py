@@ -32,7 +32,7 @@ from sherkit.model.kinds import KINDS, Kind, Option
     [
         "import sherkit.lab.experiment",
         "import sherkit as sk; sk.lab.load_experiment, sk.lab.run, sk.lab.RunFile, sk.lab.read_ports",
-        "from sherkit.cli.main import main\ntry:\n    main(['measure', 'nowhere.toml'])\nexcept SystemExit:\n    pass",
+        "from sherkit.cli import main\ntry:\n    main(['measure', 'nowhere.toml'])\nexcept SystemExit:\n    pass",
     ],
 )
 def test_measuring_loads_no_emulator(program):
@@ -214,8 +214,8 @@ def test_what_a_third_robot_lacks_is_one_sentence(tmp_path, planar):
 
 def test_commands_do_not_take_it_for_another(tmp_path, planar):
     """Catches a simulation of a delta's errors, and a noise in pixels, for a robot that has neither."""
+    from sherkit.cli.effects import _run
     from sherkit.cli.plan import _noise
-    from sherkit.cli.simulate import _run
 
     with pytest.raises(SherkitError, match="no poses 'whole'"):
         _run(tmp_path, Arm(), "whole", 1, "planes", 1.0, 0, {"pictures": None})

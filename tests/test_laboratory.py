@@ -21,7 +21,7 @@ import tomli_w
 from click.testing import CliRunner
 
 from laboratories import ROBOT, experiment, laboratory
-from sherkit.cli.main import cli
+from sherkit.cli.verbs import cli
 from sherkit.errors import EffectError, ExperimentError, RobotError
 from sherkit.lab.experiment import RunFile, load_experiment, run
 from sherkit.lab.instruments import Galil, Hyperion, Keyence, NetFT, Sm130, fetch_scale
@@ -395,9 +395,9 @@ def drain(master, seconds):
 @pytest.mark.slow
 def test_the_demo_compensates_what_was_hidden(tmp_path):
     """Catches a demo that no longer finds the effect, or a calibration that does not help when it is driven with."""
-    from sherkit.cli import lab_demo
+    from sherkit.cli.lab import lab_demo
 
-    lab_demo.lab_demo(tmp_path, repeats=1, time_scale=400.0)
+    lab_demo(tmp_path, repeats=1, time_scale=400.0)
     missed = {}
     for name in ("check_drawn", "check_twelve", "check_calibrated"):
         with RunFile.open(tmp_path / f"{name}.sqlite") as file:

@@ -26,27 +26,31 @@ from browsing import needs_browser, opened
 from sherkit.diagnosis import Diagnosis
 from sherkit.fit.error import ErrorSize
 from sherkit.report import style
-from sherkit.report.atlas import atlas_of, signature_atlas
-from sherkit.report.candidates import candidates
-from sherkit.report.error_history import (
+from sherkit.report.candidates import atlas_of, candidates, signature_atlas
+from sherkit.report.estimate import EstimateOverTime, estimate_picture
+from sherkit.report.page import save_picture
+from sherkit.report.parameters import (
+    NextPoses,
+    accuracy_map,
+    accuracy_of,
+    correlations,
+    directions,
+    next_poses,
+    parameters,
+)
+from sherkit.report.picture import Picture
+from sherkit.report.residual_against import ResidualAgainst, noise_picture, residual_against, run_in_time
+from sherkit.report.residual_arrows import SCALES, Change
+from sherkit.report.residual_map import Reprojection, reprojection, residual_map, still
+from sherkit.report.residuals import Residuals, residuals_of
+from sherkit.report.states import (
     ErrorHistory,
     ErrorOfStep,
     current_path,
     error_history,
     error_history_of,
 )
-from sherkit.report.estimate import EstimateOverTime, estimate_picture
-from sherkit.report.export import save_picture
-from sherkit.report.noise import noise_picture
-from sherkit.report.parameters import correlations, directions, parameters
-from sherkit.report.picture import Picture
-from sherkit.report.reprojection import Reprojection, reprojection
-from sherkit.report.residual_against import ResidualAgainst, residual_against
-from sherkit.report.residual_map import SCALES, Change, residual_map
-from sherkit.report.residuals import Residuals, residuals_of
-from sherkit.report.run import run_in_time
-from sherkit.report.workspace import NextPoses, accuracy_map, accuracy_of, next_poses
-from sherkit.robots.delta.paper import paper_whole
+from sherkit.robots.delta.robot import paper_whole
 from sherkit.study import StudyStep
 from strategies import EXAMPLE
 
@@ -721,6 +725,21 @@ def test_the_camera_picture_is_the_right_way_up(tmp_path: Path) -> None:
 
 
 # -- files and notebooks -------------------------------------------------------------------------------------
+
+
+def test_readers_without_scripts_see_the_same_map(demo: Run, plane: Run) -> None:
+    """Catches an SVG with arrows, scales or errors of its own, and one that draws the same moment twice."""
+    both, drawn = change(demo), still(change(demo))
+    figures = residual_map(both).sources
+    keys = [source.data for name, source in figures.items() if name.endswith("_key")]
+    assert len(keys) == 6
+    for key in keys:
+        for line in key["title"][0].split("\n") + key["bar_text"]:
+            assert f">{line}</text>" in drawn
+    assert drawn.count("L") - len(keys) == sum(
+        len(table(residual_map(both), f"{m}_{k}")["x"]) for m in ("before", "after") for k in range(3)
+    )
+    assert still(Change(plane.before, plane.before)).count("<circle") == 1
 
 
 @needs_browser

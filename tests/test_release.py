@@ -19,8 +19,7 @@ from running import several
 from second_simulator import NOMINAL_CONFIG, write_robot_toml
 from sherkit import _core
 from sherkit.cli import c_library, doctor
-from sherkit.cli.examples import EXAMPLES
-from sherkit.cli.main import _VERBS, cli
+from sherkit.cli.verbs import _VERBS, EXAMPLES, cli
 from sherkit.errors import CalibrationError, SherkitError
 from sherkit.robots.c_header import c_array, calibration_header
 from test_c_library import LIBRARY, ROOT, built_archive, make_robots, run, tool

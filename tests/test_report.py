@@ -24,8 +24,8 @@ from sherkit import save_robot
 from sherkit.base.figures import in_people_units, with_error
 from sherkit.model.effect import effects_by_name
 from sherkit.report.estimate import EstimateOverTime
+from sherkit.report.stories import write_tool_report
 from sherkit.report.style import number
-from sherkit.report.tool import write_tool_report
 from sherkit.robots.delta import CATALOGUE
 from sherkit.robots.delta.robot import grid
 from strategies import EXAMPLE
@@ -241,7 +241,7 @@ def test_what_has_no_number_does_not_run(demo: Path, tmp_path: Path) -> None:
 @needs_browser
 def test_the_report_of_a_tool_has_the_same_policy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Catches a page of its own making: without a policy, or with one under which Bokeh draws nothing."""
-    monkeypatch.setattr("sherkit.report.tool.pictures_of", lambda _: [])
+    monkeypatch.setattr("sherkit.report.stories.pictures_of", lambda _: [])
     found: Any = SimpleNamespace(headline="<img src=x onerror='owned = 1'>", indistinguishable=[], checks=[], notes=[])
     t = np.linspace(0.0, 1.0, 50)
     drawn = EstimateOverTime(

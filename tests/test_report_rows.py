@@ -9,9 +9,8 @@ import pytest
 
 import sherkit as sk
 from sherkit.cli.demo import EXAMPLE
-from sherkit.report.drawn import drawn, said
 from sherkit.report.residual_against import Windows, means
-from sherkit.report.residuals import residuals_of
+from sherkit.report.residuals import drawn, residuals_of, said
 from sherkit.robots import delta
 from sherkit.robots.delta.virtual import VirtualDelta
 

@@ -16,11 +16,10 @@ import pytest
 
 import sherkit as sk
 from sherkit import save_robot
-from sherkit.app.effect_list import _card
-from sherkit.app.sandbox import Sandbox
-from sherkit.app.typed import Typed
+from sherkit.app.folder import Typed
+from sherkit.app.sandbox import Cancelled, Sandbox
+from sherkit.app.shown import _card
 from sherkit.app.workbench import Workbench
-from sherkit.app.worker import Cancelled
 from sherkit.cli.demo import EXAMPLE
 from sherkit.errors import EffectError
 from sherkit.robots.delta.robot import grid

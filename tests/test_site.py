@@ -16,7 +16,7 @@ import pytest
 
 import test_docs
 import test_docs_laboratory
-from sherkit.report.export import browser
+from sherkit.report.page import browser
 from test_docs import HERE, MACHINE, blocks, command, commands, run_python, sherkit, text_of
 
 #: Pages whose blocks run in order in the folder that the demo leaves.

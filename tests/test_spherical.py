@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import sherkit as sk
 from second_simulator.spherical import SecondSpherical, sphere_grid, spherical_plan
 from sherkit import _core, load_robot, save_robot
-from sherkit.cli.main import cli
+from sherkit.cli.verbs import cli
 from sherkit.robots.spherical import CameraView, Spherical
 from sherkit.robots.spherical.model import identify_joints, task_error
 from sherkit.robots.spherical.poses import LINES, OWN_LINES, PAPER_LINES, targets

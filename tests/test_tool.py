@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 import sherkit as sk
 import sherkit._core as _core
 from second_tool import CONDITIONS, write_csv
-from sherkit.cli.main import cli
+from sherkit.cli.verbs import cli
 from sherkit.errors import FitError, MeasurementError, RobotError, ShapeError
 from sherkit.robots.tool import places as tip_places
 from sherkit.robots.tool.alignment import align, at_times, register

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 from sherkit import identify, load_robot, read_measurements
-from sherkit.cli.main import cli
+from sherkit.cli.verbs import cli
 from sherkit.errors import MeasurementError, SherkitError, SherkitWarning
 from sherkit.robots.spherical import Spherical, VirtualSpherical, sphere_patch
 from sherkit.robots.spherical.virtual import PAPER_ERRORS

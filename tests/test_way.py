@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import sherkit as sk
-from sherkit.cli.main import main
+from sherkit.cli import main
 from strategies import EXAMPLE
 
 HERE = Path(__file__).parents[1]

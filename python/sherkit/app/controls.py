@@ -1,13 +1,20 @@
-"""Buttons, fields and texts of the page: one size of type, colours that can be read, a place for each sentence."""
+"""Buttons, fields, texts and the rows that a person chose: one size of type, colours that can be read, a place for each
+sentence.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-from bokeh.models import Button, Div
+import numpy as np
+from bokeh.layouts import column, row
+from bokeh.models import Button, CustomJS, Div, TextInput
 
-from .page_state import Said
+from ..report.picture import Picture
+from .page_state import ROWS, PageState, Said
+from .workbench import Workbench
 
 #: Of a sentence about a mistake, as the page defines it for light and dark; on white it has a contrast of 7 (the orange
 #: of the pictures has 3.9).
@@ -57,3 +64,158 @@ class Notices:
         for div in self.place.values():
             if div.visible:
                 div.visible = False
+
+
+# -- The rows that a person chose -------------------------------------------------------------------------------------
+
+_SHOWN = 40
+_TELL = "window.sherkitChosen = cb_obj.tags; window.dispatchEvent(new Event('sherkit-chosen'))"
+_NOTHING = "Select points in the pictures, or type their rows, to see which they are."
+
+
+class Selection:
+    """The chosen rows of a page."""
+
+    def __init__(self, bench: Workbench, notices: Notices, do: Callable[[Callable[[], object]], None]) -> None:
+        self._bench, self._notices, self._do = bench, notices, do
+        self._page_state: PageState | None = None
+        self._rows: tuple[int, ...] = ()
+        #: Tables of the pictures in which rows can be chosen.
+        self._brushable: list[Any] = []
+        self._filling = False
+        self._list = text("selection")
+        self._list.js_on_change("tags", CustomJS(code=_TELL))
+        self._mark = button("Mark as outliers", "mark", disabled=True, width=180)
+        self._mark.on_click(self._marked)
+        #: Stands beside what else changes the study.
+        self.put_back = button("", "suspects", visible=False)
+        self.put_back.on_click(lambda: do(bench.put_back))
+        self._typed = TextInput(name="typed_rows", width=450, stylesheets=[TYPE])
+        self._typed.on_change("value", lambda attr, old, new: self._select_typed())
+        buttons = row(
+            self._typed,
+            self._mark,
+            align="end",
+            sizing_mode="stretch_width",
+            styles={"flex-wrap": "wrap"},
+        )
+        self.root = column(buttons, notices.place[ROWS], self._list, sizing_mode="stretch_width")
+
+    def show(self, page_state: PageState) -> None:
+        """Says what is suspected of a moment, and how rows are counted."""
+        self._page_state = page_state
+        count = len(page_state.left_out)
+        self.put_back.visible, self.put_back.label = bool(count), f"Put back the {count} left out"
+        lines = page_state.data.counted == "line"
+        self._typed.title = f"Rows by their number {'in the file' if lines else 'from 0'}, such as 12, 40-45"
+        self._draw()
+
+    def watch(self, pictures: Mapping[str, Picture[Any]]) -> None:
+        """Lets rows be chosen in these pictures."""
+        self._brushable = [
+            source
+            for name, picture in pictures.items()
+            for key, source in picture.sources.items()
+            if (name == "map" and not key.endswith("_key")) or key == "points"
+        ]
+        for source in self._brushable:
+            source.selected.on_change("indices", self._brush(source))
+
+    def _brush(self, source: Any) -> Callable[[str, Any, list[int]], None]:
+        return lambda attr, old, new: self._brushed(source, new)
+
+    def _brushed(self, source: Any, indices: list[int]) -> None:
+        if self._filling:
+            return
+        data = source.data
+        if "rows" in data:
+            rows = [r for k in indices for r in data["rows"][k]]
+        else:
+            rows = [int(data["row"][k]) for k in indices]
+        self.select(rows, source)
+
+    def select(self, rows: Sequence[int], brushed: Any = None) -> None:
+        """Takes rows as chosen, lists them, and shows them in every picture but the one they were brushed in."""
+        self._rows = tuple(sorted(set(rows)))
+        chosen = set(self._rows)
+        self._filling = True
+        for source in self._brushable:
+            if source is brushed:
+                continue
+            data = source.data
+            if not chosen:
+                indices = []
+            elif "rows" in data:
+                indices = [k for k, members in enumerate(data["rows"]) if not chosen.isdisjoint(members)]
+            else:
+                indices = np.flatnonzero(np.isin(data["row"], self._rows)).tolist()
+            if source.selected.indices != indices:
+                source.selected.indices = indices
+        self._filling = False
+        self._tell()
+        self._draw()
+
+    def _tell(self) -> None:
+        """Shows the workspace which poses are chosen: it knows each by one of its lines."""
+        data = None if self._page_state is None else self._page_state.data
+        poses = [] if data is None else data.line[np.isin(data.groups, data.groups[list(self._rows)])].tolist()
+        if self._list.tags != poses:
+            self._list.tags = poses
+
+    def _select_typed(self) -> None:
+        """Rows given by their numbers in the file."""
+        page_state = self._page_state
+        if page_state is None or not self._typed.value.strip():
+            return
+        line = page_state.data.line
+        wanted = np.zeros(len(line), dtype=bool)
+        for part in self._typed.value.split(","):
+            low, dash, high = (one.strip() for one in part.partition("-"))
+            if not _is_number(low) or (dash and not _is_number(high)):
+                self._wrong(f"rows: expected numbers such as 12, 40-45, got '{part.strip()}'")
+                return
+            found = (line >= int(low)) & (line <= int(high or low))
+            if not found.any():
+                self._wrong(f"{page_state.data.source} has no row on {page_state.data.counted} {part.strip()}")
+                return
+            wanted |= found
+        self._do(lambda: self.select(np.flatnonzero(wanted).tolist()))
+
+    def _wrong(self, sentence: str) -> None:
+        self._notices.show(Said(sentence, ROWS), ROWS, wrong=True)
+
+    def _marked(self) -> None:
+        rows = self._rows
+        self._do(lambda: self._bench.mark_outliers(rows))
+        self._typed.value = ""
+
+    def _draw(self) -> None:
+        self._mark.disabled = not self._rows
+        page_state = self._page_state
+        said = _NOTHING if page_state is None or not self._rows else _table(page_state, self._rows)
+        if self._list.text != said:
+            self._list.text = said
+
+
+def _table(page_state: PageState, chosen: Sequence[int]) -> str:
+    left = page_state.now
+    index = {int(r): k for k, r in enumerate(left.row)}
+    rows = [r for r in chosen if r in index]
+    head = "".join(f"<th>{escape(n)}, {escape(left.unit)}</th>" for n in left.names)
+    body = ""
+    for r in rows[:_SHOWN]:
+        k = index[r]
+        cells = "".join(f"<td>{v:.1f}</td>" if np.isfinite(v) else "<td></td>" for v in left.values[k])
+        marked = "marked" if left.outlier[k] else ""
+        body += f"<tr><td>{int(left.line[k])}</td>{cells}<td>{marked}</td></tr>"
+    more = f" (the first {_SHOWN} are listed)" if len(rows) > _SHOWN else ""
+    return (
+        f"<b>{len(chosen)} row{'s' if len(chosen) > 1 else ''}</b>{more}"
+        "<table style='border-spacing:14px 2px'>"
+        f"<tr><th>{escape(left.counted)}</th>{head}<th>mark</th></tr>{body}</table>"
+    )
+
+
+def _is_number(text: str) -> bool:
+    """Whole, not negative, and no longer than a row can be."""
+    return text.isdecimal() and len(text) <= 15

@@ -19,14 +19,12 @@ from tornado.ioloop import IOLoop
 
 from ..base.names import listed
 from ..diagnosis import template
-from ..report.policy import fresh_nonce, numbered, policy
+from ..report.page import fresh_nonce, numbered, policy
 from ..report.scene import script as scenes
 from ..report.style import number
-from .controls import TYPE, Notices, button, text
-from .effect_list import EffectList
+from .controls import TYPE, Notices, Selection, button, text
 from .page_state import EXPORTS, FILES, HISTORY, LINES, ROWS, PageState, Said
-from .selection import Selection
-from .shown import Fall, Maps
+from .shown import EffectList, Fall, Maps
 from .workbench import Workbench, rights_of
 
 _LEFT = 356

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from ..data import Measurements
 from ..diagnosis import Diagnosis
 from ..model.effect import Effect
-from ..report.residuals import Residuals
+from ..report.residuals import Residuals, State, residuals_of
 from ..study import StudyStep
 
 
@@ -26,10 +26,9 @@ HISTORY, LINES, FILES, ROWS, EXPORTS = "history", "lines", "files", "rows", "exp
 
 @dataclass(frozen=True, eq=False)
 class PageState:
-    """The study as it stands: model, rows and history, what is left at every step that is known, and a diagnosis
-    where it is done.
+    """The study as it stands: model, rows and history, by the number of their step the ``states`` that can be compared,
+    and a diagnosis where it is done.
 
-    ``residuals`` (one for each step of the history) are None where the rows of that step are no longer those of today.
     ``without`` is the error held out that the model would leave without each of its effects, known with the diagnosis;
     so are the ``drawings``, as HTML, of the user's own effects that are in the model or named: a page never asks lines
     that a person typed. So is the ``space``, as HTML: the workspace in three dimensions with the errors of the first
@@ -44,7 +43,7 @@ class PageState:
     #: The built-in effects of this robot, and the user's own.
     known: Mapping[str, Effect]
     history: tuple[StudyStep, ...]
-    residuals: tuple[Residuals | None, ...]
+    states: Mapping[int, State]
     diagnosis: Diagnosis | None
     undoes: str
     redoes: str
@@ -58,6 +57,6 @@ class PageState:
     @property
     def now(self) -> Residuals:
         """What the current model leaves."""
-        last = self.residuals[-1]
-        assert last is not None  # the current step always has a fit
-        return last
+        fit = self.history[-1].fit
+        assert fit is not None  # the current step always has one
+        return residuals_of(fit)

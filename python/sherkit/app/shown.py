@@ -1,25 +1,199 @@
-"""The pictures of the page: maps before and after, what is left against a column, the fall, the parameters."""
+"""What the page shows: the effects in the order of what each would leave, with a switch and a card for each; the maps,
+what is left against a column, the fall, the parameters.
+
+A place in the list shows whatever effect belongs there: nothing is laid out anew where the order changes, and the order
+in which Tab goes is the one that is seen.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from html import escape
 from typing import Any
 
 from bokeh.layouts import column, row
-from bokeh.models import Div, Select
+from bokeh.models import Button, CustomJS, Div, Select
 
-from ..base.names import told_apart
-from ..report.error_history import ErrorHistory, ErrorOfStep, current_path, error_history
+from ..diagnosis import Diagnosis
+from ..model.effect import Effect
+from ..report.card import drawing_of, indistinguishable, its_numbers, what_it_is
 from ..report.parameters import parameters
 from ..report.picture import Picture
 from ..report.residual_against import ResidualAgainst, residual_against
 from ..report.residual_against import note as against_note
-from ..report.residual_map import Change, residual_map
-from ..report.residuals import Residuals
-from ..report.style import MUTED, quantity
+from ..report.residual_arrows import Change
+from ..report.residual_map import residual_map
+from ..report.states import ErrorHistory, ErrorOfStep, current_path, error_history
+from ..report.style import MUTED, number, quantity
 from .controls import TYPE, button
 from .page_state import PageState
+
+# -- The effects ------------------------------------------------------------------------------------------------------
+
+_BUTTON, _LIST_WIDTH = 190, 356
+#: An effect that leaves more, in % of what there is, has no bar.
+_BRINGS_NOTHING = 97.0
+_CARD = """
+details { font-size: 15px; margin: 0 0 6px 6px; color: var(--ink); } summary { cursor: pointer; color: var(--link); }
+summary:focus-visible { outline: 3px solid var(--part); } p { margin: 2px 0; line-height: 1.3; } h4 { margin: 5px 0 0; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 14px; }
+th, td { text-align: right; padding: 1px 8px 1px 0; } th:first-child, td:first-child { text-align: left; }
+"""
+#: Bokeh makes a button anew where its label changes: who works with the keyboard must not lose the effect.
+_KEEP_FOCUS = """
+if (window.focusedEffect == button.label.slice(2)) setTimeout(() => {
+    const free = document.activeElement == null || document.activeElement == document.body
+    if (free) Bokeh.index.find_one(button)?.shadow_el?.querySelector("button")?.focus()
+}, 50)
+"""
+
+
+class EffectList:
+    """Switches for all effects; ``pressed`` is told which one a person wants in the model, or out of it."""
+
+    def __init__(self, pressed: Callable[[str], object]) -> None:
+        self._pressed = pressed
+        self._places: list[_Place] = []
+        #: What each would leave, as a diagnosis said last, and which would not help: until the next one both stay.
+        self._would: dict[str, float] = {}
+        self._idle: frozenset[str] = frozenset()
+        self._all = False
+        self._page_state: PageState | None = None
+        self._unfold = button("", "unfold_effects", width=_LIST_WIDTH - 12, visible=False)
+        self._unfold.on_click(self._unfolded)
+        self._list = column(width=_LIST_WIDTH)
+        self.root = column(self._list, self._unfold, width=_LIST_WIDTH)
+
+    def _unfolded(self) -> None:
+        self._all = not self._all
+        if self._page_state is not None:
+            self.show(self._page_state)
+
+    def show(self, page_state: PageState) -> None:
+        """Draws the list of a moment."""
+        self._page_state = page_state
+        if page_state.diagnosis is not None:
+            self._would = {c.effect: c.held_out_rms for c in page_state.diagnosis.candidates}
+            self._idle = idle(page_state.diagnosis)
+        every = ordered(page_state, self._would)
+        folded = [name for name in every if name in self._idle and name not in (*page_state.effects, *page_state.own)]
+        names = every if self._all else [name for name in every if name not in folded]
+        self._unfold.visible = bool(folded)
+        count = f"{len(folded)} that would not help"
+        self._unfold.label = f"Hide {count}" if self._all else f"Show {count}"
+        while len(self._places) < len(names):
+            self._places.append(_Place(self._pressed))
+        if len(self._list.children) != len(names):
+            self._list.children = [place.root for place in self._places[: len(names)]]
+        for name, place in zip(names, self._places, strict=False):
+            place.show(name, page_state)
+
+
+def idle(found: Diagnosis) -> frozenset[str]:
+    """Effects that would leave no less than there is, as far as the blocks held out can tell, or cannot be tried.
+
+    One that is named, or tied with one, is none of them.
+    """
+    kept = {*found.effects, *(name for tie in found.indistinguishable for name in tie)}
+    now = found.steps[0].error.rms
+    out = {c.effect for c in found.candidates if c.held_out_rms + 2 * c.held_out_std >= now}
+    return frozenset({*out, *found.untestable} - kept)
+
+
+def ordered(page_state: PageState, would: Mapping[str, float]) -> list[str]:
+    """Effects in the model, then those that are named as missing, then by what each ``would`` leave."""
+    found = page_state.diagnosis
+    names = [name for name in page_state.known if name != "datum"]
+
+    def order(name: str) -> tuple[int, float]:
+        if name in page_state.effects:
+            return 0, page_state.effects.index(name)
+        if found is not None and name in found.effects:
+            return 1, found.effects.index(name)
+        return (2, would[name]) if name in would else (3, names.index(name))
+
+    return sorted(names, key=order)
+
+
+class _Place:
+    """A place in the list, and the effect that it shows now."""
+
+    def __init__(self, pressed: Callable[[str], object]) -> None:
+        self._name = ""
+        self._button = Button(width=_BUTTON, margin=(4, 5, 0, 5), stylesheets=[TYPE])
+        self._button.on_click(lambda: pressed(self._name))
+        self._button.js_on_change("label", CustomJS(args={"button": self._button}, code=_KEEP_FOCUS))
+        self._text = Div(
+            width=_LIST_WIDTH - _BUTTON - 12, margin=(5, 0, 0, 2), styles={"font-size": "15px", "line-height": "1.15"}
+        )
+        self._card = Div(width=_LIST_WIDTH - 8, margin=(0, 0, 0, 5), stylesheets=[_CARD])
+        self.root = column(row(self._button, self._text, margin=0), self._card, width=_LIST_WIDTH, margin=0, spacing=0)
+
+    def show(self, name: str, page_state: PageState) -> None:
+        found, inside = page_state.diagnosis, name in page_state.effects
+        known, self._name = name == self._name, name
+        lead = found is not None and name in found.effects
+        label = f"✓ {name}" if inside else f"+ {name}"
+        if self._button.label != label:
+            self._button.label = label
+        kind = "primary" if inside else "success" if lead else "default"
+        if self._button.button_type != kind:
+            self._button.button_type = kind
+        self._button.disabled = not inside and found is not None and name in found.untestable
+        said = _said(name, page_state)
+        if self._text.text != said:
+            self._text.text = said
+        if known and found is None:
+            return  # a card that is being read stays until there is more to say
+        shown = _card(page_state.known[name], page_state, opened=lead)
+        if self._card.text != shown:
+            self._card.text = shown
+
+
+def _card(effect: Effect, page_state: PageState, *, opened: bool) -> str:
+    """What it is, folded unless ``opened``.
+
+    The machine is drawn where the card stands open, and with what is in the model: the others would cost the page a
+    tenth of a second at every click.
+    """
+    fit, found = page_state.history[-1].fit, page_state.diagnosis
+    if opened and found is not None:
+        fit = found.fit  # it is in this one
+    parts = [what_it_is(effect, fit), its_numbers(effect, fit, found), indistinguishable(effect, found)]
+    if effect.function is not None:  # a person's lines may do anything: the page does not ask them
+        parts.insert(0, page_state.drawings.get(effect.name, ""))
+    elif fit is not None and (opened or effect.name in page_state.effects):
+        parts.insert(0, drawing_of(effect, fit.model, fit))
+    return f"<details{' open' if opened else ''}><summary>what it is</summary>{''.join(parts)}</details>"
+
+
+def _said(name: str, page_state: PageState) -> str:
+    """What stands beside a switch."""
+    found, unit = page_state.diagnosis, escape(page_state.now.unit)
+    if name in page_state.effects:
+        idle = found is not None and name in found.not_needed
+        if name not in page_state.without:
+            return "in the model"
+        return f"without it <b>{number(page_state.without[name])}</b> {unit}{' · not needed' if idle else ''}"
+    if found is None:
+        return ""
+    if name in found.untestable:
+        return f'<span style="color:var(--muted)">{escape(found.untestable[name])}</span>'
+    would = next((c for c in found.candidates if c.effect == name), None)
+    if would is None:
+        return ""
+    scale = found.steps[0].error.rms
+    part = 100 * min(would.held_out_rms / scale, 1.0) if scale > 0 else 100
+    tied = any(name in tie for tie in found.indistinguishable)
+    note = " · tied" if tied else "" if would.plausible else " · implausible"
+    leaves = f"leaves <b>{number(would.held_out_rms)}</b> {unit}{note}"
+    if part > _BRINGS_NOTHING:
+        return leaves
+    bar = f'<div style="background:var(--part);height:5px;width:{part:.0f}%"></div>'
+    return f'{leaves}<div style="background:var(--whole);height:5px;width:130px">{bar}</div>'
+
+
+# -- The pictures -----------------------------------------------------------------------------------------------------
 
 _WIDTH, _FALL_HEIGHT, _FALL_ROOM = 1000, 232, 350
 #: The colour scale stands beside the panels of the map.
@@ -64,9 +238,7 @@ class Maps:
             self._draw()
 
     def _fill(self, page_state: PageState) -> None:
-        known = [k for k in current_path(page_state.history) if page_state.residuals[k]]
-        names = told_apart([page_state.history[k].action for k in known])
-        steps = [(str(k), name) for k, name in zip(known, names, strict=True)]
+        steps = [(str(k), state.title) for k, state in page_state.states.items()]
         self._before.options, self._after.options = steps, steps
         # one state alone is compared with nothing
         if self.choices.visible != (len(steps) > 1):
@@ -90,16 +262,17 @@ class Maps:
         page_state = self._page_state
         if page_state is None or self._filling:
             return
-        before, after = self._left(page_state, self._before.value), self._left(page_state, self._after.value)
+        states = {str(k): state for k, state in page_state.states.items()}
+        if not {self._before.value, self._after.value} <= set(states):
+            return
+        one, other = states[self._before.value], states[self._after.value]
+        before, after = one.left, other.left
         # a browser says again what it was told to show
         wanted = (before, after, self._variable.value, self._scale.value)
-        if before is None or after is None or wanted == self._drawn:
+        if wanted == self._drawn:
             return
         self._drawn = wanted
-        titles = {key: _short(name) for key, name in self._after.options}
-        change = Change(
-            before, after, titles[self._before.value], titles[self._after.value], str(self._scale.value)
-        )  # fmt: skip
+        change = Change(before, after, _short(one.title), _short(other.title), str(self._scale.value))
         lines = ResidualAgainst(after, str(self._variable.value), before if before is not after else None)
         key = (len(after), tuple(after.names), tuple(after.place))
         if self._built_for != key:
@@ -110,14 +283,10 @@ class Maps:
         else:
             self._pictures["map"].show(change)
             self._pictures["against"].show(lines)
-        for one in self._pictures["map"].before:
-            if one.visible != (before is not after):
-                one.visible = before is not after
+        for made in self._pictures["map"].before:
+            if made.visible != (before is not after):
+                made.visible = before is not after
         self._selected()
-
-    @staticmethod
-    def _left(page_state: PageState, which: str) -> Residuals | None:
-        return page_state.residuals[int(which)] if which else None
 
     def _place(self, name: str, place: Any, picture: Picture[Any]) -> None:
         self._pictures[name] = picture

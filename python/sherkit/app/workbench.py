@@ -15,7 +15,6 @@ from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, TypeVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -29,15 +28,14 @@ from ..model.effect import load_effects
 from ..model.kinds import required_um
 from ..model.robot_file import columns_of
 from ..report.card import drawing_of
-from ..report.error_history import current_path
-from ..report.residuals import Residuals, residuals_of
-from ..report.space import space_of
+from ..report.residuals import State
+from ..report.scene import space_of
+from ..report.states import states_so_far
 from ..robots.machine import is_machine, robot_at
 from ..study import Study
-from .folder import SOURCES, TYPED, begun_from, hold, read_as, read_so_far, require_effects, require_same
+from .folder import SOURCES, TYPED, Typed, begun_from, hold, read_as, read_so_far, require_effects, require_same
 from .page_state import EXPORTS, FILES, HISTORY, LINES, ROWS, PageState, Said
-from .typed import Typed
-from .worker import Worker
+from .sandbox import Worker
 
 T = TypeVar("T")
 Progress = Callable[[str], None]
@@ -62,7 +60,6 @@ class Workbench:
         self._worker = Worker(lambda: self._say("progress", ""))
         self._typed = typed or Typed(folder / TYPED)
         self._typed.look = self._worker.look
-        self._residuals: WeakKeyDictionary[Any, Residuals] = WeakKeyDictionary()
         self._number = 0
         self._warned: set[str] = set()
         self._followed: tuple[int, int] | None = None
@@ -190,16 +187,12 @@ class Workbench:
     def _space(self, step: Progress) -> str:
         """The workspace with the errors of the first step and the last, or of what is found missing where there is one
         step alone; typed lines are asked in this thread alone."""
-        history, residuals = self.page_state.history, self.page_state.residuals
-        path = [history[k] for k in current_path(history) if residuals[k]]
-        before, after, titles = path[0].fit, path[-1].fit, (path[0].action, path[-1].action)
-        found = self.page_state.diagnosis
+        path, found = [*self.page_state.states.values()], self.page_state.diagnosis
+        last = path[-1]
         if len(path) == 1 and found is not None and found.effects:
-            after, titles = found.fit, (titles[0], state_with(found.effects))
-        if before is None or after is None:
-            return ""
+            last = State(state_with(found.effects), found.fit)
         step("drawing the workspace")
-        scene = space_of(before, after, titles, moment=len(path) - 1, whole=True)
+        scene = space_of(path[0], last, moment=len(path) - 1, whole=True)
         return "" if scene is None else scene.html()
 
     def tell(self, error: BaseException, about: str = EXPORTS) -> None:
@@ -378,14 +371,6 @@ class Workbench:
 
     def _page_state(self) -> PageState:
         study = self._study
-        residuals: list[Residuals | None] = []
-        for step in study.history:
-            if step.fit is None or len(step.fit.data) != len(study.data):
-                residuals.append(None)
-                continue
-            if step.fit not in self._residuals:
-                self._residuals[step.fit] = residuals_of(step.fit)
-            residuals.append(self._residuals[step.fit])
         self._number += 1
         return PageState(
             data=study.data,
@@ -394,7 +379,7 @@ class Workbench:
             own=tuple(study.own),
             known={**study.model.known_effects, **study.model.held, **study.own},
             history=tuple(study.history),
-            residuals=tuple(residuals),
+            states=states_so_far(study.history),
             diagnosis=None,
             undoes=study.undoes,
             redoes=study.redoes,

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from ..data.files import write_whole
-from . import output, reporting
+from . import output
 from .machine_file import own_way_of
 
 #: The file in the study's folder by which a browser finds the page.
@@ -34,7 +34,7 @@ def app(
 
     Of a flexible tool the page is the story of its run.
     """
-    reporting.require_view()
+    output.require_view()
     if (own_way := own_way_of(robot, "app")) is not None:
         own_way(run, files, opened=not no_open)
         return

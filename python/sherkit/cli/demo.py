@@ -1,18 +1,23 @@
-"""``sherkit demo``: the paper's two experiments on a virtual robot, calibrated."""
+"""``sherkit demo``: the paper's two experiments on a virtual robot, calibrated, and its story."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import fill
 
 import click
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
+from ..base.figures import number
+from ..base.names import NOMINAL
 from ..calibration import Result, calibrate
 from ..data import read_measurements
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
+from ..model.kinds import required_um
 from ..model.robot_file import save_robot
 from ..robots import delta
 from ..robots.calibrated import Calibration
@@ -20,7 +25,10 @@ from ..robots.delta import paper
 from ..robots.delta.robot import Delta, paper_local, paper_whole
 from ..robots.delta.virtual import VirtualDelta
 from ..study import Study
-from . import demo_story, diagnosis_tables, output, reporting, tables
+from . import output
+from .calibrate import print_accuracy, print_result
+from .diagnose import print_diagnosis
+from .output import out, say
 
 EXAMPLE: Delta = delta.KIND.example
 
@@ -51,7 +59,7 @@ def demo(folder: Path, seed: int, with_tables: bool) -> None:
         calibration.save(folder / "calibrated.toml")
         report = _report(folder, study, found, calibration, result, step)
     missed = _misses(virtual, robot, calibration)
-    demo_story.story(study, found, missed, len(paper_whole()), folder, report)
+    story(study, found, missed, len(paper_whole()), folder, report)
     if with_tables:
         _tables(result, found, study, calibration)
 
@@ -63,12 +71,12 @@ def _tables(result: Result, found: Diagnosis, study: Study, calibration: Calibra
         "SIMULATION: the geometry is an example; the paper's figures (dim) are of its own robot, so sizes may be "
         "compared and values may not.\n"
     )
-    tables.result(result, demo=True)
+    print_result(result, demo=True)
     output.out.rule("What is missing?")
-    diagnosis_tables.diagnosis(found)
+    print_diagnosis(found)
     output.out.rule("With it in the model")
     output.out.print(_history(study))
-    tables.accuracy(calibration)
+    print_accuracy(calibration)
 
 
 def _report(
@@ -77,7 +85,7 @@ def _report(
 ) -> Path | None:  # fmt: skip
     """Writes the report where what draws is installed."""
     try:
-        reporting.require_view()
+        output.require_view()
     except SherkitError as error:
         output.warn(f"no report was written: {error}")
         return None
@@ -85,7 +93,7 @@ def _report(
     path = folder / "report.html"
     sources = [folder / name for name in ("robot.toml", "whole.csv", "local.csv")]
     title = "The paper's two experiments on a virtual delta robot"
-    reporting.write(
+    output.write_report(
         path, title, study, found, sources, calibration=calibration, result=result, simulated=True,
         printed=paper.TABLE_I,
     )  # fmt: skip
@@ -113,3 +121,73 @@ def _misses(virtual: VirtualDelta, robot: Delta, calibration: Calibration) -> tu
         there = virtual.true_reading(joints.require("pose")) - home
         out.append(1e3 * float(np.sqrt(np.mean(((there - targets) ** 2).sum(axis=1)))))
     return out[0], out[1]
+
+
+# -- The story as it is told ------------------------------------------------------------------------------------------
+
+_WIDTH, _BAR, _NAME = 78, 34, 30
+
+
+def story(
+    study: Study, found: Diagnosis, missed_um: tuple[float, float], targets: int, folder: Path, report: Path | None
+) -> None:
+    """Prints it. ``missed_um`` are distances (RMS) from the ``targets`` commanded places, as drawn and calibrated."""
+    out.print("[bold]SIMULATION.[/] A virtual delta robot, built a little wrong, with rails that lean,")
+    out.print(f"is measured at {targets} places by an instrument with a noise of 5 µm.\n")
+    unit = study.data.layout.unit
+    noise, first = found.noise_size, study.history[0].error
+    needed = required_um(study.robot)
+    asked = f"; {needed:g} {unit} are needed" if needed else ""
+    _head(1, "What calibrating the geometry leaves")
+    _tell(
+        f"{number(first.rms)} {unit} RMS {first.in_words} at places it was not fitted to, 95 % within "
+        f"{number(first.p95)}; noise alone is {number(noise)}{asked}."
+    )
+    _head(2, "Which effect is missing")
+    _tell(found.headline[:1].upper() + found.headline[1:] + ".")
+    for name in found.effects:
+        effect = study.model.known_effects[name]
+        _tell(f"{effect.physics} {effect.remedy}")
+    others = [c for c in found.candidates if c.effect not in found.effects]
+    if found.effects and others:
+        _tell(f"The next best, {others[0].effect}, would leave {number(others[0].held_out_rms)} {unit}.")
+    _head(3, "The fall of the error")
+    nominal = study.history[0].fit
+    steps = [] if nominal is None else [(NOMINAL, nominal.nominal_error.rms)]
+    steps += [(step.action, step.error.rms) for step in study.history]
+    for name, value in (*steps, ("noise", noise)):
+        _bar(name, value, steps[0][1], unit)
+    _head(4, f"Sent to {targets} places, the robot misses them by")
+    for name, value in zip((NOMINAL, "through calibrated.toml"), missed_um, strict=True):
+        _bar(name, value, missed_um[0], "µm")
+    _tell("(RMS in 3-D of where it stands, without the instrument's noise: a reading there adds that)")
+    _head(5, "What to open next")
+    _next(folder, report)
+
+
+def _next(folder: Path, report: Path | None) -> None:
+    offers = [] if report is None else [(str(report), "all this to look at, in a browser")]
+    offers += [
+        (f"sherkit app {folder}/robot.toml {folder}/whole.csv", "add effects yourself"),
+        ("sherkit demo --tables", "the paper's tables beside these"),
+        (
+            f"sherkit calibrate {folder}/robot.toml {folder}/whole.csv --local {folder}/local.csv",
+            "what a lab would run",
+        ),
+    ]
+    for what, why in offers:
+        say(f"  {what}" if len(what) + len(why) + 6 > _WIDTH else f"  {what}   {why}")
+
+
+def _head(count: int, title: str) -> None:
+    out.print(f"[bold]{count}. {escape(title)}[/]", soft_wrap=True)
+
+
+def _tell(sentence: str) -> None:
+    say(fill(sentence, _WIDTH, initial_indent="   ", subsequent_indent="   ", break_long_words=False))
+
+
+def _bar(name: str, value: float, whole: float, unit: str) -> None:
+    """A line whose bar is as long as its value is of the whole."""
+    length = max(round(_BAR * min(value / whole, 1.0)), 1) if whole > 0 else 1
+    say(f"   {name:<{_NAME}} {'█' * length} {number(value)} {unit}")

@@ -1,21 +1,34 @@
-"""``sherkit lab``: a laboratory of emulated instruments on ports of this machine."""
+"""``sherkit lab``: a laboratory of emulated instruments on ports of this machine, and the demo in it."""
 
 from __future__ import annotations
 
 import signal
 import tempfile
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
 
 import click
+import numpy as np
+import tomli_w
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from ..base.types import Floats
+from ..calibration import calibrate
+from ..data import read_measurements
+from ..data.files import write_whole
+from ..diagnosis import Diagnosis
+from ..lab.experiment import Live, RunFile, RunProgress, export_run, load_experiment, run
+from ..lab.laboratory import RunningLaboratory, load_laboratory
+from ..model.robot_file import load_robot
+from ..robots.delta.robot import POSITION
+from ..study import Study
 from . import output
-
-if TYPE_CHECKING:
-    from ..lab.laboratory import RunningLaboratory
+from .demo import EXAMPLE
+from .diagnose import print_diagnosis
+from .measure import until_diagnosed
 
 _LOOPBACK = ("127.", "localhost")
 
@@ -34,10 +47,6 @@ def lab(
     folder: Path,
 ) -> None:  # fmt: skip
     """Start the emulated instruments of LABORATORY (TOML), until Ctrl-C; without one, those of an example."""
-    # emulators are loaded by who wants them: not where a robot is measured
-    from ..lab.laboratory import RunningLaboratory, load_laboratory
-    from .lab_demo import lab_demo, write_laboratory
-
     if demo:
         lab_demo(folder)
         return
@@ -85,3 +94,202 @@ def _show(running: RunningLaboratory) -> None:
         if "page" in one:
             made.add_row("", "its page", one["page"])
     output.out.print(made)
+
+
+# -- The demo in a laboratory -----------------------------------------------------------------------------------------
+
+_LIMITS_MM = (60.0, 200.0)
+_TIME_SCALE = 50.0
+_LABORATORY = """\
+# A virtual delta that is not as drawn, and the instruments around it: 'sherkit lab lab.toml' starts them.
+robot = "robot.toml"
+seed = 6
+time_scale = {time_scale}
+
+[hidden]
+errors = 1.0            # geometric errors of the size of the paper's Table II
+rail_lean_mrad = 8.0    # and rails that lean: what the geometric model does not know
+
+[[instrument]]
+name = "rails"
+kind = "galil"
+counts_per_mm = 10000
+chatty = 0.02           # text of the controller's own program comes in between
+pieces = 3              # and answers come in pieces
+
+[[instrument]]
+name = "lasers"
+kind = "keyence"
+noise_mm = 0.005
+noise_of_place = true   # a run that was interrupted reads the same when it goes on
+"""
+_EXPERIMENT = """\
+# {what}: 'sherkit measure {name}.toml' while the laboratory runs.
+robot = "robot.toml"
+ports = "ports.json"
+
+{plan}
+
+[settle]
+seconds = {settle}            # two in the paper, on this laboratory's clock
+
+[goal]
+std_um = 10.0
+
+[retry]
+attempts = 3            # a busy computer may answer late
+
+[[instrument]]
+name = "rails"
+kind = "galil"
+counts_per_mm = 10000
+speed_mm_s = 10.0
+poll_s = 0.002
+
+[[instrument]]
+name = "lasers"
+kind = "keyence"
+"""
+_PLANS = {
+    "local": ("The paper's experiment in the region of interest", '[plan]\nposes = "paper_local"\norder = "shuffled"\n'
+              "repeats = {repeats}\nseed = 1"),
+    "check_drawn": ("Places that were not measured before, by the drawing", "[plan]\n{check}"),
+    "check_twelve": ("The same places with the paper's twelve parameters", '[plan]\n{check}\nthrough = "twelve.toml"'),
+    "check_calibrated": ("The same places through the calibration", '[plan]\n{check}\nthrough = "calibrated.toml"'),
+    "adaptive": ("No poses: the robot chooses them until it is known what is missing",
+                 "[adaptive]\nbudget = 200\nspan_min = {span_min}\nrequired_um = 20.0"),
+}  # fmt: skip
+_CHECKED = 40
+#: Over which time the robot that chooses its poses is judged, on the laboratory's clock.
+_SPAN_MIN = 10.0
+#: Experiments whose misses are compared, and how the robot was sent there.
+_COMPARED = {
+    "check_drawn": "by the drawing",
+    "check_twelve": "with the twelve parameters",
+    "check_calibrated": "and the effect that was found",
+}
+
+
+def lab_demo(folder: Path, *, repeats: int = 2, time_scale: float = _TIME_SCALE) -> None:
+    """Writes the files, starts the laboratory, measures, diagnoses, calibrates, and measures again."""
+    write_files(folder, repeats, time_scale)
+    with RunningLaboratory(load_laboratory(folder / "lab.toml")) as lab:
+        lab.write_ports(folder / "ports.json")
+        output.out.print(
+            "[bold]SIMULATION.[/] A virtual delta behind emulated instruments; what drives them are the real drivers "
+            f"on pseudo-terminals. Its clock runs {time_scale:g} times as fast."
+        )
+        for name, one in lab.ports().items():
+            output.say(f"  {name} ({one['kind']}): {one['address']}")
+        took = _measured(folder, "local")
+        rows = export_run(folder / "local.sqlite", folder / "local.csv")
+        output.say(f"\n{rows} rows in {took:.0f} s: {folder}/local.sqlite, exported to local.csv\n")
+        found, study = _found(folder)
+        calibrate(study.robot, study.data, correction="none").calibration.save(folder / "twelve.toml")
+        output.out.rule("What is missing?")
+        print_diagnosis(found)
+        calibration = study.calibration()
+        calibration.save(folder / "calibrated.toml")
+        output.out.rule("Deployed back")
+        for name in _COMPARED:
+            _measured(folder, name)
+        _compare(folder, lab)
+        output.out.rule("And without a plan: the robot measures until it is known")
+        _until_known(folder)
+    output.say(
+        f"\nTo do it yourself, in {folder}/: sherkit lab lab.toml --ports ports.json, and in another terminal\n"
+        "  sherkit measure local.toml --live -o again.sqlite\n"
+        "  sherkit measure adaptive.toml --until diagnosed -o known.sqlite"
+    )
+
+
+def write_laboratory(folder: Path, time_scale: float = 1.0) -> Path:
+    """Writes ``robot.toml`` and ``lab.toml`` of the example; returns the latter."""
+    folder.mkdir(parents=True, exist_ok=True)
+    tables = EXAMPLE.to_tables()
+    tables["joints"] = {**tables.get("joints", {}), "limits_mm": list(_LIMITS_MM)}
+    write_whole(folder / "robot.toml", tomli_w.dumps(tables))
+    write_whole(folder / "lab.toml", _LABORATORY.format(time_scale=time_scale))
+    return folder / "lab.toml"
+
+
+def write_files(folder: Path, repeats: int, time_scale: float) -> None:
+    """Writes the laboratory and the experiments of the demo."""
+    write_laboratory(folder, time_scale)
+    rng = np.random.default_rng(7)
+    places = np.round(rng.uniform(-9.0, 9.0, (_CHECKED, 3)), 2).tolist()
+    check = f'poses = "list"\nlist_mm = {places}'
+    for name, (what, plan) in _PLANS.items():
+        text = _EXPERIMENT.format(
+            what=what, name=name, settle=2.0 / time_scale,
+            plan=plan.format(repeats=repeats, check=check, span_min=_SPAN_MIN / time_scale),
+        )  # fmt: skip
+        write_whole(folder / f"{name}.toml", text)
+
+
+def _measured(folder: Path, name: str) -> float:
+    """Runs an experiment from the beginning; returns seconds."""
+    experiment = load_experiment(folder / f"{name}.toml")
+    for ending in ("", "-wal", "-shm"):
+        # the demo starts anew each time
+        Path(f"{experiment.run_path}{ending}").unlink(missing_ok=True)
+    live = Live(experiment.robot, experiment.plan, experiment.goal) if name == "local" else None
+    began = time.monotonic()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[model]}"))
+    with (
+        Progress(*columns, console=output.err, disable=not output.err.is_terminal) as shown,
+        RunFile.create(experiment.run_path, experiment.plan, experiment.about()) as file,
+        experiment.bench() as bench,
+    ):
+        task = shown.add_task(f"measuring {name}", total=len(experiment.plan), model="")
+
+        def report(now: RunProgress) -> None:
+            if live is not None:
+                live.add(now.point)
+            shown.update(task, completed=now.stored, model=live.short() if live is not None else "")
+
+        run(experiment.plan, bench, file, attempts=experiment.attempts, report=report)
+    if live is not None:
+        output.say(live.sentence())
+    return time.monotonic() - began
+
+
+def _until_known(folder: Path) -> None:
+    """The same robot, which chooses its poses itself."""
+    experiment = load_experiment(folder / "adaptive.toml")
+    for ending in ("", "-wal", "-shm"):
+        Path(f"{experiment.run_path}{ending}").unlink(missing_ok=True)
+    until_diagnosed(experiment, folder / "adaptive.toml", experiment.run_path)
+    export_run(experiment.run_path, folder / "adaptive.csv")
+
+
+def _found(folder: Path) -> tuple[Diagnosis, Study]:
+    study = Study(load_robot(folder / "robot.toml"), read_measurements(folder / "local.csv"))
+    with output.steps(12) as step:
+        found = study.diagnose(step=step)
+        for name in found.effects:
+            study.add(name)
+    return found, study
+
+
+def _compare(folder: Path, lab: RunningLaboratory) -> None:
+    """How far the robot is from where it was sent: as the lasers saw it, and as it was in truth."""
+    made = output.table(
+        f"Distance from {_CHECKED} commanded places, µm", "sent there", "RMS seen", "largest seen", "RMS in truth",
+        "largest in truth", note="Seen by the lasers, whose own noise is 5 µm in each axis.",
+    )  # fmt: skip
+    for name, called in _COMPARED.items():
+        experiment = load_experiment(folder / f"{name}.toml")
+        with RunFile.open(experiment.run_path) as file:
+            points = file.points()
+        seen = np.array([[p.values[axis] for axis in POSITION] for p in points])
+        joints = np.array([s.joints for s in experiment.plan])
+        true = np.array([lab.bench.position(q, 0.0) for q in joints])
+        row = [v for there in (seen, true) for v in _miss_um(there, experiment.targets)]
+        made.add_row(called, *[f"{v:.1f}" for v in row])
+    output.out.print(made)
+
+
+def _miss_um(there: Floats, targets: Floats) -> tuple[float, float]:
+    miss = 1e3 * np.linalg.norm(there - targets, axis=1)
+    return float(np.sqrt(np.mean(miss**2))), float(miss.max())

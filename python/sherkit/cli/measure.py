@@ -1,9 +1,13 @@
-"""``sherkit measure``: experiments, watched while they run."""
+"""``sherkit measure``: experiments, watched while they run; ``home``: the zero of axes."""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import select
 import signal
+import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
@@ -12,9 +16,12 @@ from typing import NoReturn
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from ..errors import ExperimentError
+from ..base.names import listed
+from ..errors import ExperimentError, ShapeError
 from ..lab.experiment import AdaptiveRun, Control, Experiment, Live, Plan, RunFile, RunProgress, load_experiment, run
-from . import keys, output, reporting
+from ..lab.instruments import AxisController
+from ..model.kinds import kind_of
+from . import output
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
 _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -54,7 +61,7 @@ def measure(
     path = destination or chosen.run_path
     if until is not None:
         if report is not None:
-            reporting.require_view()
+            output.require_view()
         until_diagnosed(chosen, experiment, path, resume=resume, accept=accept, report=report)
         return
     if chosen.adaptive is not None and all(step.reason for step in chosen.plan):
@@ -107,7 +114,7 @@ def until_diagnosed(
 
         def draw() -> None:
             if report is not None:
-                from ..report.measured_story import write_adaptive
+                from ..report.stories import write_adaptive
 
                 write_adaptive(report, loop, f"What {path.stem} measured, and why")
 
@@ -184,7 +191,7 @@ def _run(
             # a program that reads this may count on the step: it is on the disk
             print(f"stored {now.step}: {now.stored} of {now.total}{', ' + model if model else ''}", flush=True)
 
-    with shown, keys.listening(pressed) as heard, chosen.bench() as bench:
+    with shown, listening(pressed) as heard, chosen.bench() as bench:
         if heard:
             output.err.print("p pauses and goes on, q ends after this step, Ctrl-C stops at once", style="dim")
         return run(plan, bench, file, control=control, warm_up_s=chosen.warm_up_s, attempts=chosen.attempts,
@@ -211,3 +218,118 @@ def _ended_by_signals() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+# -- Single keys of a terminal, while something runs ------------------------------------------------------------------
+
+_POLL_S = 0.1
+
+
+@contextlib.contextmanager
+def listening(pressed: Callable[[str], None]) -> Iterator[bool]:
+    """Calls ``pressed`` with every key, from a thread; yields whether there is a terminal to hear keys from.
+
+    Ctrl-C stays what it is. The terminal is as before afterwards.
+    """
+    try:
+        import termios
+        import tty
+    except ImportError:  # no terminals of this kind here: the run goes on without keys
+        yield False
+        return
+    if not sys.stdin or not sys.stdin.isatty():
+        yield False
+        return
+    where = sys.stdin.fileno()
+    before = termios.tcgetattr(where)
+    ended = threading.Event()
+
+    def listen() -> None:
+        while not ended.is_set():
+            if select.select([where], [], [], _POLL_S)[0]:
+                for key in os.read(where, 16).decode("ascii", "ignore"):
+                    pressed(key)
+
+    thread = threading.Thread(target=listen, daemon=True, name="keys")
+    try:
+        tty.setcbreak(where)
+        thread.start()
+        yield True
+    finally:
+        ended.set()
+        thread.join(2.0)
+        termios.tcsetattr(where, termios.TCSADRAIN, before)
+
+
+# -- The zero of axes -------------------------------------------------------------------------------------------------
+
+
+@click.command()
+@click.argument("experiment", type=click.Path(path_type=Path))
+@click.option("--at", metavar="Q1,Q2,…", help="Where the axes stand now, by you; left out: where the plan begins.")
+@click.option("--yes", is_flag=True, help="Do not ask: the way is free, or the robot stands where --at says.")
+@click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
+@output.OWN_INSTRUMENTS
+def home(experiment: Path, at: str | None, yes: bool, ports: Path | None, python: tuple[Path, ...]) -> None:
+    """Set the zero of the axes that EXPERIMENT (TOML) moves, and drive to where its plan begins.
+
+    With home_at_mm (or _rad) in the file, the controller finds its home switches. Without, you bring the robot to a
+    known place by hand or by its own panel, and say that it stands there.
+    """
+    output.say_that_code_runs(python)
+    chosen = load_experiment(experiment, ports, python=python)
+    names = kind_of(chosen.robot).layout.joints
+    with chosen.motion() as motion:
+        if motion.is_moving():
+            motion.stop()
+        _show(motion)
+        if motion.home_at is not None and at is None:
+            switches = _places(names, motion.home_at, motion.unit)
+            question = (
+                f"All axes drive to their home switches ({switches}), then to where the plan begins. Is the way free?"
+            )
+            _sure(yes, question)
+            motion.enable()
+            motion.home()
+        else:
+            places = chosen.plan.start if at is None else _read(at, len(names))
+            output.say(f"1. Bring the robot to {_places(names, places, motion.unit)}, by a gauge or its marks.")
+            output.say(
+                "2. Look that it stands there. From then on it is taken to be there; then it drives to the start."
+            )
+            _sure(yes, "Does it stand there?")
+            motion.set_reference(places)
+            motion.enable()
+        motion.move(chosen.plan.start)
+    output.say(f"{motion.name}: zero set; the axes stand where the plan begins "
+               f"({_places(names, chosen.plan.start, motion.unit)})")  # fmt: skip
+
+
+def _show(motion: AxisController) -> None:
+    found = motion.reference()
+    known = "cannot tell whether it was zeroed" if not found.said else (
+        "was zeroed since it was switched on" if found.mark is not None else "was not zeroed since it was switched on"
+    )  # fmt: skip
+    now = _places([a.label for a in motion.axes], found.positions, motion.unit)
+    output.say(f"{motion.name} {known}; its encoders say {now}")
+
+
+def _sure(yes: bool, question: str) -> None:
+    if not yes:
+        click.confirm(question, abort=True)
+
+
+def _read(text: str, count: int) -> tuple[float, ...]:
+    try:
+        places = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        places = ()
+    if len(places) != count:
+        raise ShapeError(f"--at {text}: expected {count} numbers parted by commas, one for each axis")
+    return places
+
+
+def _places(names: tuple[str, ...] | list[str], places: tuple[float, ...], unit: str) -> str:
+    return listed(
+        [f"{name.rpartition('_')[0] or name} = {q:.4g} {unit}" for name, q in zip(names, places, strict=True)]
+    )

@@ -1,4 +1,4 @@
-"""What people see in the terminal: tables, progress, warnings. Tables go to stdout, the rest to stderr."""
+"""What people see in the terminal: tables, progress, warnings, the report. Tables go to stdout, the rest to stderr."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -121,3 +121,56 @@ def _bar() -> Progress:
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     return Progress(*columns, console=err, transient=True)
+
+
+# -- ``--report`` -----------------------------------------------------------------------------------------------------
+
+if TYPE_CHECKING:
+    from ..calibration import Result
+    from ..diagnosis import Diagnosis
+    from ..robots.calibrated import Calibration
+    from ..study import Study
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def report_option(command: F) -> F:
+    """Adds ``--report FILE`` to a command."""
+    made: F = click.option(
+        "--report", "report", type=click.Path(path_type=Path, dir_okay=False),
+        help="Write the story as one HTML file that opens without a network.",
+    )(command)  # fmt: skip
+    return made
+
+
+def require_view() -> None:
+    """Refuses early where what draws is not installed. Raises :class:`~sherkit.errors.SherkitError`."""
+    try:
+        import bokeh  # noqa: F401
+        import jinja2  # noqa: F401
+    except ModuleNotFoundError as error:
+        message = f"pictures need the extra 'view' ({error.name} is not installed): pip install \"sherkit[view]\""
+        raise SherkitError(message) from None
+
+
+def write_report(
+    path: Path, title: str, study: Study, found: Diagnosis, sources: Sequence[Path], *,
+    calibration: Calibration | None = None, result: Result | None = None, simulated: bool = False,
+    printed: Mapping[str, Any] | None = None,
+) -> None:  # fmt: skip
+    """Writes the report of a study that stands at the last state to be told."""
+    from ..report.document import Report, SourceFile  # Bokeh takes a second to load
+    from ..report.document import write_report as write_it
+
+    written = Report(
+        title=title,
+        study=study,
+        found=found,
+        command=command_line(),
+        sources=[SourceFile.of(p) for p in sources],
+        calibration=calibration,
+        result=result,
+        simulated=simulated,
+        printed=printed or {},
+    )
+    write_it(written, path)

@@ -12,8 +12,7 @@ from ..errors import SherkitError
 from ..robots.printer.calibration import write_klipper_config
 from ..robots.printer.examined import examine, files_of
 from . import output
-from .output import out
-from .reporting import report_option
+from .output import out, report_option
 
 
 @click.command()

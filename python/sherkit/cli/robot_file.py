@@ -16,7 +16,7 @@ from ..model.kinds import Robot, catalogue_of, model_of
 from ..model.robot_file import RobotLike, run_for
 from ..robots.machine import robot_at
 from ..study import Study
-from . import reporting
+from . import output
 
 
 class RobotFile:
@@ -81,4 +81,4 @@ class RobotFile:
         study = Study(self.nominal, self.data, effects=own, seed=seed)
         for name in (*added, *found.effects):
             study.add(name)
-        reporting.write(path, title, study, found, sources)
+        output.write_report(path, title, study, found, sources)

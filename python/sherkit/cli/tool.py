@@ -21,7 +21,7 @@ from ..robots.tool.known import Errors, Judgement, Knowledge, judge, known
 from ..robots.tool.model import Applied
 from ..robots.tool.runs import read_tool_run, require_camera, summary
 from ..robots.tool.tool import FlexibleTool, load_tool
-from . import output, reporting
+from . import output
 
 #: Filters by the name that a person gives, and by what a tool file calls their noise.
 _FILTERS = {"rod": "propagated", "paper": "ebrahimi_2020", "paper-of-force": "ebrahimi_2020_of_force"}
@@ -51,7 +51,7 @@ def estimate(
 ) -> None:
     """Replay RUN (CSV or Parquet) of a flexible TOOL (TOML): insertion depth and tip, and how far they are off."""
     if picture is not None:
-        reporting.require_view()
+        output.require_view()
     made = load_tool(tool)
     if which is not None:
         made = made.with_noise(_FILTERS[which])
@@ -62,7 +62,7 @@ def estimate(
         write_table(_frame(result, both=both), destination)
     if picture is not None:
         from ..report.estimate import depth_over_time, estimate_picture
-        from ..report.export import save_picture
+        from ..report.page import save_picture
 
         save_picture(estimate_picture(depth_over_time(result)), picture)
     if as_json:
@@ -325,8 +325,8 @@ def sentences_of(told: Applied) -> list[str]:
 def write_tool_report(path: Path, title: str, found: Diagnosis, e: Estimate, told: Applied) -> None:
     """The story of a run as one HTML file."""
     from ..report.estimate import depth_over_time  # Bokeh takes a second to load
-    from ..report.tool import Rows
-    from ..report.tool import write_tool_report as write
+    from ..report.stories import Rows
+    from ..report.stories import write_tool_report as write
 
     errors = [(f"{j.quantity}, {x.signal}", *_error_cells(x)) for j in judge(e) for x in j.errors]
     truths = [_knowledge_cells(k) for k in known(e) if k.signal == "filter" or k.condition == "whole run"]

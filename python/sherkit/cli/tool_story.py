@@ -24,7 +24,7 @@ from ..robots.tool.places import Places
 from ..robots.tool.runs import ToolRun, read_tool_run, require_camera
 from ..robots.tool.tare import Tare, tare
 from ..robots.tool.tool import FlexibleTool, load_tool
-from . import output, reporting
+from . import output
 from .tool import (
     number,
     print_alignment,
@@ -44,7 +44,7 @@ from .tool import (
 @click.option("--drawing", type=click.Path(path_type=Path),
               help="A tool file with what no table tells, as where sections are; default: the paper's.")  # fmt: skip
 @click.option("--longest-delay-s", type=click.FloatRange(min=0, min_open=True), default=0.5, show_default=True)
-@reporting.report_option
+@output.report_option
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules folds and flips of the diagnosis."
 )
@@ -55,7 +55,7 @@ def tool_story(
 ) -> None:  # fmt: skip
     """Make a tool file of known loads (BENCH), a free motion (FREE) and a RUN, and say what RUN is still missing."""
     if report is not None:
-        reporting.require_view()
+        output.require_view()
     with output.steps(16) as step:
         step("reading")
         loads, led, recorded = read_loads(bench), read_tool_run(free), read_tool_run(run)

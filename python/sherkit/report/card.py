@@ -3,34 +3,229 @@ workshop, and what a fit and a diagnosis say of it.
 
 :func:`effect_card` gives it as HTML that can stand in any page: in the report, in a cell, and in a page of widgets
 (``Div(text=effect_card(...))``). The page needs :func:`~sherkit.report.scene.script` once, which brings the drawing to
-life; :func:`~sherkit.report.policy.policy` says how it is let in. Every text is escaped, so that an effect of any name
+life; :func:`~sherkit.report.page.policy` says how it is let in. Every text is escaped, so that an effect of any name
 can be shown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 import numpy as np
 
 from ..base.figures import sized, stated
 from ..base.names import listed
 from ..base.types import Floats
+from ..data import Measurements
+from ..data.columns import TEMPERATURE, TIME, unit_in
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..model.any import Model
+from ..model.base import ModelWithEffects, missing_columns
+from ..model.drawing import Drawing
 from ..model.effect import Effect
-from ..model.kinds import Robot
-from .atlas import Atlas, Tile
-from .exaggerated import Exaggerated, exaggerated
-from .mechanism import scene_of
-from .picture import Panel, residual_maps, round_bar
-from .policy import fresh_nonce, policy
-from .scene import script
+from ..model.kinds import Kind, Robot, draw_of, kind_of, model_of
+from .candidates import Atlas, Tile
+from .page import fresh_nonce, policy
+from .residual_arrows import Change
+from .residual_map import still
+from .residuals import Residuals
+from .scene import Scene, script
 from .style import number
+
+# -- What an effect does, exaggerated until it can be seen ------------------------------------------------------------
+
+#: Times the effect as it is.
+FACTORS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
+#: Poses among which the one is looked for where the effect shows most.
+_POSES = 40
+#: A drawing that is off by more than this part of the machine's size shows no machine any more; one that is off by this
+#: much is easily seen.
+_MOST, _SEEN = 0.8, 0.12
+#: What an effect needs besides the joints, in a row that nobody measured: an hour after the start, five degrees warmer,
+#: after a motion upwards, at this speed, under a load of one.
+_HOUR_S, _WARM_C = 3600.0, 25.0
+_SPEED = {"mm": 20.0, "rad": 0.5, "deg": 30.0}
+#: Period of an encoder's error where nobody gave one.
+_PERIOD = {"mm": 2.0, "rad": 0.5, "deg": 30.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Exaggerated:
+    """A machine as drawn and with an effect at ``factors`` (k,) times its size: ``drawings`` of one pose each,
+    ``plain`` without it.
+
+    ``moves_mm`` is how far the effect as it is moves what is read at this pose, in the drawing's unit; ``factor`` is
+    the one to begin with, at which it is easily seen. ``told`` says of which pose and moment this is.
+    """
+
+    effect: Effect
+    values: Floats
+    plain: Drawing
+    factors: tuple[float, ...]
+    drawings: tuple[Drawing, ...]
+    moves_mm: float
+    factor: float
+    told: str
+    #: The model with the effect and the pose at which it is drawn.
+    model: Any
+    row: Measurements
+
+
+def plausible(effect: Effect) -> Floats:
+    """All parameters at their plausible size, signs alternating: what limbs have in common often does little."""
+    sizes = np.array([p.size for p in effect.parameters])
+    return np.asarray(sizes * np.where(np.arange(len(sizes)) % 2 == 0, 1.0, -1.0))
+
+
+def exaggerated(
+    effect: Effect, machine: Robot | Model, *, values: Floats | None = None, data: Measurements | None = None,
+    at: float | None = None,
+) -> Exaggerated:  # fmt: skip
+    """The effect on a robot, or on a machine that a model describes, at the pose where it shows most: of ``data`` where
+    this has what it needs, or of what the robot's kind has to simulate.
+
+    ``values`` (p,) of its parameters are by default plausible ones; ``at`` is the moment or period that is searched for
+    besides them. Raises :class:`~sherkit.errors.SherkitError` where it can be drawn at no pose.
+    """
+    plain: ModelWithEffects = model_of(machine)
+    draw = draw_of(plain)
+    values = plausible(effect) if values is None else np.asarray(values, dtype=float)
+    rows, measured = _rows(effect, plain, data)
+    if at is None and effect.search == "time_s":
+        at = 0.0 if rows.time_s is None else float(np.median(rows.time_s))
+    elif at is None and effect.is_periodic and plain.setting_of(effect) is None:
+        at = _PERIOD.get((effect.search or "").removeprefix("period_"), 1.0)
+    model = plain if effect.name in {e.name for e in plain.effects} else plain.with_effect(effect, at=at)
+    place = model.owns(effect)
+
+    def drawn(these: Measurements, factor: float) -> Drawing:
+        full = np.zeros(len(model.parameters))
+        full[place] = factor * values
+        return draw(model, these, full, None)
+
+    everywhere = drawn(rows, 0.0)
+    moved = np.linalg.norm(drawn(rows, 1.0).shown_mm - everywhere.shown_mm, axis=1)
+    best = int(np.argmax(np.nan_to_num(moved)))
+    row = rows.select(np.array([best]))
+    frames, begin = growing(lambda factor: drawn(row, factor))
+    if not frames:
+        raise SherkitError(f"{effect.name} of this size leaves no machine to be drawn")
+    factors, drawings = zip(*frames, strict=True)
+    nominal = drawn(row, 0.0)
+    where = f"at {row.counted} {row.line[0]} of the run" if measured else "at the pose where it shows most"
+    told = f"This is the machine {where}{_moment(effect, row, measured)}."
+    return Exaggerated(effect, values, nominal, factors, drawings, float(moved[best]), begin, told, model, row)
+
+
+def growing(drawn: Callable[[float], Drawing]) -> tuple[list[tuple[float, Drawing]], float]:
+    """A machine at one pose, drawn at more and more of :data:`FACTORS` as long as it is one, and the factor at which
+    what becomes of it is easily seen."""
+    points = drawn(0.0).points_mm[0]
+    size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
+    frames: list[tuple[float, Drawing]] = []
+    begin, last = 0.0, 0.0
+    for factor in FACTORS:
+        try:
+            one = drawn(factor)
+        except SherkitError:
+            break
+        away = float(np.linalg.norm(one.points_mm[0] - points, axis=1).max())
+        # what comes nearer again has turned once round
+        if not np.isfinite(away) or (frames and not last <= away <= _MOST * size):
+            break
+        frames.append((factor, one))
+        if last < _SEEN * size:
+            begin = factor
+        last = away
+    return frames, begin
+
+
+def _moment(effect: Effect, row: Measurements, measured: bool) -> str:
+    """What of a row, besides the joints, an effect depends on."""
+    said = []
+    if "time_s" in effect.needs and effect.search != "time_s":
+        said.append(f"{float(row.time_s[0]) / 60:.3g} min into the run" if measured else "an hour into the run")  # type: ignore[index]
+    if effect.search == "time_s":
+        said.append("after it happened")
+    if TEMPERATURE in effect.needs:
+        said.append(f"at {row.covariates[TEMPERATURE][0]:.3g} °C")
+    for name in row.layout.loads:
+        if name in effect.needs:
+            said.append(f"under {row.covariates[name][0]:.3g} {unit_in(name)}")
+    return f", {', '.join(said)}" if said else ""
+
+
+def _rows(effect: Effect, model: ModelWithEffects, data: Measurements | None) -> tuple[Measurements, bool]:
+    """Some rows at which the effect acts, and whether they were measured."""
+    if data is not None and not missing_columns(effect, data):
+        whole = np.flatnonzero(~data.is_distance & ~data.outlier)
+        if effect.search == "time_s" and data.time_s is not None:
+            whole = whole[data.time_s[whole] >= np.median(data.time_s)]
+        if len(whole):
+            return data.select(whole[np.linspace(0, len(whole) - 1, min(len(whole), _POSES)).astype(int)]), True
+    if model.robot is None:
+        raise SherkitError("no run says where this machine has been")
+    kind = kind_of(model.robot)
+    joints = joints_over(model.robot, kind)
+    layout, n = kind.layout, len(joints)
+    units = [unit_in(name) for name in layout.joints]
+    extra: dict[str, Any] = {TIME: np.full(n, _HOUR_S), TEMPERATURE: np.full(n, _WARM_C)}
+    extra |= {name: np.ones(n) for name in (*layout.directions, *layout.loads)}
+    extra |= {name: np.full(n, _SPEED.get(u, 1.0)) for name, u in zip(layout.velocities, units, strict=False)}
+    return Measurements.planned(joints, layout, "drawing", **extra), False
+
+
+def joints_over(robot: Any, kind: Kind) -> Floats:
+    """Joint readings (n, k) over the workspace: those of a simulated run, or anywhere between the limits of a machine
+    that has no simulation; the middle of the workspace where the robot comes nowhere else."""
+    if kind.virtual is not None and kind.areas:
+        try:
+            poses = next(iter(kind.areas.values()))(robot)
+            poses = poses[np.linspace(0, len(poses) - 1, min(len(poses), _POSES)).astype(int)]
+            without = dict.fromkeys(kind.virtual.OPTIONS, 0.0)
+            return (
+                kind.virtual.simulated(robot, 0, 0.0, without)
+                .measure(poses, repeats=1, order="shuffled", seed=0)
+                .joints
+            )
+        except SherkitError:
+            return np.asarray(robot.inverse(robot.middle))[None]
+    box = getattr(robot, "box", None)
+    if box is None:
+        return np.asarray(robot.inverse(robot.middle))[None]
+    low, high = np.asarray(box).T
+    return np.asarray(np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))
+
+
+# -- As a scene -------------------------------------------------------------------------------------------------------
+
+
+def scene_of(shown: Exaggerated) -> Scene:
+    """The scene: pale as the drawing has it, in colour with the effect."""
+    frames = [(0.0, shown.plain), *zip(shown.factors, shown.drawings, strict=True)]
+    label = f"The machine with {shown.effect.name} exaggerated, behind it the machine as drawn"
+    return Scene(label, frames, shown.factor, unit=shown.plain.unit)
+
+
+def scene_of_robot(robot: Robot) -> Scene:
+    """The machine as drawn, amid the poses that it reaches. Raises :class:`~sherkit.errors.SherkitError` where it
+    reaches none."""
+    kind, model = kind_of(robot), model_of(robot)
+    rows = Measurements.planned(joints_over(robot, kind), kind.layout, "drawing")
+    values = np.zeros(len(model.parameters))
+    targets = kind.drawing(model, rows, values, None).target_mm
+    middle = int(np.argmin(np.linalg.norm(targets - targets.mean(axis=0), axis=1)))
+    drawn = kind.drawing(model, rows.select(np.array([middle])), values, None)
+    return Scene(f"{kind.title[:1].upper()}{kind.title[1:]}, as drawn", [(0.0, drawn)], unit=drawn.unit)
+
+
+# -- The card ---------------------------------------------------------------------------------------------------------
 
 _STYLE = """<style>
 .effect-card { display: grid; grid-template-columns: minmax(0, 11fr) minmax(0, 10fr); gap: 6px 26px;
@@ -51,6 +246,8 @@ _STYLE = """<style>
 _ROUNDING_MM = 1e-9
 #: So many parameters are listed; what limbs have in common stands in words above them.
 _MOST_LISTED = 9
+#: Width of a small map, px.
+_PATTERN_PX = 220
 
 
 def effect_card(
@@ -217,14 +414,9 @@ def indistinguishable(effect: Effect, found: Diagnosis | None) -> str:
 
 def _pattern(atlas: Atlas, tile: Tile) -> str:
     """Its map on the measured poses, small."""
-    place = np.column_stack([atlas.x, atlas.y, np.zeros(len(atlas.x))])
-    place[:, :2] -= 0.5 * (place[:, :2].min(axis=0) + place[:, :2].max(axis=0))
-    panels = []
-    for title, one in (("measured", atlas.tiles[0]), (f"{tile.title} at its best", tile)):
-        shown = np.zeros((len(place), 3))
-        shown[:, : min(3, one.error.shape[1])] = 1e-3 * one.error[:, :3]
-        note = f"explains {100 * one.share:.0f} % of the squared error" if one is tile else atlas.plane
-        panels.append(Panel(title, place, shown, round_bar(1e-3 * atlas.tiles[0].error), note))
-    colour = f"; colour: {atlas.names[2]}" if len(atlas.names) > 2 else ""
-    maps = residual_maps(panels, f"Arrows: {' and '.join(atlas.names[:2])}{colour}.")
-    return f"<h4>Its pattern on these poses</h4>{maps}"
+    place = {atlas.across: atlas.x} | ({atlas.up: atlas.y} if atlas.up else {})
+    measured, own = (Residuals.at(place, one.error, atlas.names, atlas.unit) for one in (atlas.tiles[0], tile))
+    maps = still(Change(measured, own, "measured", tile.title), width_px=_PATTERN_PX)
+    at = f" at {atlas.plane}" if atlas.plane else ""
+    told = f"At its best it explains {100 * tile.share:.0f} % of the squared error{at}."
+    return f'<h4>Its pattern on these poses</h4>{maps}<p class="note">{escape(told)}</p>'

@@ -38,24 +38,19 @@ from ..model.kinds import required_um
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..study import Study
-from .atlas import Atlas, atlas_of, signature_atlas
-from .candidates import candidates
+from .candidates import Atlas, atlas_of, candidates, signature_atlas
 from .card import effect_card
-from .drawn import drawn, said
-from .error_history import error_history, error_history_of
-from .noise import noise_picture
-from .parameters import correlations, directions, parameters
-from .picture import Panel, Picture, in_one_document, residual_maps, round_bar
-from .policy import fresh_nonce, numbered, policy
-from .residual_against import ResidualAgainst, residual_against
-from .residual_map import Change, planes_of, residual_map
-from .residuals import Residuals, residuals_of
-from .run import run_in_time
+from .page import fresh_nonce, numbered, policy
+from .parameters import NextPoses, accuracy_map, accuracy_of, correlations, directions, next_poses, parameters
+from .picture import Picture, in_one_document
+from .residual_against import ResidualAgainst, noise_picture, residual_against, run_in_time
+from .residual_arrows import Change
+from .residual_map import residual_map, still
+from .residuals import Residuals, State, drawn, residuals_of, said
 from .scene import script as scene_script
-from .space import space_of
-from .states import State, packed, states_of
+from .scene import space_of
+from .states import error_history, error_history_of, packed, states_of
 from .style import number, quantity
-from .workspace import NextPoses, accuracy_map, accuracy_of, next_poses
 
 #: Cards of effects that cannot be told from those that are named.
 _MOST_TIED = 3
@@ -117,7 +112,7 @@ def write_report(report: Report, path: str | Path) -> None:
 
 def html(report: Report) -> str:
     """The report as HTML. Every text from files is escaped."""
-    pictures, swaps, atlas = _pictures(report)
+    pictures, swaps, atlas, maps = _pictures(report)
     cards, other_cards = _cards(report, atlas)
     nonce = fresh_nonce()
     script, places = components(in_one_document({name: one.root for name, one in pictures.items()}))
@@ -168,7 +163,7 @@ def html(report: Report) -> str:
         swaps=_in_script(swaps) if swaps else None,
         variables=[(k, quantity(name)) for k, name in enumerate(swaps["variables"])] if swaps else [],
         titles=list(enumerate(swaps["titles"])) if swaps else [],
-        still=_still(report),
+        still=maps,
         machine=_in_script(report.found.to_json()),
         required=required_um(report.study.robot),
         versions=[("sherkit", _core.__version__), ("Python", platform.python_version()),
@@ -243,14 +238,14 @@ def _cards(report: Report, atlas: Atlas | None) -> tuple[list[str], list[tuple[s
 
 def _space(report: Report) -> str:
     """The errors before and after in three dimensions; nothing where the run says no places."""
-    base, last = report.found.base, report.study.fit
-    titles = (CALIBRATED, state_with(report.study.effects))
-    scene = space_of(base, last, titles, report.calibration)
+    last = State(state_with(report.study.effects), report.study.fit)
+    scene = space_of(State(CALIBRATED, report.found.base), last, report.calibration)
     return "" if scene is None else scene.html()
 
 
-def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] | None, Atlas | None]:
-    """All pictures that these rows allow, the tables to switch them by, and what the effects look like."""
+def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] | None, Atlas | None, str]:
+    """All pictures that these rows allow, the tables to switch them by, what the effects look like, and the map for
+    readers without JavaScript."""
     study, found = report.study, report.found
     base, last = drawn(found.base), drawn(study.fit)
     before, after = residuals_of(base), residuals_of(last)
@@ -284,7 +279,7 @@ def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] |
     for name in ("residual_map", "against", "atlas", "next_poses", "noise", "run"):
         if name in out:
             out[name].note += said(len(base.data), len(found.base.data))
-    return out, swaps, atlas
+    return out, swaps, atlas, still(change)
 
 
 def _in_time(found: Diagnosis) -> bool:
@@ -296,34 +291,14 @@ def _in_time(found: Diagnosis) -> bool:
 def _states(report: Report, base: Fit) -> tuple[list[State], int]:
     """What a reader can switch between, and which of them the study stands at: the first one where nothing was added
     to the model that was diagnosed, ``base`` on the rows that are drawn."""
-    study, found = report.study, report.found
-    known = tuple(e.name for e in base.model.effects)
-    path = {s.effects: drawn(s.fit) for s in study.history if s.fit is not None and set(s.effects) > set(known)}
-    states = states_of(found, known, path, tuple(study.own.values()), base)
-    return states, next((k for k, s in enumerate(states) if s.title == state_with(study.effects)), 0)
+    states = states_of(report.study, report.found, base)
+    return states, next((k for k, s in enumerate(states) if s.title == state_with(report.study.effects)), 0)
 
 
 def _leading(found: Diagnosis, left: Residuals) -> str:
     """The variable on which the error depends most clearly."""
     known = [d.variable for d in found.where if d.variable in left.variables]
     return known[0] if known else next(iter(left.variables))
-
-
-def _still(report: Report) -> str | None:
-    """The residual map as plain SVG, for readers without JavaScript."""
-    before, after = residuals_of(drawn(report.found.base)), residuals_of(drawn(report.study.fit))
-    names = list(before.place)
-    if len(names) < 2 or before.unit != "µm" or len(before.names) < 3:
-        return None
-    name, here = max(planes_of(before.place, len(before)), key=lambda plane: int(plane[1].sum()))
-    first = np.unique(before.group[here], return_index=True)[1]
-    rows = np.flatnonzero(here)[first][:400]
-    place = np.stack([before.place.get(n, np.zeros(len(before)))[rows] for n in (*names[:2], names[-1])], axis=1)
-    panels = []
-    bar = round_bar(1e-3 * np.nan_to_num(before.values[rows]))
-    for title, one in (("before", before), ("after", after)):
-        panels.append(Panel(f"{title}, {name}".rstrip(", "), place, 1e-3 * np.nan_to_num(one.values[rows]), bar))
-    return residual_maps(panels, "Measured minus predicted. Arrows: x and y; blue: lower, orange: higher.")
 
 
 def _measured(report: Report) -> list[tuple[str, str]]:

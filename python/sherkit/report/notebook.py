@@ -29,17 +29,16 @@ from ..robots.calibrated import Calibration
 from ..robots.tool.filters import Estimate
 from ..study import Study
 from .candidates import candidates
-from .card import card_page, effect_card
-from .error_history import error_history, error_history_of
+from .card import card_page, effect_card, scene_of_robot
 from .estimate import depth_over_time, estimate_picture
-from .mechanism import scene_of_robot
-from .parameters import parameters
+from .page import LATER, fresh_nonce, page_of
+from .parameters import accuracy_map, accuracy_of, parameters
 from .picture import Picture
-from .policy import LATER, fresh_nonce, page_of
-from .residual_map import Change, residual_map
-from .residuals import residuals_of
+from .residual_arrows import Change
+from .residual_map import residual_map
+from .residuals import State
 from .scene import script as scenes
-from .workspace import accuracy_map, accuracy_of
+from .states import error_history, error_history_of, states_so_far
 
 #: Where the frames find Bokeh.
 _BROUGHT = "sherkit-bokeh"
@@ -94,27 +93,24 @@ class _Bringer:
 def pictures_of(value: Any) -> list[Picture[Any]]:
     """The pictures that say most about a value, the first one first. Raises ``TypeError`` for what has none."""
     if isinstance(value, Study):
-        before = next((s.fit for s in value.history if s.fit is not None), value.fit)
-        steps = (value.history[0].action, value.history[-1].action)
-        return [error_history(error_history_of(value)), _map(before, value.fit, steps)]
+        states = [*states_so_far(value.history).values()]
+        return [error_history(error_history_of(value)), _map(states[0], states[-1])]
     if isinstance(value, Diagnosis):
         shown: list[Picture[Any]] = [candidates(value)] if value.candidates else []
-        return [*shown, _map(value.base, value.fit, (CALIBRATED, state_with(value.effects)))]
+        return [*shown, _map(State(CALIBRATED, value.base), State(state_with(value.effects), value.fit))]
     if isinstance(value, Calibration):
         return [accuracy_map(accuracy_of(value))]
     if isinstance(value, Fit):
-        return [_map(value, value, ("", "left by the fit")), parameters(value)]
+        return [_map(one := State("left by the fit", value), one), parameters(value)]
     if isinstance(value, Estimate):
         return [estimate_picture(depth_over_time(value))]
     raise TypeError(f"no picture is known for {type(value).__name__}")
 
 
-def _map(before: Fit, after: Fit, titles: tuple[str, str]) -> Picture[Change]:
+def _map(before: State, after: State) -> Picture[Change]:
     """What two fits leave, or the one where they leave the same."""
-    left = residuals_of(after)
-    if np.array_equal(before.residuals, after.residuals, equal_nan=True):
-        return residual_map(Change(left, left, after_title=titles[1] or titles[0]), alone=True)
-    return residual_map(Change(residuals_of(before), left, *titles))
+    same = np.array_equal(before.fit.residuals, after.fit.residuals, equal_nan=True)
+    return residual_map(Change(before.left, after.left, before.title, after.title), alone=same)
 
 
 def cell(value: Any) -> str | None:

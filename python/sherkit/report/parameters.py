@@ -1,17 +1,42 @@
-"""Parameters with 95 % intervals, their correlations, and the directions that the readings fix worst."""
+"""What is known after a fit: parameters with 95 % intervals, their correlations, the directions that the readings fix
+worst; the accuracy to come over the workspace, and where to measure next.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from textwrap import wrap
+from typing import Any
 
 import numpy as np
 from bokeh.core.properties import value
 from bokeh.models import FactorRange, LinearColorMapper, Range1d, Span, Whisker
 from bokeh.transform import dodge, transform
+from numpy.typing import NDArray
 
+from ..base.types import Floats
+from ..diagnosis.next_poses import SEPARATION
 from ..fit.identify import Fit
+from ..model.kinds import required_um
+from ..robots.calibrated import Calibration
 from .picture import Picture, Table, Tables, single, sources_of, stacked
-from .style import ADDED, DIVERGING_AREAS, FONT, FONT_SIZE, INK, MUTED, SEQUENTIAL, colour_bar, figure, hover, padded
+from .residuals import Residuals
+from .style import (
+    ADDED,
+    DIVERGING_AREAS,
+    FONT,
+    FONT_SIZE,
+    INK,
+    MUTED,
+    REFUSED,
+    SEQUENTIAL,
+    colour_bar,
+    figure,
+    hover,
+    padded,
+    quantity,
+)
 
 _ROW_HEIGHT, _AROUND = 26, 80
 _CONFIDENCE = 1.959964
@@ -172,3 +197,233 @@ def _direction_tables(fit: Fit) -> Tables:
     texts = ["\n".join(wrap(str(d).rsplit(":", 1)[0], _LETTERS)) for d in found]
     rows = [str(k) for k in range(len(found))]
     return {"directions": {"row": rows, "text": texts, "std": [d.std for d in found]}}
+
+
+# -- Where a robot is accurate, and where to measure next -------------------------------------------------------------
+
+_PER_SIDE = 41
+_PANEL = 240
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyMap:
+    """Predicted accuracy (95 %), µm, on planes: ``value_um`` (planes, ny, nx), NaN out of reach, and ``unseen_um`` of
+    it, which the poses could not show; ``measured`` likewise.
+
+    ``x`` (nx,) and ``y`` (ny,) are places in the units of ``labels``, ``titles`` those of the planes.
+    """
+
+    x: Floats
+    y: Floats
+    labels: tuple[str, str]
+    titles: tuple[str, ...]
+    value_um: Floats
+    unseen_um: Floats
+    measured: NDArray[np.bool_]
+    required_um: float | None
+
+
+def accuracy_of(calibration: Calibration) -> AccuracyMap:
+    """The accuracy of a calibration over the workspace, or over what was measured."""
+    planes = calibration.planes(_PER_SIDE)
+    value, unseen = np.full((2, len(planes.grid)), np.nan)
+    promised = calibration.predicted_accuracies(np.ascontiguousarray(planes.grid[planes.inside]))
+    value[planes.inside], unseen[planes.inside] = 1e3 * promised.total_mm, 1e3 * promised.addition_mm
+    measured = np.array([calibration.measured(point) for point in planes.grid])
+    shape = (len(planes.titles), len(planes.y), len(planes.x))
+    return AccuracyMap(
+        planes.x, planes.y, planes.labels, planes.titles, value.reshape(shape), unseen.reshape(shape),
+        measured.reshape(shape), required_um(calibration.robot),
+    )  # fmt: skip
+
+
+def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
+    """A panel for each height: radius that holds the mean of many visits in 95 of 100 cases; the region within the
+    requirement outlined.
+
+    Hatched where no pose was measured: there it is extrapolation and holds only as far as the model does.
+    """
+    known = state.value_um[np.isfinite(state.value_um)]
+    high = float(np.quantile(known, 0.99)) if len(known) else 0.0
+    # from zero to beyond the requirement: a nearly even map must look even
+    mapper = LinearColorMapper(palette=SEQUENTIAL, low=0.0, high=max(high, 1.5 * (state.required_um or 0.0)) or 1.0)
+    mapper.nan_color = "rgba(0, 0, 0, 0)"
+    sources = sources_of(_accuracies(state))
+    x_range, y_range = padded(state.x[0], state.x[-1], 0.03), padded(state.y[0], state.y[-1], 0.03)
+    figures = []
+    for k, title in enumerate(state.titles):
+        made = figure(frame_width=_PANEL, frame_height=_PANEL, x_range=x_range, y_range=y_range)
+        made.title.text = title
+        made.xaxis.axis_label, made.yaxis.axis_label = state.labels
+        place = {"x": "x", "y": "y", "dw": "dw", "dh": "dh", "source": sources[f"plane_{k}"]}
+        cells = made.image(image="um", color_mapper=mapper, **place)
+        # hatched, not paler: pale means accurate
+        made.quad(
+            left="left", right="right", bottom="bottom", top="top", source=sources[f"beyond_{k}"], fill_color=None,
+            line_color=None, hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.6, hatch_scale=12,
+            hatch_weight=1.0,
+        )  # fmt: skip
+        made.multi_line("xs", "ys", source=sources[f"outline_{k}"], line_color=REFUSED, line_width=3, line_cap="square")
+        made.add_tools(
+            hover(
+                [cells],
+                (state.labels[0], "$x{0.0}"),
+                (state.labels[1], "$y{0.0}"),
+                ("95 % within", "@um{0.0} µm"),
+                ("of it unseen", "@unseen{0.0} µm"),
+            )
+        )
+        figures.append(made)
+    colour_bar(figures[-1], mapper, "95 % within, µm")
+    hidden = state.unseen_um[np.isfinite(state.unseen_um)]
+    unseen = f" Of it up to {hidden.max():.1f} µm is what the poses could not show." if len(hidden) else ""
+    outlined = ""
+    if state.required_um:
+        met = 100 * float(np.mean(known <= state.required_um)) if len(known) else 0.0
+        outlined = f" Outlined: {state.required_um:g} µm or better ({met:.0f} % of what can be reached)."
+    note = (
+        "Radius around a commanded position within which the mean of many visits lies, in 95 of 100 cases; single "
+        f"readings scatter about it.{outlined} Hatched: no pose was measured there.{unseen}"
+    )
+    return Picture("accuracy", stacked("accuracy", figures, columns=len(figures)), sources, _accuracies, note=note)
+
+
+def _accuracies(state: AccuracyMap) -> Tables:
+    out: Tables = {}
+    (x0, dw), (y0, dh) = (_extent(v) for v in (state.x, state.y))
+    for k in range(len(state.titles)):
+        value = state.value_um[k]
+        out[f"plane_{k}"] = {
+            "um": [value.astype(np.float32)],
+            "unseen": [state.unseen_um[k].astype(np.float32)],
+            "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
+        }  # fmt: skip
+        out[f"beyond_{k}"] = _runs(state.x, state.y, ~state.measured[k] & np.isfinite(value))
+        out[f"outline_{k}"] = _outline(state.x, state.y, value <= (state.required_um or 0.0))
+    return out
+
+
+def _extent(ticks: Floats) -> tuple[float, float]:
+    """Lower edge and width of cells around ticks."""
+    step = float(ticks[1] - ticks[0]) if len(ticks) > 1 and ticks[1] > ticks[0] else 1.0
+    return float(ticks[0]) - 0.5 * step, step * len(ticks)
+
+
+def _runs(x: Floats, y: Floats, inside: NDArray[np.bool_]) -> dict[str, list[float]]:
+    """Cells that are inside, as one rectangle for every run of neighbours in a row."""
+    out: dict[str, list[float]] = {"left": [], "right": [], "bottom": [], "top": []}
+    (x0, wide), (y0, high) = _extent(x), _extent(y)
+    step_x, step_y = wide / len(x), high / len(y)
+    for j, row in enumerate(inside):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(np.int8), [0]])))
+        for first, end in edges.reshape(-1, 2):
+            out["left"].append(float(x0 + first * step_x))
+            out["right"].append(float(x0 + end * step_x))
+            out["bottom"].append(float(y0 + j * step_y))
+            out["top"].append(float(y0 + (j + 1) * step_y))
+    return out
+
+
+def _outline(x: Floats, y: Floats, inside: NDArray[np.bool_]) -> dict[str, list[list[float]]]:
+    """Edges of cells between inside and outside."""
+    if len(x) < 2 or len(y) < 2:
+        return {"xs": [], "ys": []}
+    half_x, half_y = 0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])
+    padded_in = np.pad(inside, 1)
+    xs, ys = [], []
+    for j, i in np.argwhere(padded_in[1:-1, 1:] != padded_in[1:-1, :-1]):
+        edge = x[i] - half_x if i < len(x) else x[-1] + half_x
+        xs.append([float(edge)] * 2)
+        ys.append([float(y[j] - half_y), float(y[j] + half_y)])
+    for j, i in np.argwhere(padded_in[1:, 1:-1] != padded_in[:-1, 1:-1]):
+        edge = y[j] - half_y if j < len(y) else y[-1] + half_y
+        xs.append([float(x[i] - half_x), float(x[i] + half_x)])
+        ys.append([float(edge)] * 2)
+    return {"xs": xs, "ys": ys}
+
+
+@dataclass(frozen=True, eq=False)
+class NextPoses:
+    """Poses to measure next, in order, and where the run has been."""
+
+    poses: Sequence[dict[str, float]]
+    left: Residuals
+
+
+def next_poses(state: NextPoses) -> Picture[NextPoses]:
+    """Proposed poses, numbered in the order to measure them, seen from above and from the side."""
+    sources = sources_of(_pose_tables(state))
+    names = _drawn(state)
+    pairs = [(names[0], names[1])] + ([(names[0], names[2])] if len(names) > 2 else [])
+    figures = []
+    spans = _spans(state, names)
+    text: dict[str, Any] = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
+    for k, (a, b) in enumerate(pairs):
+        made = figure(
+            frame_width=_PANEL + 60, frame_height=_PANEL + 60, x_range=Range1d(*spans[a]), y_range=Range1d(*spans[b])
+        )
+        made.xaxis.axis_label, made.yaxis.axis_label = quantity(a), quantity(b)
+        if a in sources["measured"].data and b in sources["measured"].data:
+            made.scatter(a, b, source=sources["measured"], size=4, color=MUTED, alpha=0.5)
+        if state.poses:
+            dots = made.scatter(
+                a, b, source=sources["next"], size=24, fill_color="white", line_color=REFUSED, line_width=2
+            )
+            made.text(
+                "x", "y", "text", source=sources[f"orders_{k}"], text_align="center", text_baseline="middle", **text
+            )
+            made.add_tools(
+                hover([dots], ("pose", "@order"), *((quantity(n), f"@{n}") for n in state.poses[0] if n != SEPARATION),
+                      ("separation with it", "@separation_sigma{0.0} σ"))
+            )  # fmt: skip
+        figures.append(made)
+    note = (
+        "Numbered: poses to measure, in this order; 3× where three of them lie behind one another. Grey: poses of the "
+        "run."
+    )
+    return Picture("next_poses", stacked("next_poses", figures, columns=2), sources, _pose_tables, note=note)
+
+
+def _drawn(state: NextPoses) -> list[str]:
+    """What the poses are drawn by: what instruments show of the place, where the poses say it."""
+    keys = [k for k in state.poses[0] if k != SEPARATION] if state.poses else list(state.left.place)[:2]
+    return [k for k in keys if k in state.left.place] or keys
+
+
+def _pose_tables(state: NextPoses) -> Tables:
+    first = np.unique(state.left.group, return_index=True)[1][:2000]
+    measured = {name: v[first].astype(np.float32) for name, v in state.left.place.items()}
+    keys = list(state.poses[0]) if state.poses else []
+    table: dict[str, Any] = {key: [pose[key] for pose in state.poses] for key in keys}
+    table["order"] = [str(k) for k in range(1, len(state.poses) + 1)]
+    out: Tables = {"measured": measured, "next": table}
+    names = _drawn(state) if state.poses else []
+    for k, (a, b) in enumerate([(0, 1), (0, 2)]):
+        out[f"orders_{k}"] = _orders(table, names[a], names[b]) if len(names) > b else {"x": [], "y": [], "text": []}
+    return out
+
+
+def _orders(table: dict[str, Any], across: str, up: str) -> dict[str, list[Any]]:
+    """The number of every pose; how many there are where they lie behind one another."""
+    here: dict[tuple[float, float], list[str]] = {}
+    for x, y, order in zip(table[across], table[up], table["order"], strict=True):
+        here.setdefault((round(x, 2), round(y, 2)), []).append(order)
+    texts = [orders[0] if len(orders) == 1 else f"{len(orders)}×" for orders in here.values()]
+    return {"x": [x for x, _ in here], "y": [y for _, y in here], "text": texts}
+
+
+def _spans(state: NextPoses, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Range of each coordinate; equally long where the units are the same, so that shapes are as they are."""
+    ends: dict[str, tuple[float, float]] = {}
+    for name in names:
+        values = [np.array([pose[name] for pose in state.poses if name in pose])]
+        values += [state.left.place[name]] if name in state.left.place else []
+        known = np.concatenate(values) if values else np.zeros(0)
+        ends[name] = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    units = {quantity(name).partition(", ")[2] for name in names}
+    longest = max((high - low for low, high in ends.values()), default=1.0)
+    out = {}
+    for name, (low, high) in ends.items():
+        half = 0.58 * ((longest if len(units) == 1 else high - low) or 1.0)
+        out[name] = (0.5 * (low + high) - half, 0.5 * (low + high) + half)
+    return out

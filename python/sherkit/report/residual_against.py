@@ -1,4 +1,4 @@
-"""Residual against anything: points, running mean with its band, and the effect that was fitted through it."""
+"""What is left of single readings: against anything, in the order of the run, and against the noise."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from bokeh.models import ColumnDataSource, Span
 from numpy.typing import NDArray
 
 from ..base.types import Floats, Ints
-from .picture import Picture, Table, Tables, sources_of, stacked, thinned
+from .picture import Picture, Table, Tables, float32, sources_of, stacked, thinned
 from .residuals import Residuals, at_the_rim
-from .style import COLOURS, FONT_SIZE, INK, MARKERS, MUTED, PLAIN, figure, hover, quantity
+from .style import COLOURS, FONT_SIZE, INK, MARKERS, MUTED, PLAIN, figure, hover, legend, quantity
 
 MOST_POINTS = 3000
 #: Places of the running mean, and the part of the poses that each of them averages.
@@ -71,7 +72,7 @@ def tables(state: ResidualAgainst) -> Tables:
     """Points, running mean, noise and legend text for a variable."""
     left = state.now
     out = {"points": points(left), "mean": means(left, state.variable), "noise": noise_band(left)}
-    out["points"]["v"] = _f(left.variables[state.variable][shown(left)])
+    out["points"]["v"] = float32(left.variables[state.variable][shown(left)])
     out["gained"] = gained(state.before, left, state.variable)
     out["earlier"] = earlier(state.before, left)
     if len(out["earlier"]["r0"]):
@@ -82,9 +83,9 @@ def tables(state: ResidualAgainst) -> Tables:
 def earlier(before: Residuals | None, now: Residuals) -> Table:
     """Error of the drawn rows before the effects were added; empty where nothing was."""
     if before is None or before is now or len(before) != len(now):
-        return {"v": _f([])} | {f"r{k}": _f([]) for k in range(len(now.names))}
+        return {"v": float32([])} | {f"r{k}": float32([]) for k in range(len(now.names))}
     values = at_the_rim(now, before.values)[0]
-    return {f"r{k}": _f(values[shown(now), k]) for k in range(len(now.names))}
+    return {f"r{k}": float32(values[shown(now), k]) for k in range(len(now.names))}
 
 
 def shown(left: Residuals) -> NDArray[np.int64]:
@@ -96,7 +97,7 @@ def points(left: Residuals) -> Table:
     """Error of the drawn rows by reading, without the variable."""
     rows = shown(left)
     values, beyond = at_the_rim(left, left.values)
-    out: Table = {f"r{k}": _f(values[rows, k]) for k in range(len(left.names))}
+    out: Table = {f"r{k}": float32(values[rows, k]) for k in range(len(left.names))}
     out["beyond"] = [beyond[row] for row in rows]
     out["line"], out["row"] = left.line[rows].astype(np.int32), left.row[rows].astype(np.int32)
     few = len(rows) < _FEW_ROWS
@@ -108,10 +109,10 @@ def points(left: Residuals) -> Table:
 def means(left: Residuals, variable: str, windows: Windows | None = None) -> Table:
     """Running mean with its band of two standard errors, in windows that were made before or are made here."""
     windows = windows or Windows.of(left, variable)
-    out: Table = {"v": _f(windows.at)}
+    out: Table = {"v": float32(windows.at)}
     for k in range(len(left.names)):
         mean, error = windows.mean(left.values[:, k])
-        out |= {f"m{k}": _f(mean), f"low{k}": _f(mean - 2 * error), f"high{k}": _f(mean + 2 * error)}
+        out |= {f"m{k}": float32(mean), f"low{k}": float32(mean - 2 * error), f"high{k}": float32(mean + 2 * error)}
     return out
 
 
@@ -119,10 +120,10 @@ def gained(before: Residuals | None, now: Residuals, variable: str, windows: Win
     """Running mean of what the model explains now and did not explain before; empty where nothing was added."""
     names = [f"g{k}" for k in range(len(now.names))]
     if before is None or before is now or len(before) != len(now):
-        return {"v": _f([])} | {name: _f([]) for name in names}
+        return {"v": float32([])} | {name: float32([]) for name in names}
     windows = windows or Windows.of(now, variable)
     change = before.values - now.values
-    return {"v": _f(windows.at)} | {name: _f(windows.mean(change[:, k])[0]) for k, name in enumerate(names)}
+    return {"v": float32(windows.at)} | {name: float32(windows.mean(change[:, k])[0]) for k, name in enumerate(names)}
 
 
 def noise_band(left: Residuals) -> Table:
@@ -190,10 +191,6 @@ class Windows:
         return mean, np.where(poses > 1, spread / np.maximum(count, 1), 0.0)
 
 
-def _f(values: Any) -> NDArray[np.float32]:
-    return np.asarray(values, dtype=np.float32)
-
-
 def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: ResidualAgainst, x_range: Any) -> Any:
     unit = state.now.unit
     settings = {} if x_range is None else {"x_range": x_range}
@@ -227,3 +224,135 @@ def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: Resid
         hover([dots], ("at", "@v{0.000}"), (name, f"@r{k}{{0.0}} {unit}@beyond"), (state.now.counted, "@line"))
     )
     return made
+
+
+# -- The run in time --------------------------------------------------------------------------------------------------
+
+_TIME_HEIGHT, _BELOW = 320, 150
+_MOST_IN_TIME = 4000
+#: That stand beside a low figure.
+_LETTERS = 15
+
+
+def run_in_time(left: Residuals) -> Picture[Residuals]:
+    """All readings in the order they were taken; outliers larger. Covariates that vary stand below on the same axis."""
+    sources = sources_of(_in_time(left))
+    made = figure(height=_TIME_HEIGHT, sizing_mode="stretch_width", tools="pan,box_zoom,wheel_zoom,box_select,reset")
+    made.yaxis.axis_label = f"residual, {left.unit}"
+    made.add_layout(Span(location=0, dimension="width", line_color=MUTED))
+    for k, name in enumerate(left.names):
+        dots = made.scatter(
+            "t", f"r{k}", source=sources["run"], color=COLOURS[k % len(COLOURS)], marker=MARKERS[k % len(MARKERS)],
+            size="size", alpha=0.8 if len(left) < _FEW_ROWS else 0.45, legend_label=name,
+        )  # fmt: skip
+        made.add_tools(
+            hover([dots], ("", name), ("residual", f"@r{k}{{0.0}} {left.unit}@beyond"), (left.counted, "@line"))
+        )
+    legend(made)
+    figures = [made]
+    for name in _below(left):
+        lower = figure(height=_BELOW, sizing_mode="stretch_width", x_range=made.x_range)
+        label = quantity(name)
+        lower.yaxis.axis_label = label if len(label) <= _LETTERS else label[: _LETTERS - 1] + "…"
+        lower.yaxis.ticker.desired_num_ticks = 3
+        lower.scatter("t", name, source=sources["run"], size=4, color=MUTED)
+        figures.append(lower)
+    figures[-1].xaxis.axis_label = "time, s" if "time_s" in left.variables else "reading"
+    n = len(left)
+    drawn = (
+        f"{_MOST_IN_TIME} of {n} rows, chosen at random, marked outliers first"
+        if n > _MOST_IN_TIME
+        else f"all {n} rows"
+    )
+    note = f"What the model leaves, in the order of the run: {drawn}. Rows that are left out stand at the rim."
+    return Picture("run", stacked("run", figures, sizing_mode="stretch_width"), sources, _in_time, note=note)
+
+
+def _below(left: Residuals) -> list[str]:
+    """Covariates, not coordinates, joints, directions or time; at most two."""
+    known = {*left.place, "time_s"}
+    names = [
+        n for n in left.variables if n not in known and not n.startswith(("direction_", "q1", "q2", "q3", "theta"))
+    ]
+    return names[:2]
+
+
+def _in_time(left: Residuals) -> Tables:
+    rows = np.asarray(thinned(len(left), _MOST_IN_TIME, np.flatnonzero(left.outlier)))
+    time = left.variables.get("time_s", left.row.astype(float))
+    table: dict[str, Any] = {"t": time[rows], "line": left.line[rows].astype(np.int32)}
+    table["size"] = np.where(left.outlier[rows], 11, 7 if len(left) < _FEW_ROWS else 4)
+    values, beyond = at_the_rim(left, left.values)
+    table |= {f"r{k}": values[rows, k].astype(np.float32) for k in range(len(left.names))}
+    table["beyond"] = [beyond[row] for row in rows]
+    table |= {name: left.variables[name][rows] for name in _below(left)}
+    return {"run": table}
+
+
+# -- What is left against the noise -----------------------------------------------------------------------------------
+
+_BINS, _CURVE, _QUANTILES = (11, 41), 121, 200
+_NOISE_HEIGHT = 360
+
+
+def noise_picture(left: Residuals) -> Picture[Residuals]:
+    """Left a histogram of what remains over its noise, right its quantiles against those of the noise.
+
+    On the dashed line the remains are noise; a steeper line means that they are larger, bent ends that single readings
+    are wilder. Where the noise is unknown it is that of the remains themselves, which the axis says.
+    """
+    sources = sources_of(_distribution(left))
+    known = left.noise_origin != "unknown"
+    unit = "σ of the noise" if known else "σ of the rest itself"
+    curve = "noise" if known else "Gaussian"
+    histogram = figure(height=_NOISE_HEIGHT, sizing_mode="stretch_width")
+    histogram.xaxis.axis_label, histogram.yaxis.axis_label = f"residual, {unit}", "density, per σ"
+    plot = figure(height=_NOISE_HEIGHT, sizing_mode="stretch_width")
+    plot.xaxis.axis_label, plot.yaxis.axis_label = "quantile of a Gaussian, σ", "quantile of the residuals, σ"
+    histogram.line("x", "y", source=sources["normal"], color=INK, line_dash="dashed", line_width=2, legend_label=curve)
+    plot.line("x", "x", source=sources["normal"], color=INK, line_dash="dashed", line_width=2)
+    for k, name in enumerate(left.names):
+        colour = COLOURS[k % len(COLOURS)]
+        histogram.step(
+            "at", f"density_{k}", source=sources["bins"], color=colour, line_width=2.5, mode="center", legend_label=name
+        )
+        dots = plot.scatter(
+            "gauss", f"q_{k}", source=sources["quantiles"], color=colour, marker=MARKERS[k % len(MARKERS)], size=7,
+            alpha=0.8,
+        )  # fmt: skip
+        plot.add_tools(hover([dots], ("", name), ("Gaussian", "@gauss{0.00} σ"), ("residual", f"@q_{k}{{0.00}} σ")))
+    legend(histogram)
+    note = (
+        "On the dashed line what remains is noise. Steeper: there is more than noise."
+        if known
+        else "The noise is not known: what remains is drawn over its own spread, and only its shape says something."
+    ) + " Bent ends: some readings are wild. The histogram's first and last bars hold whatever lies beyond them."
+    root = stacked("noise", [histogram, plot], columns=2, sizing_mode="stretch_width")
+    return Picture("noise", root, sources, _distribution, note=note)
+
+
+def _distribution(left: Residuals) -> Tables:
+    bins: dict[str, Any] = {}
+    quantiles: dict[str, Any] = {}
+    # few readings in many bars are a comb
+    readings = int(np.isfinite(left.values[~left.outlier]).sum()) / max(len(left.names), 1)
+    edges = np.linspace(-5, 5, int(np.clip(np.sqrt(readings), *_BINS)) // 2 * 2 + 2)
+    bins["at"] = 0.5 * (edges[1:] + edges[:-1])
+    count = min(int(np.isfinite(left.values).all(axis=1).sum()), _QUANTILES)
+    level = (np.arange(count) + 0.5) / max(count, 1)
+    quantiles["gauss"] = scipy.special.ndtri(level)
+    for k in range(len(left.names)):
+        u = _over_noise(left, k)
+        # what lies beyond the picture is counted in its last bins: nothing is left out
+        number = np.histogram(np.clip(u, edges[0], edges[-1]), edges)[0]
+        bins[f"density_{k}"] = number / max(len(u), 1) / (edges[1] - edges[0])
+        quantiles[f"q_{k}"] = np.quantile(u, level) if len(u) else np.zeros(count)
+    x = np.linspace(-5, 5, _CURVE)
+    return {"bins": bins, "quantiles": quantiles, "normal": {"x": x, "y": np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)}}
+
+
+def _over_noise(left: Residuals, k: int) -> Floats:
+    values = left.values[~left.outlier, k]
+    values = values[np.isfinite(values)]
+    sigma = left.noise[k] if left.noise_origin != "unknown" else values.std()
+    return np.asarray(values / sigma if sigma > 0 else values * 0.0)

@@ -1,15 +1,13 @@
 """Residual map: where in the workspace the model is wrong, and in which direction.
 
-An arrow per pose (the mean of its repeats) along the error in the first two readings, the third as colour; a panel per
-plane. Before and after share one scale unless each is to have its own. The circle shows how far noise alone would carry
-95 of 100 arrows.
+The arrows of :mod:`.residual_arrows`, as figures that a reader moves and chooses rows in, and as SVG, for who runs no
+scripts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -17,58 +15,23 @@ from bokeh.core.properties import value
 from bokeh.models import Circle, ColumnDataSource, FixedTicker, LinearColorMapper, Range1d, Segment, Text
 from numpy.typing import NDArray
 
-from ..base.types import Bools, Floats
-from .picture import Picture, Table, Tables, sources_of, stacked
-from .residuals import Residuals, in_noise
-from .style import DIVERGING, FONT, FONT_SIZE, INK, MUTED, colour_bar, figure, hover, number, padded, quantity
+from ..base.names import listed
+from ..base.types import Floats
+from ..errors import SherkitError
+from ..model.effect import Effect
+from ..model.kinds import Robot, kind_of, known_kinds
+from .picture import Picture, Table, Tables, single, sources_of, stacked
+from .residual_arrows import MOMENTS, Change, Sheet, cut, note, round_number, shown
+from .residuals import Residuals
+from .style import DIVERGING, FONT, FONT_SIZE, INK, MUTED, RULE, SEQUENTIAL, colour_bar, figure, hover, number, quantity
 
-#: One scale for before and after; each its own, so that what is left is seen too; its own, counted in the noise of each
-#: reading (where that is not known, as ``own``).
-SCALES = ("shared", "own", "noise")
-#: More arrows than this in one panel become the means of cells.
-_MOST_ARROWS = 300
-_CELLS = 15
-_MOST_PLANES = 6
-_SLABS = 3
-_FLAT = 0.3
-#: Radius, in standard deviations, within which 95 of 100 two-dimensional Gaussian errors lie.
-_CIRCLE = 2.4477
-#: The same for one reading.
-_INTERVAL = 1.96
 _NARROWEST = 220
 #: Panels narrower than this have smaller points, px.
 _WIDE = 280
-#: Heights of the strips for a title of two lines and for the keys, distance from the edge, width of a bold letter, and
-#: the shortest scale bar, px.
-_TITLE, _KEYS, _EDGE, _LETTER, _SHORTEST_BAR = 54, 40, 9, 10, 28
 #: What the axis of a panel takes of its width, px.
 _AROUND = 55
-#: Height of a panel by its width, at the least and at the most.
-_FLATTEST, _TALLEST = 0.35, 1.2
-
-
-@dataclass(frozen=True, eq=False)
-class Change:
-    """Two moments of a study: what the model left before, and what it leaves now."""
-
-    before: Residuals
-    after: Residuals
-    before_title: str = "before"
-    after_title: str = "after"
-    #: How arrows and colours are scaled, one of :data:`SCALES`.
-    scale: str = "shared"
-
-
-@dataclass(frozen=True, eq=False)
-class _Panels:
-    """How the workspace is cut: which rows stand in which panel."""
-
-    across: str
-    up: str | None
-    names: tuple[str, ...]
-    rows: tuple[Bools, ...]
-    x: Floats
-    y: Floats
+#: Between panels of an SVG, and the line below them, px.
+_GAP, _CAPTION = 24, 30
 
 
 def residual_map(
@@ -80,27 +43,26 @@ def residual_map(
     all panels together. Where the run moved along one coordinate only, arrows stand along a line. ``alone`` draws what
     is left after, with nothing beside it.
     """
-    panels = _cut(change.before)
+    panels = cut(change.before)
     count = len(panels.names)
-    moments = _MOMENTS[1:] if alone else _MOMENTS
+    moments = MOMENTS[1:] if alone else MOMENTS
     planes_across = planes_across and count > 1
     columns = count if planes_across else 2
     width = max(width_px // columns, _NARROWEST) - _AROUND
-    scale = _Scale(change, panels, width)
+    sheet = Sheet(change, width, panels)
 
     def tables(state: Change) -> Tables:
-        every = _tables(state, panels, current)
+        every = sheet.tables(state)
         return {name: table for name, table in every.items() if name.partition("_")[0] in moments}
 
-    current = scale
     sources = sources_of(tables(change))
-    mappers = {m: LinearColorMapper(palette=DIVERGING) for m in _MOMENTS}
+    mappers = {m: LinearColorMapper(palette=DIVERGING) for m in MOMENTS}
     order = [(moment, k) for k in range(count) for moment in moments]
     if planes_across:
         order.sort(key=lambda one: one[0] == "after")
-    ranges = scale.ranges
-    figures = [_panel(sources, k, moment, panels, mappers[moment], ranges, change.before, width) for moment, k in order]
-    tickers = {m: FixedTicker() for m in _MOMENTS}
+    ranges = Range1d(*sheet.ranges[0]), Range1d(*sheet.ranges[1])
+    figures = [_panel(sources, k, moment, sheet, mappers[moment], ranges) for moment, k in order]
+    tickers = {m: FixedTicker() for m in MOMENTS}
     named = []
     if len(change.before.names) != 2:
         # beside what is always seen; where rows of panels are moments, each has its own
@@ -110,312 +72,38 @@ def residual_map(
 
     def colour(state: Change) -> None:
         for moment, mapper in mappers.items():
-            high = current.colours[moment]
+            high = sheet.colours[moment]
             mapper.low, mapper.high = -high, high
             tickers[moment].ticks = [-high, 0.0, high]
-        left = _shown(state)[0]
+        left = shown(state)[0]
         for title in named:
             title.text = f"{left.names[2 if len(left.names) > 2 else 0]}, {left.unit}"
 
     colour(change)
 
     def tune(state: Change) -> None:
-        nonlocal current
-        current = _Scale(state, panels, width)
+        nonlocal sheet
+        sheet = Sheet(state, width, panels)
         colour(state)
-        for one, new in zip(ranges, current.ranges, strict=True):
-            one.start, one.end = new.start, new.end
+        for one, new in zip(ranges, sheet.ranges, strict=True):
+            one.start, one.end = new
         for made in figures:
-            made.frame_height = current.height_px
+            made.frame_height = sheet.height_px
 
     root = stacked("residual_map", figures, columns=columns)
     before = [one for one, (moment, _) in zip(figures, order, strict=True) if moment == "before"]
-    return Picture("residual_map", root, sources, tables, tune, note=_note(change), before=before)
-
-
-def _note(change: Change) -> str:
-    names = change.before.names
-    arrow = f"An arrow shows the error in {' and '.join(names[:2])} at a pose, mean of its repeats"
-    colour = f", its colour the error in {names[2]}" if len(names) > 2 else ""
-    if len(names) == 1:
-        arrow, colour = f"An arrow and its colour show the error in {names[0]} at a pose, mean of its repeats", ""
-    left = change.before
-    dealt = any(_dense(left.group[_used(left, m)]) for m in _cut(left).rows)
-    many = "; where poses are dense it is the mean of a cell" if dealt else ""
-    circle = (
-        " Noise alone would leave 95 of 100 arrows inside the circle."
-        if change.before.noise_origin != "unknown"
-        else ""
-    )
-    rms = " The number over a panel is the RMS error of its single readings, of all axes together."
-    return f"{arrow}{colour}{many}. {_SAID[change.scale]}{circle}{rms if len(names) > 1 else ''}"
-
-
-_MOMENTS = ("before", "after")
-_SAID = {
-    "shared": "All panels have one scale.",
-    "own": "Before and after each have a scale of their own.",
-    "noise": "Counted in the noise of each reading, σ; before and after each have a scale of their own.",
-}
-
-
-class _Scale:
-    """The scale of every panel: length of an arrow per unit of error, colour and bar of each moment."""
-
-    def __init__(self, change: Change, panels: _Panels, width: int) -> None:
-        left = change.before
-        each = {m: [_arrows(side, panels, rows) for rows in panels.rows]
-                for m, side in zip(_MOMENTS, _shown(change), strict=True)}  # fmt: skip
-        arrows = [a for m in _MOMENTS for a in each[m]]
-        self.coloured = len(left.names) != 2
-        number = max(max((len(a["x"]) for a in arrows), default=1), 1)
-        span_x, span_y = np.ptp(panels.x) or 1.0, np.ptp(panels.y) or np.ptp(panels.x) or 1.0
-        spacing = np.sqrt(span_x * span_y / number)
-        self.per_unit: dict[str, float] = {}
-        self.colours: dict[str, float] = {}
-        typical: dict[str, float] = {}
-        for moment in _MOMENTS:
-            counted = arrows if change.scale == "shared" else each[moment]
-            length = np.concatenate([np.hypot(a["ex"], a["ey"]) for a in counted]) if counted else np.zeros(0)
-            colour = np.concatenate([np.abs(a["ez"]) for a in counted]) if counted else np.zeros(0)
-            typical[moment] = float(np.quantile(length, 0.95)) if len(length) else 0.0
-            self.per_unit[moment] = 1.3 * spacing / typical[moment] if typical[moment] > 0 else 1.0
-            high = float(np.quantile(colour, 0.98)) if len(colour) else 1.0
-            self.colours[moment] = round_number(high, up=True) or 1.0
-        noise = _shown(change)[0].noise[: min(2, len(left.names))]
-        self.noise = float(np.sqrt(np.mean(noise**2))) if left.noise_origin != "unknown" else 0.0
-        self.circles = {m: [self._circle(left, rows) * self.per_unit[m] for rows in panels.rows] for m in _MOMENTS}
-        largest = max((c for circles in self.circles.values() for c in circles), default=0.0)
-        scaled = [(a, self.per_unit[m]) for m in _MOMENTS for a in each[m]]
-        self.ranges = _ranges(panels, scaled, largest, width)
-        x, y = self.ranges
-        #: Of the workspace, in a pixel: titles and keys keep their size.
-        self.pixel = (float(x.end) - float(x.start)) / width
-        self.height_px = round((float(y.end) - float(y.start)) / self.pixel)
-        self.letters = int((width - 2 * _EDGE) / _LETTER)
-        # as long as the longest arrows, and long enough to be compared with
-        self.bars = {
-            m: round_number(max(typical[m], _SHORTEST_BAR * self.pixel / self.per_unit[m]), up=True) for m in _MOMENTS
-        }
-
-    def _circle(self, left: Residuals, mask: Bools) -> float:
-        """Radius that holds 95 of 100 means of repeats that are noise alone."""
-        use = _used(left, mask)
-        repeats = max(int(use.sum()) / max(len(np.unique(left.group[use])), 1), 1.0)
-        return float((_CIRCLE if len(left.names) > 1 else _INTERVAL) * self.noise / np.sqrt(repeats))
-
-
-def round_number(value: float, *, up: bool = False) -> float:
-    """The nearest of 1, 2, 5, 10 … below ``value`` (above it where ``up``)."""
-    if not value > 0:
-        return 0.0
-    power = 10.0 ** np.floor(np.log10(value))
-    steps = (1.0, 2.0, 5.0, 10.0)
-    if up:
-        return float(power * min(s for s in steps if s * power >= value * (1 - 1e-9)))
-    return float(power * max(s for s in steps if s * power <= value * (1 + 1e-9)))
-
-
-def _cut(left: Residuals) -> _Panels:
-    """Panels by the third coordinate, the highest first, as they lie in the workspace."""
-    names = list(left.place)
-    n = len(left)
-    across, up = (names[0] if names else "pose"), (names[1] if len(names) > 1 else None)
-    x = left.place[across] if names else np.zeros(n)
-    y = left.place[up] if up else np.zeros(n)
-    planes = planes_of(left.place, n)
-    return _Panels(across, up, tuple(name for name, _ in planes), tuple(rows for _, rows in planes), x, y)
-
-
-def planes_of(place: Mapping[str, Floats], n: int) -> list[tuple[str, Bools]]:
-    """Name and rows (``n``,) of each plane of the third coordinate; slabs of equal numbers where planes are many.
-
-    One plane without a name where there is no third coordinate.
-    """
-    names = list(place)
-    if len(names) < 3:
-        return [("", np.ones(n, dtype=bool))]
-    third = place[names[2]]
-    order = np.sort(third)
-    # a plane is never quite flat: the robot is not where it was sent
-    span = max(float(np.ptp(third)), _FLAT * max(float(np.ptp(place[name])) for name in names[:2])) or 1.0
-    gaps = np.flatnonzero(np.diff(order) > 0.05 * span)
-    clusters = np.split(order, gaps + 1)
-    if len(clusters) <= _MOST_PLANES and max(float(np.ptp(c)) for c in clusters) <= _FLAT * span:
-        edges = [-np.inf, *(0.5 * (order[gaps] + order[gaps + 1])), np.inf]
-    else:
-        edges = [-np.inf, *np.quantile(third, np.arange(1, _SLABS) / _SLABS), np.inf]
-    label, unit = quantity(names[2]).partition(", ")[::2]
-    fine = max(0, 1 - int(np.floor(np.log10(span))))
-    out = []
-    for low, high in pairwise(edges):
-        mask = (third > low) & (third <= high)
-        if not mask.any():
-            continue
-        a, b, mean = third[mask].min(), third[mask].max(), round(float(third[mask].mean()), fine) + 0.0
-        at = f"{a:.{fine}f} to {b:.{fine}f}" if b - a > 0.15 * span else f"{mean:.{fine}f}"
-        out.append((f"{label} = {at} {unit}", mask))
-    return out[::-1]
-
-
-def plane_of_most(place: Mapping[str, Floats], error: Floats) -> tuple[str, Bools]:
-    """The plane in which the error (n, m) is largest in mean square."""
-    return max(planes_of(place, len(error)), key=lambda plane: float(np.nanmean(error[plane[1]] ** 2)))
-
-
-def _arrows(left: Residuals, panels: _Panels, mask: Bools) -> Table:
-    """Mean error of every pose in a panel, or of every cell where poses are many."""
-    rows = np.flatnonzero(_used(left, mask))
-    if not len(rows):
-        return {k: np.zeros(0) for k in ("x", "y", "ex", "ey", "ez", "n")} | {"rows": [], "lines": []}
-    group = np.unique(left.group[rows], return_inverse=True)[1]
-    if _dense(group):
-        group = _cells(panels.x[rows], panels.y[rows])
-    count = np.bincount(group)
-
-    def mean(values: Floats) -> Floats:
-        return np.asarray(np.bincount(group, values) / count)
-
-    error = left.values[rows]
-    zero = np.zeros(len(rows))
-    # a single reading stands upright, and its colour says the same
-    if error.shape[1] == 1:
-        error = np.concatenate([zero[:, None], error, error], axis=1)
-    table: Table = {
-        "x": mean(panels.x[rows]),
-        "y": mean(panels.y[rows]),
-        "ex": mean(error[:, 0]),
-        "ey": mean(error[:, 1]),
-        "ez": mean(error[:, 2] if error.shape[1] > 2 else zero),
-        "n": count,
-    }
-    members = np.split(rows[np.argsort(group, kind="stable")], np.cumsum(count)[:-1])
-    table["rows"] = [left.row[m].tolist() for m in members]
-    table["lines"] = [_lines(left.line[m]) for m in members]
-    return table
-
-
-def _used(left: Residuals, mask: Bools) -> Bools:
-    """Rows of a panel that are drawn."""
-    return mask & ~left.outlier & np.isfinite(left.values).all(axis=1)
-
-
-def _dense(group: NDArray[np.int64]) -> bool:
-    """Whether poses are so many that arrows would hide one another."""
-    return len(np.unique(group)) > _MOST_ARROWS
-
-
-def _cells(x: Floats, y: Floats) -> NDArray[np.int64]:
-    def ticks(v: Floats) -> NDArray[np.int64]:
-        return np.minimum((v - v.min()) / (np.ptp(v) or 1.0) * _CELLS, _CELLS - 1).astype(np.int64)
-
-    inverse: NDArray[np.int64] = np.unique(ticks(x) * _CELLS + ticks(y), return_inverse=True)[1]
-    return inverse
-
-
-def _lines(lines: NDArray[np.int64], most: int = 6) -> str:
-    text = ", ".join(str(k) for k in lines[:most])
-    return text if len(lines) <= most else f"{text} … ({len(lines)} rows)"
-
-
-def _tables(change: Change, panels: _Panels, scale: _Scale) -> Tables:
-    out: Tables = {}
-    titles = (change.before_title, change.after_title)
-    moments = zip(_MOMENTS, (change.before, change.after), _shown(change), titles, strict=True)
-    for moment, plain, left, title in moments:
-        per_unit = scale.per_unit[moment]
-        for k, mask in enumerate(panels.rows):
-            a = _arrows(left, panels, mask)
-            # numbers on hover stay in the unit of the run
-            hovered = a if left is plain else _arrows(plain, panels, mask)
-            colour = a["ez"] if scale.coloured else np.zeros(len(a["x"]))
-            out[f"{moment}_{k}"] = {
-                "x": _f(a["x"]), "y": _f(a["y"]),
-                "x1": _f(a["x"] + per_unit * a["ex"]), "y1": _f(a["y"] + per_unit * a["ey"]),
-                "ex": _f(hovered["ex"]), "ey": _f(hovered["ey"]), "ez": _f(hovered["ez"]), "colour": _f(colour),
-                "n": a["n"], "lines": a["lines"], "rows": a["rows"],
-            }  # fmt: skip
-            use = mask & ~left.outlier
-            rms = float(np.sqrt(np.nansum(np.nanmean(left.values[use] ** 2, axis=0)))) if use.any() else 0.0
-            out[f"{moment}_{k}_key"] = _key(scale, moment, left, title, panels.names[k], rms, k)
-    return out
-
-
-def _shown(change: Change) -> tuple[Residuals, Residuals]:
-    """Both moments in the unit in which they are drawn."""
-    counted = change.scale == "noise" and change.before.noise_origin != "unknown"
-    return (in_noise(change.before), in_noise(change.after)) if counted else (change.before, change.after)
-
-
-def _key(scale: _Scale, moment: str, left: Residuals, title: str, plane: str, rms: float, panel: int) -> Table:
-    """Title, scale bar and noise circle of one panel: a table with a single row."""
-    x_range, y_range = scale.ranges
-    x0, y0, x1, y1 = (float(v) for v in (x_range.start, y_range.start, x_range.end, y_range.end))
-    edge = _EDGE * scale.pixel
-    figure_of = f"{plane + ': ' if plane else ''}{number(rms)} {left.unit}"
-    if len(figure_of) + 4 <= scale.letters:
-        figure_of += " RMS"
-    heading = f"{_short(title, scale.letters)}\n{figure_of}"
-    bar = scale.bars[moment] * scale.per_unit[moment]
-    circle = scale.circles[moment][panel]
-    return {
-        "title": [heading], "title_x": [x0 + edge], "title_y": [y1 - edge],
-        "bar_x0": [x1 - edge - bar], "bar_x1": [x1 - edge], "bar_y": [y0 + edge],
-        "bar_text": [f"{scale.bars[moment]:g} {left.unit}"], "bar_text_x": [x1 - edge], "bar_text_y": [y0 + 1.6 * edge],
-        "noise_x": [x0 + edge + circle], "noise_y": [y0 + max(circle + edge, 1.8 * edge)], "noise_r": [circle],
-        "noise_text": ["noise" if scale.noise else ""], "noise_text_x": [x0 + 1.8 * edge + 2 * circle],
-    }  # fmt: skip
-
-
-def _f(values: Any) -> NDArray[np.float32]:
-    """Half the bytes; a pixel needs no more."""
-    return np.asarray(values, dtype=np.float32)
-
-
-def _short(text: str, most: int) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
-
-
-def _ranges(
-    panels: _Panels, arrows: Sequence[tuple[Table, float]], circle: float, width: int
-) -> tuple[Range1d, Range1d]:
-    """Room for poses and heads of arrows, and for title and keys above and below.
-
-    A millimetre is as long upwards as across.
-    """
-    heads = [
-        np.concatenate([a[at] + per_unit * a[by] for a, per_unit in arrows]) for at, by in (("x", "ex"), ("y", "ey"))
-    ]
-    x, y = (
-        padded(min(v.min(), h.min(initial=v.min())), max(v.max(), h.max(initial=v.max())), 0.04)
-        for v, h in zip((panels.x, panels.y), heads, strict=True)
-    )
-    x0, x1, y0, y1 = (float(v) for v in (x.start, x.end, y.start, y.end))
-    wide = x1 - x0
-    if panels.up is None:
-        y0, y1 = min(y0, -0.05 * wide), max(y1, 0.05 * wide)
-    # the strips for text have their size in pixels, whatever a pixel comes to be
-    for _ in range(30):
-        pixel = wide / width
-        above, below = _TITLE * pixel, max(_KEYS * pixel, 2 * circle + 2 * _EDGE * pixel)
-        wide = max(wide, (y1 - y0 + above + below) / _TALLEST)
-    more = max(_FLATTEST * wide - (y1 - y0 + above + below), 0.0) / 2
-    middle = 0.5 * (x0 + x1)
-    return Range1d(middle - 0.5 * wide, middle + 0.5 * wide), Range1d(y0 - below - more, y1 + above + more)
+    return Picture("residual_map", root, sources, tables, tune, note=note(change), before=before)
 
 
 def _panel(
-    sources: dict[str, ColumnDataSource], k: int, moment: str, panels: _Panels, mapper: LinearColorMapper,
+    sources: dict[str, ColumnDataSource], k: int, moment: str, sheet: Sheet, mapper: LinearColorMapper,
     ranges: tuple[Range1d, Range1d],
-    left: Residuals,
-    width: int,
 ) -> Any:  # fmt: skip
     source, key = sources[f"{moment}_{k}"], sources[f"{moment}_{k}_key"]
-    x_range, y_range = ranges
-    ratio = (float(y_range.end) - float(y_range.start)) / (float(x_range.end) - float(x_range.start))
+    panels, left, width = sheet.panels, sheet.change.before, sheet.width
     made = figure(
-        frame_width=width, frame_height=round(width * ratio),
-        x_range=x_range, y_range=y_range, tools="pan,box_zoom,wheel_zoom,box_select,lasso_select,tap,reset",
+        frame_width=width, frame_height=sheet.height_px,
+        x_range=ranges[0], y_range=ranges[1], tools="pan,box_zoom,wheel_zoom,box_select,lasso_select,tap,reset",
     )  # fmt: skip
     made.xaxis.axis_label = quantity(panels.across)
     made.yaxis.axis_label = quantity(panels.up) if panels.up else None
@@ -439,3 +127,160 @@ def _panel(
     places = [(quantity(panels.across), "@x{0.00}")] + ([(quantity(panels.up), "@y{0.00}")] if panels.up else [])
     made.add_tools(hover([tail], *places, *reading, ("readings", "@n"), (f"{left.counted}s", "@lines")))
     return made
+
+
+# -- As SVG -----------------------------------------------------------------------------------------------------------
+
+
+def still(*changes: Change, caption: str = "", width_px: int = 290) -> str:
+    """The same arrows as SVG: moments beside one another, a row of panels for each plane. Text is escaped.
+
+    A change whose moments are the same is drawn once; several changes stand beside one another.
+    """
+    sheets = [Sheet(change, width_px) for change in changes]
+    columns = [
+        [_still_panel(sheet, tables, moment, k) for k in range(len(sheet.panels.names))]
+        for sheet in sheets
+        for tables in [sheet.tables(sheet.change)]
+        for moment in MOMENTS[sheet.change.before is sheet.change.after :]
+    ]
+    if len(columns) == 1:
+        columns = [[one] for one in columns[0]]
+    wide, high = width_px + _GAP, max(one.height_px for one in sheets) + _GAP
+    width, bottom = _GAP + wide * len(columns), high * max(map(len, columns)) + _CAPTION
+    placed = "\n".join(
+        f'<g transform="translate({_GAP + wide * across} {_GAP + high * down})">{panel}</g>'
+        for across, column in enumerate(columns)
+        for down, panel in enumerate(column)
+    )
+    said = caption or _legend(changes[0].before)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {bottom + _GAP // 2}" width="{width}" '
+        f'style="max-width:100%;height:auto" font-family="{FONT}" font-size="{FONT_SIZE}" fill="{INK}" '
+        f'stroke-linecap="round">\n'
+        f'<rect width="{width}" height="{bottom + _GAP // 2}" fill="#fff"/>\n{placed}\n'
+        f'<text x="{_GAP}" y="{bottom}" font-size="14">{escape(said)}</text>\n</svg>\n'
+    )
+
+
+def _legend(left: Residuals) -> str:
+    colour = f"; blue: {left.names[2]} lower, orange: higher" if len(left.names) > 2 else ""
+    return f"Arrows: {' and '.join(left.names[:2])}{colour}."
+
+
+def _still_panel(sheet: Sheet, tables: Tables, moment: str, k: int) -> str:
+    """One panel: a path for the arrows of each colour, one for all poses."""
+    arrows, key = tables[f"{moment}_{k}"], tables[f"{moment}_{k}_key"]
+    x0, y1 = sheet.ranges[0][0], sheet.ranges[1][1]
+
+    def at(table: Table, x: str, y: str) -> list[str]:
+        across, down = (np.asarray(table[x]) - x0) / sheet.pixel, (y1 - np.asarray(table[y])) / sheet.pixel
+        return [f"{a:.1f} {b:.1f}" for a, b in zip(across, down, strict=True)]
+
+    def words(text: str, x: str, y: str, more: str) -> str:
+        return f'<text transform="translate({at(key, x, y)[0]})"{more}>{escape(text)}</text>'
+
+    tails, heads = at(arrows, "x", "y"), at(arrows, "x1", "y1")
+    part = 0.5 * np.asarray(arrows["colour"]) / sheet.colours[moment] + 0.5
+    drawn: dict[str, str] = {}
+    for tail, head, shade in zip(tails, heads, np.clip(part, 0, 1) * (len(DIVERGING) - 1), strict=True):
+        colour = DIVERGING[round(shade)]
+        drawn[colour] = f"{drawn.get(colour, '')}M{tail}L{head}"
+    title, _, size = key["title"][0].rpartition("\n")
+    ((bar,), (end,)), (circle,) = (at(key, x, "bar_y") for x in ("bar_x0", "bar_x1")), at(key, "noise_x", "noise_y")
+    return (
+        f'<rect width="{sheet.width}" height="{sheet.height_px}" fill="none" stroke="{RULE}"/>'
+        f'<g fill="none" stroke-width="2.5">'
+        + "".join(f'<path stroke="{colour}" d="{path}"/>' for colour, path in drawn.items())
+        + f'<path stroke="{INK}" stroke-width="3.5" d="{"".join(f"M{tail}h0" for tail in tails)}"/>'
+        f'<path stroke="{INK}" d="M{bar}L{end}"/>'
+        f'<circle transform="translate({circle})" r="{key["noise_r"][0] / sheet.pixel:.1f}" stroke="{MUTED}"/></g>'
+        + words(title, "title_x", "title_y", ' dy="0.8em" font-weight="bold"')
+        + words(size, "title_x", "title_y", ' dy="2em" font-weight="bold"')
+        + words(key["bar_text"][0], "bar_text_x", "bar_text_y", ' text-anchor="end"')
+        + words(key["noise_text"][0], "noise_text_x", "noise_y", ' dy="0.35em"')
+    )
+
+
+def signature_map(effect: Effect, robot: Robot) -> str:
+    """What an effect of plausible size leaves on a robot after the geometry has had its say, as SVG, a panel for each
+    height. Raises :class:`~sherkit.errors.SherkitError` where it has none."""
+    signature = kind_of(robot).signature
+    if signature is None:
+        drawn = [name for name, kind in known_kinds().items() if kind.signature is not None]
+        raise SherkitError(
+            f"--picture draws on a {listed(drawn)} alone; a report shows the maps of all effects on a run"
+        )
+    poses, error = signature(effect, robot)
+    left = Residuals.at(dict(zip(("x_mm", "y_mm", "z_mm"), poses.T, strict=True)), 1e3 * error, ("x", "y", "z"), "µm")
+    return still(
+        Change(left, left, after_title=effect.name),
+        caption=f"What {effect.name} of plausible size leaves after the geometry was fitted.",
+    )
+
+
+# -- On the picture of a camera ---------------------------------------------------------------------------------------
+
+_WIDTH = 820
+_MOST = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class Reprojection:
+    """``seen_px`` (n, 2) and ``error_px`` (n, 2) seen minus predicted, in a picture of ``size_px`` (width, height).
+
+    ``image`` (height, width) in grey, 0 to 255, is drawn below them where there is one; ``line`` (n,) the row's number.
+    """
+
+    seen_px: Floats
+    error_px: Floats
+    size_px: tuple[int, int]
+    line: NDArray[np.int64]
+    image: NDArray[np.uint8] | None = None
+
+
+def reprojection(state: Reprojection) -> Picture[Reprojection]:
+    """Arrows from where the marker was seen along its error, much longer than they are; the scale is written below."""
+    width, height = state.size_px
+    sources = sources_of(_tables(state))
+    made = figure(
+        frame_width=_WIDTH, frame_height=int(_WIDTH * height / width), x_range=Range1d(0, width),
+        y_range=Range1d(height, 0),
+    )  # fmt: skip
+    made.xaxis.axis_label, made.yaxis.axis_label = "u, px", "v, px"
+    if state.image is not None:
+        # pictures are stored from the top down, the axis runs down as well; pale, so that arrows stand out
+        grey = LinearColorMapper(palette="Greys256", low=0, high=255)
+        made.image([state.image], x=0, y=0, dw=width, dh=height, color_mapper=grey, alpha=0.45)
+    size = np.hypot(*state.error_px.T)
+    top = round_number(float(np.nanquantile(size, 0.99)) if len(size) else 1.0, up=True) or 1.0
+    mapper = LinearColorMapper(palette=SEQUENTIAL[20:], low=0.0, high=top)
+    made.segment(
+        "u", "v", "u1", "v1", source=sources["marks"], line_width=2, color={"field": "size", "transform": mapper}
+    )
+    dots = made.scatter("u", "v", source=sources["marks"], size=4, color=INK)
+    colour_bar(made, mapper, "error, px")
+    made.add_tools(
+        hover([dots], ("seen at", "@u{0.0}, @v{0.0} px"), ("error", "@eu{0.00}, @ev{0.00} px"), ("row", "@line"))
+    )
+    rms = float(np.sqrt(np.nanmean(np.sum(state.error_px**2, axis=1)))) if len(size) else 0.0
+    note = f"Arrows are {_magnified(state):.0f} times as long as the errors; {number(rms)} px RMS."
+    return Picture("reprojection", single("reprojection", made), sources, _tables, note=note)
+
+
+def _magnified(state: Reprojection) -> float:
+    size = np.hypot(*state.error_px.T)
+    typical = float(np.nanquantile(size, 0.9)) if len(size) else 0.0
+    return round_number(0.05 * state.size_px[0] / typical) if typical > 0 else 1.0
+
+
+def _tables(state: Reprojection) -> Tables:
+    keep = np.linspace(0, len(state.seen_px) - 1, min(len(state.seen_px), _MOST)).round().astype(int)
+    by = _magnified(state)
+    seen, error = state.seen_px[keep], state.error_px[keep]
+    return {
+        "marks": {
+            "u": seen[:, 0], "v": seen[:, 1], "u1": seen[:, 0] + by * error[:, 0], "v1": seen[:, 1] + by * error[:, 1],
+            "eu": error[:, 0], "ev": error[:, 1], "size": np.hypot(*error.T), "line": state.line[keep],
+        }
+    }  # fmt: skip

@@ -1,15 +1,19 @@
-"""What a fit leaves of a run, ready to be drawn: any machine, in the unit that people read."""
+"""What a fit leaves of a run, ready to be drawn: any machine, in the unit that people read; of a long run, the rows
+that are drawn.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
+from ..data.noise import Noise
 from ..diagnosis.fitted_run import FittedRun
 from ..fit.identify import Fit
 
@@ -36,6 +40,15 @@ class Residuals:
     line: Ints
     counted: str
     outlier: Bools
+
+    @classmethod
+    def at(cls, place: Mapping[str, Floats], values: Floats, names: Sequence[str], unit: str) -> Residuals:
+        """Errors (n, m) at places that are no rows of a run; what is noise of them is not known."""
+        every = np.arange(len(values))
+        return cls(
+            tuple(names), unit, values, np.zeros(len(names)), "unknown", place, place, every, every, every + 1, "pose",
+            np.zeros(len(values), dtype=bool),
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.values)
@@ -72,8 +85,30 @@ def at_the_rim(left: Residuals, values: Floats) -> tuple[Floats, list[str]]:
     return drawn, [BEYOND if one else "" for one in moved]
 
 
+@dataclass(frozen=True, eq=False)
+class State:
+    """A fit to look at, under its title, and what it leaves."""
+
+    title: str
+    fit: Fit
+
+    @property
+    def left(self) -> Residuals:
+        """Measured minus predicted."""
+        return residuals_of(self.fit)
+
+
 def residuals_of(fit: Fit) -> Residuals:
-    """What a fit leaves, on every row of its run that has a reading."""
+    """What a fit leaves, on every row of its run that has a reading; computed once for each fit."""
+    if fit not in _KNOWN:
+        _KNOWN[fit] = _residuals(fit)
+    return _KNOWN[fit]
+
+
+_KNOWN: WeakKeyDictionary[Fit, Residuals] = WeakKeyDictionary()
+
+
+def _residuals(fit: Fit) -> Residuals:
     run, data = FittedRun(fit), fit.data
     axes = list(run.axes)
     residuals = run.per_unit * run.residuals[:, axes]
@@ -105,3 +140,53 @@ def _directions(data: Measurements, rows: Ints) -> dict[str, Floats]:
     """Sign of the last motion of each joint, where it is known and both signs occur."""
     columns = {f"direction_{k + 1}": column[rows] for k, column in enumerate(data.direction.T)}
     return {name: v for name, v in columns.items() if np.isfinite(v).all() and np.ptp(v) > 0}
+
+
+# -- The rows of a long run that are drawn: pictures cost what they show, not what was measured -----------------------
+
+#: So many rows are drawn of a run, and its extremes.
+MOST_ROWS = 6000
+
+
+def drawn_rows(data: Measurements, most: int) -> Ints:
+    """Which rows to draw: whole poses chosen at random (the same ones each time), so that repeats stay together, and
+    with them the lowest and the highest of every column, and rows marked as outliers."""
+    columns = [*data.joints.T, *data.readings.T, *data.covariates.values()]
+    columns += [] if data.time_s is None else [data.time_s]
+    extremes = [at for v in columns if np.isfinite(v).any() for at in (np.nanargmin(v), np.nanargmax(v))]
+    marked = np.flatnonzero(data.outlier)
+    keep = [*extremes, *marked[np.linspace(0, len(marked) - 1, min(len(marked), most // 4)).astype(int)]]
+    _, pose, size = np.unique(data.groups, return_inverse=True, return_counts=True)
+    random = np.random.default_rng(0)
+    if size.max() > most // 4:  # few poses, read over and over: single readings of them
+        chosen = random.permutation(len(data))[:most]
+    else:
+        order = random.permutation(len(size))
+        enough = int(np.searchsorted(np.cumsum(size[order]), most))
+        chosen = np.flatnonzero(np.isin(pose, order[:enough]))
+    return np.union1d(chosen, np.array(keep, dtype=np.int64))
+
+
+def drawn(fit: Fit, most: int = MOST_ROWS) -> Fit:
+    """A fit with the same values on the rows of its run that are drawn; itself where these are all.
+
+    The same rows for every fit of a run, since all are chosen by what was read.
+    """
+    if len(fit.data) <= most:
+        return fit
+    return on_rows(fit, drawn_rows(fit.data, most))
+
+
+def on_rows(fit: Fit, rows: Ints) -> Fit:
+    """A fit with the same values on some rows of its run."""
+    return replace(fit, data=fit.data.select(rows), noise=Noise(fit.noise.sigma[rows], fit.noise.origin))
+
+
+def said(count: int, of: int) -> str:
+    """What the note under a picture says of it; nothing where every row is drawn."""
+    if count == of:
+        return ""
+    return (
+        f" Drawn are {count} of the {of} rows: whole poses chosen at random, the lowest and highest values, "
+        "and marked outliers."
+    )

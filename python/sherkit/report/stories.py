@@ -1,38 +1,270 @@
-"""Short pages of their own: what has changed between runs, and the course over the years."""
+"""Short pages of their own: what has changed of a machine, the course over the years, a run that chose its poses."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from bokeh.layouts import column
-from bokeh.models import Div
+from bokeh.models import DataRange1d, Div, Whisker
 
+from ..adaptive import Adaptive
+from ..base.figures import in_people_units, number
 from ..changes import Comparison, History
+from ..changes.joined import Joined
 from ..data.files import write_whole
-from .changed import before_and_after, course, mechanism_with_change
-from .policy import fresh_nonce, page_of
-from .scene import script
+from ..diagnosis import Diagnosis
+from ..errors import FitError, SherkitError
+from ..model.drawing import drawing_of_readings
+from ..model.kinds import draw_of
+from .card import growing
+from .estimate import EstimateOverTime, estimate_picture
+from .notebook import pictures_of
+from .page import page_of, write_page
+from .picture import Picture, Tables, sources_of, stacked
+from .scene import Scene
+from .style import COLOURS, MUTED, figure, legend, padded, quantity
+
+_HEIGHT, _WIDE = 260, 460
+#: Coordinates along which errors are drawn, poses among which the one is looked for where a change shows most.
+_ALONG, _POSES = 3, 40
+#: A change that moves less than this, mm, is not drawn.
+_ROUNDING_MM = 1e-9
 
 
-def write_page(
-    path: Path, title: str, sentences: Sequence[str], figures: Sequence[Any], scene: str = "", again_s: int = 0
-) -> None:
-    """One HTML file that opens without a network; ``scene`` is HTML that follows what is told. A browser reads the page
-    anew every ``again_s`` seconds, unless that is 0."""
-    told = "".join(f"<p>{escape(one)}</p>" for one in sentences)
-    style = "<style>:host{font:15px/1.45 sans-serif}p{margin:.5em 0}</style>"
-    head = Div(text=f"{style}<h1>{escape(title)}</h1>{told}{scene}", sizing_mode="stretch_width")
-    nonce = fresh_nonce()
-    whole = column(head, *figures, sizing_mode="stretch_width", margin=(10, 30, 30, 30))
-    # a library of Bokeh's holds the end of a body in a text
-    page, _, end = page_of(whole, title, nonce).rpartition("</body>")
-    moving = f'<script nonce="{nonce}">{script()}</script>' if "<sherkit-scene" in scene else ""
-    if again_s:
-        page = page.replace("<head>", f'<head><meta http-equiv="refresh" content="{again_s}">', 1)
-    write_whole(path, f"{page}{moving}</body>{end}")
+def _of(found: Comparison) -> Joined:
+    if found.joined is None:
+        raise FitError("a comparison without its runs cannot be drawn")
+    return found.joined
+
+
+def before_and_after(found: Comparison) -> Picture[Comparison]:
+    """What the model of the first run leaves in each run, seen from where its sensor stands, along each coordinate:
+    runs beside each other, on one scale.
+
+    Raises :class:`~sherkit.errors.FitError` for a comparison that was read from a file, without its runs.
+    """
+    joined = _of(found)
+    titles = ["before", "after"] if len(joined.runs) == 2 else [f"run {k + 1}" for k in range(len(joined.runs))]
+    tables = _errors(found)
+    sources = sources_of(tables)
+    names = [name for name in tables["run_1"] if name != "error"]
+    top = 1.05 * max(float(table["error"].max(initial=0.0)) for table in tables.values()) or 1.0
+    figures = []
+    for name in names:
+        ends = np.concatenate([table[name] for table in tables.values()])
+        across = padded(float(ends.min()), float(ends.max()))
+        for k, (key, title) in enumerate(zip(tables, titles, strict=True)):
+            made = figure(height=_HEIGHT, width=_WIDE, y_range=(0.0, top), x_range=across)
+            made.scatter(name, "error", source=sources[key], size=5, color=COLOURS[k % len(COLOURS)], alpha=0.7)
+            rms = float(np.sqrt(np.square(tables[key]["error"]).mean()))
+            told = f": {number(rms)} {found.unit} (root mean square)" if name == names[0] else ""
+            made.title.text = f"{title}{told}"
+            made.xaxis.axis_label = quantity(name)
+            made.yaxis.axis_label = f"error, {found.unit}" if not k else None
+            figures.append(made)
+    root = stacked("before_and_after", figures, columns=len(titles))
+    note = "Each dot is a row: how far off it is by the model of the first run, seen from where the sensor stands."
+    return Picture("before_and_after", root, sources, _errors, note=note)
+
+
+def _errors(found: Comparison) -> Tables:
+    """By run, the size of what is left of each row that is used, and where that was."""
+    joined, out = _of(found), {}
+    for k, run in enumerate(joined.runs):
+        used = run.used.any(axis=1)
+        left = np.linalg.norm(np.where(run.used, run.stand.residual, 0.0), axis=1)
+        out[f"run_{k + 1}"] = {name: values[used] for name, values in list(joined.places(run).items())[:_ALONG]}
+        out[f"run_{k + 1}"]["error"] = run.data.layout.per_unit * left[used]
+    return out
+
+
+def mechanism_with_change(found: Comparison) -> tuple[Scene, str] | None:
+    """The machine as the first run has it, and with what has changed, exaggerated until it can be seen, at the pose of
+    the last run where it shows most; how to read it. None where nothing was named, or no drawing shows it."""
+    joined = found.joined
+    if joined is None or not found.parameters:
+        return None
+    by = {one.name: one.change for one in found.parameters}
+    model, inside = joined.model, {e.name for e in joined.model.effects}
+    for one in joined.candidates:
+        if one.effect is not None and one.effect.name not in inside and any(p.name in by for p in one.parameters):
+            model = model.adopting(one.effect)
+    known = dict(zip((p.name for p in joined.model.parameters), joined.fit.values, strict=True))
+    values = np.array([known.get(p.name, 0.0) for p in model.parameters])
+    change = np.array([by.get(p.name, 0.0) for p in model.parameters])
+    draw, data = draw_of(model), joined.runs[-1].data
+    if draw is drawing_of_readings:
+        return None
+    rows = data.select(np.linspace(0, len(data) - 1, min(len(data), _POSES)).astype(int))
+    try:
+        moved = np.linalg.norm(
+            draw(model, rows, values + change, None).shown_mm - draw(model, rows, values, None).shown_mm, axis=1
+        )
+        best = int(np.argmax(np.nan_to_num(moved)))
+        row = rows.select(np.array([best]))
+        frames, begin = growing(lambda factor: draw(model, row, values + factor * change, None))
+    except SherkitError:
+        return None
+    if not frames or not moved[best] > _ROUNDING_MM:
+        return None
+    plain = draw(model, row, values, None)
+    names = " and ".join(found.changed)
+    scene = Scene(f"The machine with {names} changed, exaggerated", [(0.0, plain), *frames], begin, unit=plain.unit)
+    unit, times = ("µm", 1e3) if plain.unit == "mm" else (plain.unit, 1.0)
+    read = (
+        f"Grey: as before. In colour: with what has changed of {names}, so much larger that it can be seen (slider). "
+        f"As it is, it moves what is read by {number(times * float(moved[best]))} {unit} at this pose, "
+        f"{row.counted} {row.line[0]} of the last run."
+    )
+    return scene, read
+
+
+def course(found: History) -> Picture[History]:
+    """The error of each run by the model of the first, and beneath it how each of what has changed stands to the first
+    run, with two standard deviations; what stood still is left out."""
+    dates = _dates(found)
+    tables = _course(found)
+    sources = sources_of(tables)
+    errors = figure(height=_HEIGHT, x_range=dates, sizing_mode="stretch_width")
+    _line(errors, sources["error"], COLOURS[0])
+    errors.y_range.start = 0.0
+    errors.yaxis.axis_label = f"error, {found.unit}"
+    errors.title.text = "Error by the model of the first run"
+    figures = [errors]
+    for k, name in enumerate(found.values):
+        across = padded(float(tables[name]["low"].min()), float(tables[name]["high"].max()))
+        made = figure(height=_HEIGHT, x_range=dates, y_range=across, sizing_mode="stretch_width")
+        _line(made, sources[name], COLOURS[(k + 1) % len(COLOURS)])
+        made.add_layout(Whisker(base="date", lower="low", upper="high", source=sources[name], level="annotation"))
+        made.yaxis.axis_label = _unit(found, name)[0]
+        made.title.text = "; ".join(str(replace(one, or_else=())) for one in found.changes if one.name == name)
+        figures.append(made)
+    root = stacked("course", figures, sizing_mode="stretch_width")
+    return Picture("course", root, sources, _course, note="Bars are two standard deviations.")
+
+
+def _line(made: Any, source: Any, colour: str) -> None:
+    made.line("date", "value", source=source, color=MUTED)
+    made.scatter("date", "value", source=source, color=colour, size=9)
+
+
+def _dates(found: History) -> list[str]:
+    return [f"{k + 1}: {run['date']}" for k, run in enumerate(found.runs)]
+
+
+def _unit(found: History, name: str) -> tuple[str, float]:
+    """The unit of a course, and how many of it one of the parameter's is."""
+    unit = next(u for one in found.changes if one.name == name for _, _, _, u in one.parameters)
+    shown, times = in_people_units(unit)
+    return shown, times
+
+
+def _course(found: History) -> Tables:
+    dates: Sequence[str] = _dates(found)
+    out: Tables = {"error": {"date": dates, "value": [run["error"] for run in found.runs]}}
+    for name, values in found.values.items():
+        times = _unit(found, name)[1]
+        at, off = (times * np.array(values)).T
+        out[name] = {"date": dates, "value": at, "low": at - 2.0 * off, "high": at + 2.0 * off}
+    return out
+
+
+# -- A run that chose its poses ---------------------------------------------------------------------------------------
+
+#: Until it is done a browser reads the page anew after so many seconds.
+_AGAIN_S = 5
+_LOOP_HEIGHT, _SQUARE = 300, 380
+_TEN = float(np.log(10.0))
+#: What several rows are driven for is one colour.
+_KINDS = ("start", "all", "what tells rivals apart", "confirm", "explore", "again", "time")
+
+
+def write_adaptive(path: Path, loop: Adaptive, title: str) -> None:
+    """Writes the evidence of what led, reading after reading, how far off the models were at readings that they did
+    not know yet, and where and why the robot was driven. Until the loop is done the page renews itself."""
+    told = [loop.sentence(), loop.why, *loop.told()] if loop.done else [loop.sentence(), _next(loop)]
+    figures: list[Any] = []
+    if loop.looks:
+        figures += [_evidence(loop), _error_lines(loop)]
+    if loop.readings:
+        figures.append(_places(loop))
+    write_page(path, title, [one for one in told if one], figures, again_s=0 if loop.done else _AGAIN_S)
+
+
+def _next(loop: Adaptive) -> str:
+    """Why the next poses are driven, in words."""
+    asked: dict[str, int] = {}
+    for row in loop.ask():
+        asked[row["reason"]] = asked.get(row["reason"], 0) + 1
+    return "next: " + ", ".join(f"{count} × {reason}" for reason, count in asked.items())
+
+
+def _evidence(loop: Adaptive) -> Any:
+    looks = loop.looks
+    made = figure(height=_LOOP_HEIGHT + 60, sizing_mode="stretch_width")
+    made.xaxis.axis_label, made.yaxis.axis_label = "readings", "evidence, powers of ten"
+    readings = [one.readings for one in looks]
+    made.line(readings, [one.log_evidence / _TEN for one in looks], color=MUTED, line_dash="dashed",
+              legend_label="anything is missing")  # fmt: skip
+    for k, (keys, _) in enumerate(looks[-1].leading):
+        names = frozenset(name for name, _ in keys)
+        values = [max((v for other, v in one.sets if frozenset(n for n, _ in other) == names), default=np.nan) / _TEN
+                  for one in looks]  # fmt: skip
+        made.line(readings, values, color=COLOURS[k], line_width=2, legend_label=" & ".join(sorted(names)))
+        made.scatter(readings, values, color=COLOURS[k], size=6)
+    legend(made)
+    return made
+
+
+def _error_lines(loop: Adaptive) -> Any:
+    steps = loop.progress
+    readings = [one.readings for one in steps]
+    made = figure(height=_LOOP_HEIGHT, sizing_mode="stretch_width", y_range=DataRange1d(start=0.0))
+    made.xaxis.axis_label, made.yaxis.axis_label = "readings", f"error, {loop.layout.unit}"
+    lines: tuple[tuple[str, Sequence[float | None], str], ...] = (
+        ("new readings, by the geometry alone", [one.by_geometry for one in steps], MUTED),
+        ("new readings, with what leads", [one.by_lead for one in steps], COLOURS[0]),
+        ("anywhere, 95 of 100, by the fit alone", [one.accuracy_um for one in steps], COLOURS[1]),
+    )
+    for name, values, colour in lines:
+        if any(value is not None and np.isfinite(value) for value in values):
+            made.line(readings, values, color=colour, line_width=2, legend_label=name)
+            made.scatter(readings, values, color=colour, size=6)
+    if loop.done and loop.accuracy_um is not None:
+        made.scatter(readings[-1:], [loop.accuracy_um], color=COLOURS[1], size=10, marker="diamond",
+                     legend_label="anywhere, promised by a calibration")  # fmt: skip
+    legend(made)
+    return made
+
+
+def _places(loop: Adaptive) -> Any:
+    """Where the robot was driven, by why."""
+    data = loop.data
+    reached = loop.region.reached_at(data.joints)
+    placed = dict(zip(loop.region.targets, reached.T, strict=True))
+    x, y = list(placed)[:2]
+    why = [_kind(one) for one in loop.reasons] or ["all"] * len(data)
+    made = figure(frame_width=_SQUARE, frame_height=_SQUARE, match_aspect=True)
+    for k, kind in enumerate(_KINDS):
+        at = [i for i, one in enumerate(why) if one == kind]
+        if at:
+            made.scatter(placed[x][at], placed[y][at], size=7, color=COLOURS[k % len(COLOURS)], alpha=0.8,
+                         legend_label=kind)  # fmt: skip
+    made.xaxis.axis_label, made.yaxis.axis_label = quantity(x), quantity(y)
+    legend(made)
+    return made
+
+
+def _kind(reason: str) -> str:
+    return _KINDS[2] if "|" in reason else reason if reason in _KINDS else "all"
+
+
+# -- As pages ---------------------------------------------------------------------------------------------------------
 
 
 def write_comparison(path: Path, found: Comparison, title: str) -> None:
@@ -53,3 +285,70 @@ def write_history(path: Path, found: History, title: str) -> None:
     """The error of each run, and of what has changed its course with deviations; what stood still is left out."""
     told = [f"{found.verdict}.", *map(str, found.changes), f"{len(found.stood_still)} others stood still."]
     write_page(path, title, told, [course(found).root])
+
+
+# -- A run of the flexible tool ----------------------------------------------------------------------------------------
+
+#: Text and tables of the page.
+_SAID_STYLE = """
+<style>
+.said { max-width: 62em; font-size: 15px; line-height: 1.45 } .said h1 { font-size: 26px }
+.said h2 { font-size: 19px; margin: 1.2em 0 0.3em } .said li { margin: 0.25em 0 } .said .note { color: #555 }
+.said table { border-collapse: collapse; margin: 0.6em 0 } .said caption { text-align: left; font-weight: bold }
+.said th, .said td { padding: 3px 14px 3px 0; text-align: right; border-bottom: 1px solid #ddd }
+.said th:first-child, .said td:first-child { text-align: left }
+</style>
+"""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A table of the report: its caption, the heads of its columns, cells by row."""
+
+    caption: str
+    heads: tuple[str, ...]
+    cells: tuple[tuple[str, ...], ...]
+
+    def __str__(self) -> str:
+        def row(tag: str, cells: Sequence[str]) -> str:
+            return "<tr>" + "".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells) + "</tr>"
+
+        rows = "".join(row("td", cells) for cells in self.cells)
+        return f"<table><caption>{escape(self.caption)}</caption>{row('th', self.heads)}{rows}</table>"
+
+
+def write_tool_report(
+    path: str | Path, title: str, found: Diagnosis, estimate: EstimateOverTime, said: Sequence[str] = (), *,
+    tables: Sequence[Rows] = (), command: str = "",
+) -> None:  # fmt: skip
+    """Writes it; it opens without a network. ``said`` are sentences and ``tables`` what a command adds. Raises
+    :class:`~sherkit.errors.NotWritten`."""
+    indistinguishable = (f"This run cannot tell {' from '.join(t)}." for t in found.indistinguishable)
+    over_time, *others = estimate_picture(estimate), *pictures_of(found)
+    parts = [
+        _told(
+            f"<h1>{escape(title)}</h1><p><b>{escape(found.headline)}</b></p>",
+            *(f"<p>{escape(s)}</p>" for s in (*indistinguishable, *found.notes, *said)),
+            f"<h2>{escape(estimate.name.capitalize())} over the run</h2>",
+        ),
+        over_time.root,
+        _told(f'<p class="note">{escape(over_time.note)}</p>', *(str(t) for t in tables)),
+        _told("<h2>What is missing, and what the camera sees beside the model</h2>"),
+    ]
+    for picture in others:
+        parts += [picture.root, _told(f'<p class="note">{escape(picture.note)}</p>')]
+    parts.append(
+        _told(
+            "<h2>What the verdict rests on</h2><ul>",
+            *(f"<li>{escape(str(check))}</li>" for check in found.checks),
+            "</ul>",
+            f"<p>Made by <code>{escape(command)}</code></p>" if command else "",
+        )
+    )
+    page = column(*parts, sizing_mode="stretch_width", styles={"padding": "0 24px", "box-sizing": "border-box"})
+    write_whole(path, page_of(page, title))
+
+
+def _told(*lines: str) -> Div:
+    """A block of text between pictures; a Div stands alone, so that each brings its style."""
+    return Div(text=f'{_SAID_STYLE}<div class="said">{"".join(lines)}</div>', sizing_mode="stretch_width")

@@ -1,6 +1,6 @@
 """A robot compared with its measurements, step by step: each change, what it left, and the way back."""
 
-from .steps import Before, StudyStep
+from .files import Before, StudyStep
 from .study import Study
 
 __all__ = ["Before", "Study", "StudyStep"]

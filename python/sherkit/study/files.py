@@ -1,4 +1,4 @@
-"""The folder of a study: its steps as JSON, which name the file of its rows, whole or not there."""
+"""The steps of a study, and its folder: steps as JSON, which name the file of its rows, whole or not there."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,44 @@ from ..data.tables import parquet_errors
 from ..data.toml import Table
 from ..errors import NotWritten, SherkitError
 from ..fit.error import ErrorSize
+from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect, effects_by_name
 from ..model.kinds import Robot, model_of
-from .steps import Before, StudyStep
+
+
+@dataclass(frozen=True, eq=False)
+class StudyStep:
+    """One state of a study: what was done, and the ``error`` it left on poses held out, beside that of the rows it was
+    ``fitted`` to.
+
+    ``fit`` is None for steps of a loaded study whose rows were others than the last ones: those were not kept.
+    """
+
+    action: str
+    effects: tuple[str, ...]
+    fitted: ErrorSize
+    error: ErrorSize
+    parameters: dict[str, float]
+    rows: int
+    fit: Fit | None
+
+    def __repr__(self) -> str:
+        return f"StudyStep({self.action}: {self.error})"
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """What a change took the place of. The ``step`` that recorded it is not known of a study that was saved."""
+
+    model: ChainModel
+    data: Measurements
+    step: StudyStep | None = None
+    #: What the change was; empty where the study was saved before that was kept.
+    action: str = ""
+
+
+# -- In the folder of a study -----------------------------------------------------------------------------------------
 
 _FORMAT = 4
 _STATE = "study.json"

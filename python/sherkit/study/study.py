@@ -31,7 +31,7 @@ from ..model.robot_file import RobotLike, robot_of, run_for
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from . import files
-from .steps import Before, StudyStep
+from .files import Before, StudyStep
 
 _FOLLOWED = "the run so far"
 

@@ -17,13 +17,82 @@ from ..base.extensions import VERBS, brought_beside
 from ..base.starting import loaded
 from ..errors import MeasurementError, SherkitError
 
+# -- What a help ends with --------------------------------------------------------------------------------------------
+
+#: Lines that can be typed as they stand. A test parses each of them.
+EXAMPLES: dict[str, tuple[str, ...]] = {
+    "app": ("sherkit app robot.toml run.csv", "sherkit app robot.toml run.csv --follow --study monday"),
+    "c": ("sherkit c --cflags --libs", "sherkit c --example my_loop"),
+    "calibrate": (
+        "sherkit calibrate robot.toml run.csv -o calibrated.toml",
+        "sherkit calibrate robot.toml whole.csv --local near.csv --effect rail_lean --report calibration.html",
+    ),
+    "check": ("sherkit check run.csv", "sherkit check run.csv robot.toml --write clean.csv"),
+    "compare": ("sherkit compare robot.toml monday.csv friday.csv",),
+    "completion": ("sherkit completion bash",),
+    "demo": ("sherkit demo",),
+    "diagnose": (
+        "sherkit diagnose robot.toml run.csv",
+        "sherkit diagnose robot.toml run.csv --effects my_effects.py --report diagnosis.html",
+    ),
+    "doctor": ("sherkit doctor",),
+    "effects": ("sherkit effects", "sherkit effects backlash --picture backlash.svg"),
+    "estimate": ("sherkit estimate tool.toml run.csv -o estimate.csv",),
+    "export": (
+        "sherkit export experiment.sqlite -o run.csv",
+        "sherkit export c calibrated.toml -o robot.h",
+        "sherkit export klipper calibrated.toml --config printer.cfg -o new.cfg",
+    ),
+    "fleet": ("sherkit fleet machine_*.csv --robot robot.toml",),
+    "history": ("sherkit history robot.toml january.csv april.csv july.csv --dates 2026-01-10,2026-04-09,2026-07-12",),
+    "home": ("sherkit home experiment.toml", "sherkit home experiment.toml --at 128.9,128.9,128.9"),
+    "import": (
+        "sherkit import klipper printer.cfg -o printer",
+        "sherkit import urdf arm.urdf -o robot.toml",
+        "sherkit import bluesky run.jsonl --column q1_mm=rails_q1 --column x_mm=laser_x -o run.csv",
+        "sherkit import rosbag recorded --joint q1_mm=rail_1 --poses /tracker -o run.csv",
+    ),
+    "intrinsics": ("sherkit intrinsics boards/ --chessboard 9x6 --square-mm 10 -o camera.toml",),
+    "lab": ("sherkit lab --demo", "sherkit lab lab.toml --ports ports.json"),
+    "markers": (
+        "sherkit markers --print marker.pdf",
+        "sherkit markers pictures/ --joints joints.csv -o run.csv",
+    ),
+    "measure": (
+        "sherkit measure experiment.toml --live",
+        "sherkit measure experiment.toml --until diagnosed",
+        "sherkit measure experiment.toml --python my_lab.py --resume",
+    ),
+    "plan": (
+        "sherkit plan robot.toml experiment.toml --noise-um 2",
+        "sherkit plan calibrated.toml --verify --poses 20",
+    ),
+    "printer": (
+        "sherkit printer printer.cfg --report printer.html",
+        "sherkit printer printer.cfg --plate turned=60 -o new.cfg",
+    ),
+    "register": ("sherkit register tool.toml camera.csv -o registered.toml",),
+    "schema": ("sherkit schema experiment",),
+    "simulate": ("sherkit simulate robot.toml -o run.csv --seed 3",),
+    "tool": ("sherkit tool bench.csv free.csv run.csv -o tool.toml --report tool.html",),
+    "verify": ("sherkit verify calibrated.toml check.csv --fail-if-invalid",),
+}
+
+
+def epilog(verb: str) -> str:
+    """The last paragraph of a verb's help."""
+    return "\n".join(["\b", "Examples:", *(f"  {line}" for line in EXAMPLES[verb])])
+
+
+# -- The command ------------------------------------------------------------------------------------------------------
+
 #: The verbs by what they are for, each with where it stands (a file here, loaded when its verb is typed, and the name
 #: in it) and what it does in a line.
 _GROUPS = {
     "Start": {
         "demo": ("demo.demo", "the whole way on a virtual robot, in half a minute"),
         "doctor": ("doctor.doctor", "what is installed, what is missing, how to fix it"),
-        "completion": ("completion.completion", "verbs, options and files completed with the tab key"),
+        "completion": ("doctor.completion", "verbs, options and files completed with the tab key"),
     },
     "Diagnose": {
         "diagnose": ("diagnose.diagnose", "which effect the model of a robot is missing on a run"),
@@ -34,19 +103,19 @@ _GROUPS = {
         "compare": ("changes.compare", "what has changed between two runs of a machine"),
         "history": ("changes.history", "its course over many runs: steps, wear, season"),
         "verify": ("changes.verify", "whether a calibration still holds, by a dozen poses"),
-        "fleet": ("fleet.fleet_command", "many runs of machines built alike, in one table"),
-        "simulate": ("simulate.simulate", "a run with errors planted in it"),
+        "fleet": ("changes.fleet_command", "many runs of machines built alike, in one table"),
+        "simulate": ("effects.simulate", "a run with errors planted in it"),
     },
     "Measure": {
         "plan": ("plan.plan", "what an experiment could find, before it is driven"),
-        "home": ("home.home", "set the zero of axes"),
+        "home": ("measure.home", "set the zero of axes"),
         "measure": ("measure.measure", "drive to each pose, read the instruments"),
         "lab": ("lab.lab", "emulated instruments of a laboratory"),
-        "export": ("export.export", "the rows of a run, also while it goes on"),
+        "export": ("exchange.export", "the rows of a run, also while it goes on"),
         "schema": ("schema.schema", "what a file may hold, as JSON schema"),
     },
     "Import, cameras, C": {
-        "import": ("importing.import_group", "files of other programs into robot.toml and run.csv"),
+        "import": ("exchange.import_group", "files of other programs into robot.toml and run.csv"),
         "markers": ("vision.markers", "where a marker is in pictures"),
         "intrinsics": ("vision.intrinsics", "focal lengths, centre, distortion of a camera"),
         "c": ("c_library.c_library", "header and library for a control loop in C or C++"),
@@ -75,7 +144,7 @@ class _Verbs(click.Group):
             return brought_beside(_VERBS, VERBS, click.Command).get(cmd_name)
         file, _, name = _VERBS[cmd_name].partition(".")
         command: click.Command = getattr(import_module(f".{file}", __package__), name)
-        command.epilog = import_module(".examples", __package__).epilog(cmd_name)
+        command.epilog = epilog(cmd_name)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -110,12 +179,11 @@ def _pointer(error: SherkitError) -> str:
     return f"; sherkit check {shlex.quote(source)} lists all that is wrong with it" if is_table else ""
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Runs a command; errors become one sentence and an exit code."""
+def run(typed: list[str]) -> None:
+    """Runs what was typed; errors become one sentence and an exit code."""
     try:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: _output().warn(str(message))
-            typed = sys.argv[1:] if arguments is None else arguments
             code = cli.main(args=typed, prog_name="sherkit", standalone_mode=False, obj=typed)
     except SherkitError as error:
         _output().fail(f"{error}{_pointer(error)}")
