@@ -24,8 +24,7 @@ from sherkit.data import MeasurementStream
 from sherkit.diagnosis import gross_errors
 from sherkit.errors import FitError
 from sherkit.fit import identify_stream
-from sherkit.fit.hold_out import hold_out
-from sherkit.fit.identify import Fit
+from sherkit.fit.identify import Fit, hold_out
 from sherkit.robots.delta import VirtualDelta, grid
 from sherkit.robots.delta.model import DeltaModel
 from strategies import EXAMPLE

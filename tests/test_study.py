@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import sherkit as sk
 from second_simulator import Robot, draw_geometric_errors, grid, make_plan, scaled_effect, simulate, truth
-from sherkit.data.joined import joined
+from sherkit.data.stream import joined
 from sherkit.fit.folds import spatial_blocks
 from strategies import EXAMPLE
 

@@ -1,4 +1,4 @@
-"""Trials of Parquet files as ``sherkit.data.tables`` makes them, each in a process of its own: forked from one that has
+"""Trials of Parquet files as ``sherkit.data.frames`` makes them, each in a process of its own: forked from one that has
 polars loaded already, since to load it takes a hundred times longer than to read the file."""
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sherkit.data import tables
+from sherkit.report.residual_against import tables
 
 _SERVER = """
 import os, resource, signal, sys

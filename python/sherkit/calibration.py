@@ -18,8 +18,7 @@ from .diagnosis.explanation import refuse_absurd
 from .diagnosis.named import setting_for
 from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .errors import EffectError, FitError
-from .fit.hold_out import hold_out
-from .fit.identify import identify
+from .fit.identify import hold_out, identify
 from .model.base import missing_columns
 from .model.effect import Effect, named_effects
 from .model.kinds import catalogue_of, model_of

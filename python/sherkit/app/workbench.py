@@ -20,8 +20,8 @@ import numpy as np
 
 from ..base.names import state_with
 from ..data import Measurements, read_measurements
+from ..data.columns import Columns
 from ..data.files import write_whole
-from ..data.headers import Columns
 from ..diagnosis import Diagnosis
 from ..errors import MeasurementError, SherkitError, SherkitWarning
 from ..model.effect import load_effects

@@ -9,9 +9,8 @@ from pathlib import Path
 import click
 from rich.markup import escape
 
-from ..data.columns import Layout
+from ..data.columns import Columns, Layout, in_toml
 from ..data.file_check import FileCheck, check_file, said_of
-from ..data.headers import Columns, in_toml
 from ..model.kinds import kind_of
 from ..model.robot_file import columns_of
 from ..robots.machine import is_machine, robot_at

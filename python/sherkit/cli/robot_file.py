@@ -7,7 +7,7 @@ from functools import cached_property, reduce
 from pathlib import Path
 
 from ..data import Measurements
-from ..data.joined import joined
+from ..data.stream import joined
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..model.base import ModelWithEffects

@@ -10,9 +10,8 @@ from typing import Any
 from ..base.arguments import as_annotated
 from ..base.names import listed, nearest
 from ..errors import MeasurementError
-from .columns import POSE, TIME, bare
+from .columns import POSE, TIME, Columns, bare
 from .frames import from_frame
-from .headers import Columns
 from .rows import Measurements
 
 

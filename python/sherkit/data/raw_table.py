@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..base.names import brief, spans
 from ..errors import MeasurementError
-from .headers import is_unit
+from .columns import is_unit
 
 #: Cells that say that nothing was read.
 NOTHING = ("---", "--", "-", "n/a", "na", "nan", "#n/a", "#nv", "null", "none", "?", "k.a.", "x", "*", "err", "error")

@@ -14,9 +14,8 @@ from ..base.arguments import as_annotated
 from ..base.names import brief, listed, nearest
 from ..base.types import Floats
 from ..errors import MeasurementError, SherkitWarning
-from .columns import TIME, unit_in
+from .columns import TIME, factor, unit_in
 from .frames import from_frame
-from .headers import factor
 from .rows import Measurements
 
 #: REP 103: metres and radians, for what slides and what turns.

@@ -1,7 +1,6 @@
 """Values, covariances and directions from readings; what is held out."""
 
-from .hold_out import HeldOut, hold_out
-from .identify import Fit, identify
+from .identify import Fit, HeldOut, hold_out, identify
 from .set_up import Mistake, set_up_mistakes
 from .stream import StreamFit, identify_stream
 

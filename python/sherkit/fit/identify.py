@@ -20,9 +20,9 @@ import polars as pl
 import sherkit._core as _core
 
 from ..base import linalg
-from ..base.arguments import as_annotated
+from ..base.arguments import Count, Seed, as_annotated
 from ..base.notebook import Shown
-from ..base.types import Floats
+from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.noise import Noise, noise_of
 from ..data.reader import RunLike
@@ -30,13 +30,13 @@ from ..errors import FitError, RobotError
 from ..model.any import Model
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter, named_effects
-from ..model.kinds import model_of
+from ..model.kinds import Robot, model_of
 from ..model.robot_file import RobotLike, load_robot, run_for
-from .directions import Direction, badly_observed, unobserved
 from .error import ErrorSize, held_out_error, of_residuals
+from .folds import blocks_of
 from .least_squares import LOSSES, LeastSquares, reached, scale, spread
 from .set_up import set_up_mistakes
-from .table import frame_of, table_of
+from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
 _ROBUST_ROUNDS = 30
@@ -344,3 +344,43 @@ def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> Mod
     for effect in named_effects({**model.known_effects, **model.held}, effects):
         model = model.adopting(effect)
     return model
+
+
+# -- Blocks held out in turn, each by a fit of its own -------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Residuals (n, m), each from a fit that did not see its block, and the block of each row."""
+
+    residuals: Floats
+    block: Ints
+
+
+@as_annotated
+def hold_out(
+    robot: Robot | Model | ModelWithEffects,
+    data: Measurements,
+    *,
+    folds: Count = 5,
+    seed: Seed = 0,
+    loss: str = "linear",
+    start: Floats | None = None,
+) -> HeldOut:
+    """Refits without each block in turn and predicts it. Raises as :func:`~sherkit.fit.identify.identify`.
+
+    ``start`` (p,), the fit of all rows where it is known, is so near that two looks at the rows are enough.
+    """
+    model = model_of(robot)
+    nominal = model.predict(data, np.zeros(len(model.parameters)))
+    block = blocks_of(data, model.place(data, nominal), folds, seed)
+    out = np.full(data.readings.shape, np.nan)
+    for fold in np.unique(block):
+        inside = block == fold
+        if inside.all():
+            # one pose alone cannot be held out: what is left is the fit's own residual
+            out[inside] = residuals(model, data, identify(model, data, loss=loss, start=start).values)
+            break
+        fit = identify(model, data.select(~inside), loss=loss, start=start)
+        out[inside] = residuals(model, data.select(inside), fit.values)
+    return HeldOut(out, block)

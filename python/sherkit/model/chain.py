@@ -22,10 +22,9 @@ from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
-from .base import Derivatives, ModelWithEffects, Reachable, Tried, beside_one_another
+from .base import Derivatives, ModelWithEffects, OfEffects, OfModel, Reachable, Tried, beside_one_another, carry
 from .effect import Effect, Parameter, freeing, parameters_of_core
 from .rows import Rows
-from .stretches import OfEffects, OfModel, carry
 
 #: Joints (n, k), other ends of distances, covariates (n, 3 + 2 k), displacements of the measured point (n, 3).
 Block = tuple[Floats, Floats | None, Floats | None, Floats | None]

@@ -12,9 +12,8 @@ import tomli_w
 from ..base.arguments import as_annotated
 from ..base.names import listed
 from ..data import Measurements
-from ..data.columns import check_columns, is_known
+from ..data.columns import Columns, check_columns, is_known
 from ..data.files import write_whole
-from ..data.headers import Columns
 from ..data.reader import RunLike, run_of
 from ..data.toml import Table, read_toml
 from ..errors import MeasurementError, RobotError, SherkitWarning

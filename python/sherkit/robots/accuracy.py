@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..base.types import Bools, Floats
 from ..data.columns import bare, unit_in
-from ..fit.coverage import radius_95
+from ..fit.error import radius_95
 from ..model.batch import Batch
 from .deployed import Deployed
 from .part import Part, UnobservedEffect, at_rest, by_effect

@@ -13,15 +13,14 @@ from ..base.names import CALIBRATED, NOMINAL, listed
 from ..base.notebook import Shown
 from ..base.types import Ints
 from ..data import Measurements
-from ..data.joined import joined
 from ..data.reader import RunLike
+from ..data.stream import joined
 from ..data.toml import Table
 from ..diagnosis import Diagnosis, diagnose, gross_errors
 from ..diagnosis.named import setting_for
 from ..errors import EffectError, MeasurementError, SherkitError
 from ..fit.error import of_residuals
-from ..fit.hold_out import hold_out
-from ..fit.identify import Fit, identify
+from ..fit.identify import Fit, hold_out, identify
 from ..fit.least_squares import LOSSES
 from ..model.base import missing_columns
 from ..model.chain import ChainModel

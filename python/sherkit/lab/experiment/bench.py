@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ...data.headers import factor
+from ...data.columns import factor
 from ...errors import ExperimentError, Garbled, Implausible, OutOfRange
 from ...model.kinds import Robot, kind_of
 from ..clock import now_s
@@ -21,7 +21,7 @@ from .watch import Watch
 
 #: A reading that is to stand still is looked at again so soon, s.
 _STILL_POLL_S = 0.02
-#: Spellings of units that columns have, beside those of :mod:`sherkit.data.headers`.
+#: Spellings of units that columns have, beside those of :mod:`sherkit.data.columns`.
 _UNITS = {("µm", "mm"): 1e-3, ("N", "mn"): 1e3, ("mN", "mn"): 1.0}
 
 
