@@ -277,38 +277,24 @@ def cells_without(page: Any, table: str) -> Sequence[str]:
 
 
 @needs_browser
-@pytest.mark.parametrize(("width", "height"), [(1440, 900), (1920, 1080)])
-def test_what_is_open_is_short(demo: Path, width: int, height: int) -> None:
+def test_the_page_as_it_is_opened(demo: Path, tmp_path: Path) -> None:
     """Catches an answer that must be scrolled to, and parts that nobody asked for and are open: the first screen says
     what is missing, how much it brings and what to do, four screens hold all that is open; the contents lead to what
-    is folded."""
-    with opened(demo / "demo" / "report.html", width=width, height=height) as page:
+    is folded. A table or picture that makes the whole page scroll sideways. A button of the toolbar that saves nothing,
+    or an empty picture."""
+    with opened(demo / "demo" / "report.html") as page:
 
         def top(selector: str) -> float:
             return float(page.evaluate(f"document.querySelector('{selector}').getBoundingClientRect().top"))
 
-        for one in ("#answer", "#next_command", "#error-after"):
-            assert 0 < top(one) < height - 50
-        assert top(".folded") < 4 * height
-        page.locator(".contents a", has_text="What it rests on").click()
-        assert page.locator("#rests[open] #verdict").is_visible()
-        assert -1 < top("#rests") < height
-
-
-@needs_browser
-def test_nothing_is_wider_than_the_page(demo: Path) -> None:
-    """Catches a table or picture that makes the whole page scroll sideways."""
-    with opened(demo / "demo" / "report.html") as page:
-        for width in (1200, 800):
-            page.set_viewport_size({"width": width, "height": 900})
+        for width, height in ((800, 900), (1200, 900), (1920, 1080), (1440, 900)):
+            page.set_viewport_size({"width": width, "height": height})
             settled(page)
             assert page.evaluate("document.documentElement.scrollWidth") <= width
-
-
-@needs_browser
-def test_saves_its_pictures(demo: Path, tmp_path: Path) -> None:
-    """Catches a button of the toolbar that saves nothing, or an empty picture."""
-    with opened(demo / "demo" / "report.html") as page:
+            if width > 1200:
+                for one in ("#answer", "#next_command", "#error-after"):
+                    assert 0 < top(one) < height - 50
+                assert top(".folded") < 4 * height
         for kind, start in (("PNG", b"\x89PNG"), ("SVG", b"<svg")):
             with page.expect_download() as saved:
                 page.locator(f"[title='save as {kind}']").first.click()
@@ -316,6 +302,9 @@ def test_saves_its_pictures(demo: Path, tmp_path: Path) -> None:
             content = (tmp_path / kind).read_bytes()
             assert content.startswith(start)
             assert len(content) > 5000
+        page.locator(".contents a", has_text="What it rests on").click()
+        assert page.locator("#rests[open] #verdict").is_visible()
+        assert -1 < top("#rests") < height
 
 
 # -- other runs ----------------------------------------------------------------------------------------------
