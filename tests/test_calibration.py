@@ -517,79 +517,52 @@ def test_half_a_local_model_is_refused(tables: dict[str, Any], key: str, tmp_pat
 
 
 _NAN, _INF = float("nan"), float("inf")
+#: Wrong counts, types and robots, by their key, which is named.
+WRONG: dict[str, tuple[Any, ...]] = {
+    "calibration.format": (5, "1"),
+    "calibration.region_half_width_mm": ("x",),
+    "calibration.blend_mm": ("x",),
+    "robot": (3,),
+    "robot.kind": ("hexapod",),
+    "robot.geometry": (3,),
+    "robot.geometry.rod_length_mm": ([120.0, 120.0], [120.0, _NAN, 120.0], [20.0, 20.0, 20.0]),
+    "whole": (3, []),
+    "whole.rows": ("x",),
+    "whole.parameters": (3, [1.0]),
+    "whole.covariance": ([], [[0.0] * 15] * 14, [[_NAN] * 15] * 15, "x"),
+    "whole.high_mm": ([0.0, _INF, 0.0],),
+    "local.low_mm": ([0.0, 0.0], {"x": 1}),
+    "local.residual_covariance_mm2": ([[1.0]],),
+    "local.uncorrected_covariance_mm2": (0.0,),
+    "local.correction": (3,),
+    "local.correction.orders": ([1, 1], ["x", 1, 1]),
+    "local.correction.low_mm": ([0.0],),
+    "local.correction.fade_mm": ("x",),
+    "local.correction.coefficients_mm": ([[1.0, 2.0, 3.0]],),
+}
+#: Numbers of the right type that make no sense.
+SENSELESS: dict[str, tuple[Any, ...]] = {
+    "calibration.region_half_width_mm": (_NAN, _INF, -10.0),
+    "calibration.blend_mm": (_NAN, -1.0),
+    "whole.rows": (_INF,),
+    "whole.low_mm": ([30.0, 30.0, 30.0],),
+    "whole.residual_covariance_mm2": ((-np.eye(3)).tolist(),),
+    "local.correction.orders": ([-1, 1, 0],),
+    "local.correction.low_mm": ([_NAN, -14.0, -_INF], [14.0, -14.0, -_INF]),
+    "local.correction.high_mm": ([_INF, 14.0, _INF],),
+    "local.correction.fade_mm": (_NAN, -4.0),
+    "local.correction.coefficients_mm": ([[_NAN] * 3] * 4, [[_INF] * 3] * 4),
+}
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("calibration.format", 5),
-        ("calibration.format", "1"),
-        ("robot.kind", "hexapod"),
-        ("robot.geometry", 3),
-        ("robot.geometry.rod_length_mm", [120.0, 120.0]),
-        ("robot.geometry.rod_length_mm", [120.0, _NAN, 120.0]),
-        ("robot.geometry.rod_length_mm", [20.0, 20.0, 20.0]),
-        ("whole.covariance", []),
-        ("whole.covariance", [[0.0] * 15] * 14),
-        ("whole.covariance", [[_NAN] * 15] * 15),
-        ("local.residual_covariance_mm2", [[1.0]]),
-        ("local.uncorrected_covariance_mm2", 0.0),
-        ("local.low_mm", [0.0, 0.0]),
-        ("whole.high_mm", [0.0, _INF, 0.0]),
-    ],
-)
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in WRONG.items() for value in values])
 def test_wrong_value_is_named(tables: dict[str, Any], key: str, value: Any, tmp_path: Path) -> None:
-    """Catches wrong counts, no numbers and impossible robots that load, or are refused without file and key."""
+    """Catches wrong counts, types and impossible robots that load, or are refused without file and key, as 'float'
+    object is not subscriptable."""
     assert key.rsplit(".", 1)[-1] in broken(tables, key, value, tmp_path / "bad.toml")
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("calibration.region_half_width_mm", "x"),
-        ("calibration.blend_mm", "x"),
-        ("robot", 3),
-        ("whole", 3),
-        ("whole", []),
-        ("whole.rows", "x"),
-        ("whole.parameters", 3),
-        ("whole.parameters", [1.0]),
-        ("whole.covariance", "x"),
-        ("local.low_mm", {"x": 1}),
-        ("local.correction", 3),
-        ("local.correction.orders", [1, 1]),
-        ("local.correction.orders", ["x", 1, 1]),
-        ("local.correction.low_mm", [0.0]),
-        ("local.correction.fade_mm", "x"),
-        ("local.correction.coefficients_mm", [[1.0, 2.0, 3.0]]),
-    ],
-)
-def test_wrong_type_is_named(tables: dict[str, Any], key: str, value: Any, tmp_path: Path) -> None:
-    """Catches 'float' object is not subscriptable, where the key would help."""
-    assert key.rsplit(".", 1)[-1] in broken(tables, key, value, tmp_path / "bad.toml")
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("calibration.region_half_width_mm", _NAN),
-        ("calibration.region_half_width_mm", _INF),
-        ("calibration.region_half_width_mm", -10.0),
-        ("calibration.blend_mm", _NAN),
-        ("calibration.blend_mm", -1.0),
-        ("whole.rows", _INF),
-        ("local.correction.orders", [-1, 1, 0]),
-        ("local.correction.low_mm", [_NAN, -14.0, -_INF]),
-        ("local.correction.low_mm", [14.0, -14.0, -_INF]),
-        ("local.correction.high_mm", [_INF, 14.0, _INF]),
-        ("local.correction.fade_mm", _NAN),
-        ("local.correction.fade_mm", -4.0),
-        ("local.correction.coefficients_mm", [[_NAN] * 3] * 4),
-        ("local.correction.coefficients_mm", [[_INF] * 3] * 4),
-        ("whole.low_mm", [30.0, 30.0, 30.0]),
-        ("whole.residual_covariance_mm2", [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]),
-    ],
-)
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in SENSELESS.items() for value in values])
 def test_senseless_number_is_refused(tables: dict[str, Any], key: str, value: Any, tmp_path: Path) -> None:
     """Catches a file that loads and then gives NaN, or a wrong place, as a position."""
     broken(tables, key, value, tmp_path / "bad.toml")
