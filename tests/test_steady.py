@@ -34,12 +34,13 @@ def noise(rng: np.random.Generator, n: int, rho: float) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -rho], white, axis=0))[100:]
 
 
+@pytest.mark.parametrize("runs", [20, pytest.param(80, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("rho", [0.0, 0.3, 0.7])
-def test_noise_that_neighbours_share_does_not_wander(rho: float) -> None:
+def test_noise_that_neighbours_share_does_not_wander(rho: float, runs: int) -> None:
     """Catches a level that is not kept: at 1 in 1,000 of each, two of 240 runs would be one chance in forty."""
     rng, count = np.random.default_rng(3), 0
     for n in (80, 240, 900):
-        for _ in range(80):
+        for _ in range(runs):
             found = slow_drift_of(left(noise(rng, n, rho), np.arange(n) * 4.0))
             assert found is not None
             count += found.counts
