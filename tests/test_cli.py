@@ -35,20 +35,12 @@ pytestmark = pytest.mark.filterwarnings("always::sherkit.SherkitWarning")
 COMMANDS = {
     "": ["calibrate", "demo", "import", "simulate"],
     "calibrate": [
-        "--local",
-        "--json",
-        "--loss",
-        "--free",
-        "--priors",
-        "--linear",
-        "--correction",
-        "--exclude",
-        "--with-outliers",
+        "--local", "--json", "--loss", "--free", "--priors", "--linear", "--correction", "--exclude", "--with-outliers",
     ],
     "demo": ["--seed", "--output", "--tables"],
     "simulate": ["--poses", "--repeats", "--noise-um", "--truth", "--output", "--order"],
     "import klipper": ["--output", "CONFIG"],
-}
+}  # fmt: skip
 
 
 def sherkit(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -72,12 +72,9 @@ def example(fade_mm: float = 5.0, orders: Orders = (3, 2, 1), seed: int = 0) -> 
     size = int(np.prod([n + 1 for n in orders]))
     infinite = np.where(np.array(orders) == 0, np.inf, 1.0)
     return Correction(
-        orders,
-        -np.array([20.0, 20.0, 10.0]) * infinite,
-        np.array([20.0, 20.0, 10.0]) * infinite,
-        fade_mm,
+        orders, -np.array([20.0, 20.0, 10.0]) * infinite, np.array([20.0, 20.0, 10.0]) * infinite, fade_mm,
         0.1 * np.random.default_rng(seed).normal(size=(size, 3)),
-    )
+    )  # fmt: skip
 
 
 # -- the basis and the fit -----------------------------------------------------------------------------------

@@ -375,14 +375,10 @@ def test_a_table_is_read_from_a_pipe(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "meant"),
     [
-        ("X_mm", "x_mm"),
-        ("x_mmm", "x_mm"),
-        ("sigma_y", "sigma_y_mm"),
-        ("outliers", "outlier"),
-        ("Repeat", "repeat"),
+        ("X_mm", "x_mm"), ("x_mmm", "x_mm"), ("sigma_y", "sigma_y_mm"), ("outliers", "outlier"), ("Repeat", "repeat"),
         ("time", "time_s"),
     ],
-)
+)  # fmt: skip
 def test_a_covariate_that_looks_like_a_slip_is_warned_of(name: str, meant: str) -> None:
     """Catches a misspelt optional column used as a covariate without a word."""
     columns = {f"{n}_mm": [1.0, 2.0] for n in ("q1", "q2", "q3", "y")}
@@ -549,38 +545,11 @@ def test_a_wild_row_is_no_wrong_unit() -> None:
 
 TOKENS = st.sampled_from(
     [
-        "1",
-        "-2.5",
-        "3,5",
-        "",
-        " ",
-        "nan",
-        "-inf",
-        "1e400",
-        "1e300",
-        "1e-320",
-        "-0",
-        "1_0",
-        "0x1",
-        "１２",
-        "−5",
-        "abc",
-        "é",
-        "\x00",
-        '"',
-        '""',
-        '"4"',
-        "#",
-        "=1+1",
-        "\x1a",
-        "\x85",
-        "\u2028",
-        "\ufeff",
-        "1.234,5",
-        "TRUE",
+        "1", "-2.5", "3,5", "", " ", "nan", "-inf", "1e400", "1e300", "1e-320", "-0", "1_0", "0x1", "１２", "−5", "abc",
+        "é", "\x00", '"', '""', '"4"', "#", "=1+1", "\x1a", "\x85", "\u2028", "\ufeff", "1.234,5", "TRUE",
         "99999999999999999999999999999999999999",
     ]
-)
+)  # fmt: skip
 NAMES = st.sampled_from([*COLUMNS, "x_um", "pose ", "", '"x_mm"', "#"])
 
 

@@ -334,16 +334,8 @@ def inside(file: Path, name: str = "diagnosis") -> Any:
 def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
     """Catches a report that refits with another loss or without the effect, or hides the second run."""
     arguments = (
-        "calibrate",
-        "robot.toml",
-        "leaning.csv",
-        "--local",
-        "local.csv",
-        "--effect",
-        "rail_lean",
-        "--loss",
-        "huber",
-    )
+        "calibrate", "robot.toml", "leaning.csv", "--local", "local.csv", "--effect", "rail_lean", "--loss", "huber",
+    )  # fmt: skip
     told = json.loads(done(runs, *arguments, "--json", "--report", "calibrated.html"))
     text = words(runs / "calibrated.html")
     rod = next(p for p in told["whole"]["parameters"] if p["name"] == "rod_length_1")
@@ -455,17 +447,9 @@ def test_texts_of_files_are_texts(runs: Path) -> None:
     frame.with_columns(*(pl.Series(c, rng.normal(size=len(frame))) for c in HOSTILE)).write_csv(runs / name)
     (runs / "my_effects.py").write_text(EFFECT, encoding="utf-8")
     done(
-        runs,
-        "diagnose",
-        "robot.toml",
-        name,
-        "--effects",
-        "my_effects.py",
-        "--effect",
-        "heave",
-        "--report",
+        runs, "diagnose", "robot.toml", name, "--effects", "my_effects.py", "--effect", "heave", "--report",
         "hostile.html",
-    )
+    )  # fmt: skip
     with opened(runs / "hostile.html") as page:
         assert page.inner_text("h1") == f"What is robot missing on {name}?"
         assert page.locator("#bold, img, b[id]:not(.bars b)").count() == 0

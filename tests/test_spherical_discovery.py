@@ -178,14 +178,8 @@ def test_the_plan_fills_the_picture() -> None:
 #: One of each link and of each way to be found. That every effect is tried, and by the right columns, is asked where
 #: nothing is hidden and in ``test_second_spherical.py``.
 ASKED = (
-    "joint_offset",
-    "backlash",
-    "encoder_cyclic",
-    "gravity_flexure",
-    "marker_offset",
-    "camera_pose",
-    "camera_delay",
-)
+    "joint_offset", "backlash", "encoder_cyclic", "gravity_flexure", "marker_offset", "camera_pose", "camera_delay",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -810,15 +810,9 @@ def test_three_tables_make_a_tool(tmp_path: Path) -> None:
 def test_what_was_named_is_written() -> None:
     """Catches a value that is written with the wrong sign or about another point: the next run leaves no more."""
     names = (
-        "tool_stiffness",
-        "fbg_gain",
-        "fbg_bias",
-        "fbg_temperature",
-        "registration",
-        "camera_delay",
-        "fibre_delay",
+        "tool_stiffness", "fbg_gain", "fbg_bias", "fbg_temperature", "registration", "camera_delay", "fibre_delay",
         "shaft_bend",
-    )
+    )  # fmt: skip
     for name in names:
         there = planted(name, 2)
         model = ToolModel(there.tool, there.run("vessels", seconds=12.0, seed=2))

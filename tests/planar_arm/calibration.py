@@ -90,13 +90,9 @@ class PlanarCalibration(Calibration):
         seen = fit.data.readings[use, :2] - [fit.by_name.get(f"datum_{axis}", 0.0) for axis in "xy"]
         left, scatter = whole.left(lambda missed: missed[use][:, :2], whole.deployed(whole.held_out))
         part = Part(
-            **Part.identified(fit),
-            covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
-            residual_covariance=left,
-            noise_covariance=scatter,
-            low=seen.min(axis=0),
-            high=seen.max(axis=0),
-        )
+            **Part.identified(fit), covariance=(fit.covariance + fit.unobserved_covariance)[:count, :count],
+            residual_covariance=left, noise_covariance=scatter, low=seen.min(axis=0), high=seen.max(axis=0),
+        )  # fmt: skip
         return cls(fit.model.robot, part)
 
     @cached_property
