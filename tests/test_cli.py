@@ -321,8 +321,6 @@ def test_a_reader_that_stops_listening_is_no_crash(work: Path) -> None:
     with subprocess.Popen(
         [SHERKIT, "calibrate", "robot.toml", "whole.csv"], cwd=work, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 1
@@ -409,11 +407,9 @@ def test_demo_shows_the_tables_of_the_paper(made: Path) -> None:
     assert "1388 ± 1390" in said
     assert Calibration.load(made / "demo" / "calibrated.toml").whole.effects == ("rail_lean",)
     again = re.search(r"^ +sherkit (calibrate .*)$", said, re.MULTILINE)
-    assert again is not None
     result = told(sherkit(made, *again[1].split(), "--json"))
     after = result["whole"]["rms_um"]["after"]
     cells = re.search(r"the rows it was fitted to\s*│[^│]*│[^│]*│([^│]*)±[^│]*│([^│]*)±[^│]*│([^│]*)±", said)
-    assert cells is not None
     assert [float(c) for c in cells.groups()] == pytest.approx([after[a] for a in "xyz"], abs=0.051)
 
 
@@ -429,8 +425,6 @@ def test_demo_tells_its_story_on_one_screen(made: Path) -> None:
     assert [head.split()[0] for head in heads] == ["1.", "2.", "3.", "4.", "5."]
     left = re.search(r"(\S+) µm RMS in 3-D at\s+places it was not fitted to", said)
     falls = re.search(r"geometry calibrated +█+ (\S+) µm", said)
-    assert left is not None
-    assert falls is not None
     assert left[1] == falls[1]
     assert "rail_lean" in said
     assert "sherkit app demo/robot.toml demo/whole.csv" in said

@@ -231,7 +231,6 @@ def test_humidity_is_described_and_not_explained() -> None:
     """Catches an unknown cause pressed into the catalogue, and a description that misses its variable. Seed 3."""
     d = measured(GRIDS["small"], 3, scaled={"humidity": 2 * NOISE_UM}).diagnose()
     assert d.verdict == "unexplained"
-    assert d.signature is not None
     assert d.signature["depends_on"] == ["humidity_pct"]
     assert d.signature["shape"] == "smooth"
     assert d.signature["share_explained"] > 0.9
@@ -306,7 +305,6 @@ def test_an_effect_without_its_column_is_untestable_and_says_why() -> None:
 def later(run: Run, poses: Floats, seed: int) -> sk.Measurements:
     """The poses measured on the same robot after the run, time going on."""
     plan = make_plan(ROBOT, poses, seed=seed)
-    assert run.data.time_s is not None
     plan["time_s"] = plan["time_s"] + float(run.data.time_s.max()) + 600.0
     plan["temperature_c"] = np.full(len(poses), 21.0)
     columns = simulate(ROBOT, plan, run.errors, run.effects, noise=SIGMA, seed=5000 + seed)
@@ -362,8 +360,6 @@ def filled_in(d: sk.diagnosis.Diagnosis, folder: Path) -> sk.Effect:
     path = folder / "my_effects.py"
     path.write_text(template(d.signature, d.fit.data.layout, "unknown_effect", path.name), encoding="utf-8")
     spec = importlib.util.spec_from_file_location("my_effects", path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     effect = module.unknown_effect
@@ -391,7 +387,6 @@ def test_humidity_is_never_explained_and_its_template_mends_it(where: str, ratio
         run = measured(GRIDS[where], seed, scaled={"humidity": ratio * NOISE_UM})
         d = run.diagnose()
         assert d.verdict != "explained"
-        assert d.signature is not None
         assert d.signature["depends_on"] == ["humidity_pct"]
         assert d.signature["shape"] == "smooth"
         assert compensated_um(run, d, tmp_path) < 1.1 * NOISE_UM
@@ -406,7 +401,6 @@ def test_a_coupling_of_two_joints_is_described(k: int, tmp_path: Path) -> None:
         run = measured(GRIDS["whole"], seed, {"joint_coupling": 0.06 * np.eye(6)[k]})
         d = run.diagnose()
         assert d.verdict != "explained"
-        assert d.signature is not None
         assert d.signature["joint"] == f"q{driven}_mm"
         assert set(d.signature["depends_on"]) == {f"q{driven}_mm", f"q{driving}_mm"}
         assert d.signature["shape"] == "interaction"
@@ -426,7 +420,6 @@ def test_what_is_in_no_catalogue_is_never_explained(name: str, where: str) -> No
         for seed in range(200, 205):
             d = measured(GRIDS[where], seed, scaled={name: ratio * NOISE_UM}).diagnose()
             assert d.verdict != "explained"
-            assert d.signature is not None
             if name == "periodic_z":
                 assert d.signature["depends_on"] == ["z_mm"]
             else:
@@ -456,7 +449,6 @@ def test_a_ripple_in_height_is_described_with_its_period(ratio: float, tmp_path:
         run = measured(cloud(seed), seed, scaled={"periodic_z": ratio * NOISE_UM})
         d = run.diagnose()
         assert d.verdict != "explained"
-        assert d.signature is not None
         assert (d.signature["depends_on"], d.signature["shape"]) == (["z_mm"], "periodic")
         assert abs(d.signature["period"] / 7.3 - 1) < 0.1
         assert compensated_um(run, d, tmp_path) < 1.1 * NOISE_UM

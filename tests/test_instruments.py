@@ -436,7 +436,6 @@ def test_galil_stops_on_ctrl_c_and_at_exit(how):
         program = subprocess.Popen(
             [sys.executable, "-c", PROGRAM, e.address, how], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        assert program.stdout is not None
         assert program.stdout.readline() == "moving\n"
         if how == "ctrl-c":
             while world.joints()[0] == 0.0:

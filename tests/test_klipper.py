@@ -288,7 +288,6 @@ def test_corners_of_a_round_mesh_need_not_be_reached(tmp_path: Path) -> None:
     text = config(TRUE, SAVED)
     rows = len(import_klipper(saved(tmp_path, text)).measurements)
     first = re.search(r"#\*# \t(.*)\n", text)
-    assert first is not None
     other = ", ".join(f"{0.1 * k:.6f}" for k in range(COUNT))
     found = import_klipper(saved(tmp_path, text.replace(first[1], other, 1)))
     assert len(found.measurements) == rows

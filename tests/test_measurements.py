@@ -470,7 +470,6 @@ def test_repeatability_is_the_pooled_spread_of_poses() -> None:
             squares[axis] += float(((v - v.mean()) ** 2).sum()) if len(v) else 0.0
             freedom[axis] += max(len(v) - 1, 0)
     found = data.repeatability
-    assert found is not None
     assert found.degrees_of_freedom == {f"{a}_mm": n for a, n in freedom.items()}
     for axis in "xyz":
         assert found.sigma[f"{axis}_mm"] == pytest.approx(np.sqrt(squares[axis] / freedom[axis]), rel=1e-12)
@@ -492,7 +491,6 @@ def test_equal_joint_readings_are_repeats() -> None:
     others = {"time_s": np.arange(7.0), "direction_1": [1, -1, -1, 1, 1, 1, 1], "payload_g": [0, 0, 50, 50, 0, 0, 0]}
     for data in (from_frame(columns), from_frame(columns | others)):
         assert data.groups.tolist() == [0, 1, 0, 1, 2, 3, 0]
-        assert data.repeatability is not None
         assert data.repeatability.degrees_of_freedom == {"x_mm": 3}
         assert data.select(np.array([6, 4, 0])).groups.tolist() == [0, 1, 0]
     numbered = from_frame(columns | {"pose": [1, 2, 3, 2, 4, 5, 1]})

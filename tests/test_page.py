@@ -72,12 +72,10 @@ def serving(lab: Path, *options: str, run: str = "run.csv") -> Iterator[Served]:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     try:
-        assert process.stdout is not None
         said = process.stdout.readline()
         found = re.search(r"http://\S+", said)
         if found is None:
             process.wait(600)
-            assert process.stderr is not None
             raise AssertionError(said + process.stderr.read())
         yield Served(process, found[0])
     finally:

@@ -77,7 +77,6 @@ def test_where_it_could_be_sent_next() -> None:
     robot = PlanarArm((250.0, 180.0), joint_limits_deg=(-60.0, 60.0))
     data = measured(robot)
     found = kinds.model_of(robot).reachable(data, sk.identify(robot, data).values)
-    assert found is not None
     assert tuple(found.targets) == KIND.coordinates
     assert np.abs(found.rows.joints).max() <= np.deg2rad(60.0)
     there = np.array([robot.forward(q) for q in found.rows.joints])
@@ -318,7 +317,6 @@ def test_the_page(folder: Path) -> None:
         bench.ask("waiting", lambda study, step: None).result(600.0)
         assert not [value for kind, value in told if kind == "error"]
         assert bench.page_state.effects == ("droop",)
-        assert bench.page_state.diagnosis is not None
         assert bench.page_state.diagnosis.verdict == "adequate"
         StudyPage(Document(), bench, "")
         made = bench.ask("saving", server._calibration).result(600.0)

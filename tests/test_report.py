@@ -233,7 +233,6 @@ def test_what_has_no_number_does_not_run(demo: Path, tmp_path: Path) -> None:
         owns = page.evaluate("window.owned")
     assert owns is None
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', text)
-    assert policy is not None
     assert "default-src &#39;none&#39;" in policy[1]
     assert text.index(policy[0]) < text.index("<script")
 
@@ -266,7 +265,6 @@ def test_reads_without_javascript(demo: Path) -> None:
         page.locator("summary", has_text="What the verdict rests on").click()
         assert page.inner_text("#verdict").startswith("explained:")
         box = page.locator("noscript svg").bounding_box()
-        assert box is not None
         assert box["width"] > 300
         assert box["height"] > 100
 
@@ -327,7 +325,6 @@ def words(file: Path) -> str:
 def inside(file: Path, name: str = "diagnosis") -> Any:
     """JSON that a report carries; that of the diagnosis is what ``--json`` prints, see above."""
     found = re.search(rf'id="{name}">(.*?)</script>', file.read_text(encoding="utf-8"), flags=re.S)
-    assert found is not None
     return json.loads(found[1])
 
 
@@ -429,7 +426,6 @@ def test_twenty_thousand_rows(runs: Path) -> None:
     text = report(runs, "many.html", "diagnose", "robot.toml", "many.csv")
     # whole poses of the run, and of these as many points as can be told apart
     kept = re.search(r"Drawn are (\d+) of the 20000 rows", text)
-    assert kept is not None
     assert 6000 <= int(kept[1]) < 6050
     assert f"3000 of {kept[1]} are drawn" in text
     assert "it is the mean of a cell" in text

@@ -172,7 +172,6 @@ def test_a_mixed_run_weighs_each_reading_by_its_own_noise() -> None:
     robot = arm(2, 1)
     virtual = replace(VirtualSerial.simulated(robot, 2, 1.0, PLAIN), distance_noise_mm=0.01)
     fit = sk.identify(robot, virtual.measure(postures(robot, 40, 0.9, 2), repeats=2, seed=4))
-    assert fit.data.repeatability is not None
     sigma = fit.data.repeatability.sigma
     assert sigma["distance_mm"] == pytest.approx(0.01, rel=0.25)
     assert sigma["x_mm"] == pytest.approx(0.05, rel=0.25)

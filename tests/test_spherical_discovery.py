@@ -390,7 +390,6 @@ def test_a_template_of_an_unknown_shape_runs_on_pixels(tmp_path: Path) -> None:
     data = sk.from_frame(frame.with_columns(moved, pl.Series("humidity_pct", humidity)))
     d = sk.diagnose(sk.identify(ROBOT, data))
     assert d.verdict == "unexplained"
-    assert d.signature is not None
     assert d.signature["depends_on"] == ["humidity_pct"]
     path = tmp_path / "my_effects.py"
     path.write_text(template(d.signature, data.layout, "unknown_effect", path.name), encoding="utf-8")

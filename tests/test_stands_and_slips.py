@@ -37,7 +37,6 @@ def test_what_lags_follows_its_equation(lag_s: float) -> None:
     room = 20.0 + np.sin(time / 400.0) + time / 1000.0
     order = rng.permutation(len(time))
     made = Room.of(time[order], room[order])
-    assert made is not None
     found = made.later(time, lag_s)
 
     def slope(t: float, stand: Floats) -> Floats:
@@ -53,7 +52,6 @@ def test_rows_of_a_run_know_its_whole_room() -> None:
     whole = data.later(600.0)
     rows = np.arange(100, 400, 3)
     some = data.select(rows).later(600.0)
-    assert whole is not None
     assert some is not None
     np.testing.assert_array_equal(some, whole[rows])
 
@@ -90,7 +88,6 @@ def test_a_wave_as_long_as_the_poses_lie_apart_is_none(name: str, seed: int) -> 
     run = delta.measured(points, seed, scaled={name: 3 * delta.NOISE_UM}, repeats=1, order="planes")
     frame = run.data.to_frame().drop("time_s", "temperature_c", "humidity_pct")
     d = sk.diagnose(delta.DELTA, sk.from_frame(frame))
-    assert d.signature is not None
     assert d.signature["shape"] != "periodic"
 
 
