@@ -126,7 +126,7 @@ def test_what_is_in_no_catalogue_is_never_explained() -> None:
     ("world", "name"),
     [
         (lambda: DrivenSpherical(0, ("backlash",), 3.0), "backlash"),
-        (lambda: DrivenArm(0, ("joint_compliance",), 3.0), "joint_compliance"),
+        pytest.param(lambda: DrivenArm(0, ("joint_compliance",), 3.0), "joint_compliance", marks=pytest.mark.slow),
     ],
 )
 def test_other_robots(world: Callable[[], World], name: str) -> None:

@@ -68,7 +68,8 @@ def check(d: sk.diagnosis.Diagnosis, name: str) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("order", "seed"), [("planes", 0), ("shuffled", 1), pytest.param("planes", 2, marks=pytest.mark.slow)]
+    ("order", "seed"),
+    [("planes", 0), *(pytest.param(*one, marks=pytest.mark.slow) for one in (("shuffled", 1), ("planes", 2)))],
 )
 def test_a_cycle_of_the_room_is_not_called_noise(order: Order, seed: int) -> None:
     """Catches a cycle of 210 s at five times the noise that three passes over a raster, an hour apart, take for their

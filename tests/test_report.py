@@ -469,7 +469,8 @@ sys.modules["bokeh"] = None
 import sherkit as sk
 from sherkit.cli import main
 poses = sk.delta.paper_whole()[::5]
-importlib.import_module("sherkit.cli.demo").paper_whole = lambda: poses
+demo = importlib.import_module("sherkit.cli.demo")
+demo.paper_whole, demo.paper_local = lambda: poses, lambda: poses / 2
 for arguments in (["calibrate", "missing.toml", "missing.csv", "--report", "x.html"], ["demo", "-o", "bare"]):
     try: main(arguments)
     except SystemExit as end: print("ended with", end.code, file=sys.stderr)

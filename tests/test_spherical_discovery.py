@@ -289,6 +289,7 @@ def test_a_turn_that_both_joints_share_is_tied_with_a_camera_that_turned() -> No
     assert all(pose["separation_sigma"] >= 3.0 for pose in common.next_poses[-1:])
 
 
+@pytest.mark.slow
 def test_a_camera_that_slipped_early_leaves_no_row_out() -> None:
     """Catches rows before an early slip that are taken for gross errors, and the other readings of their poses with
     them, since one of three spoils the mean: seed 13, where it slips after 59 of 1,728 rows."""
