@@ -34,10 +34,11 @@ def command(*typed: str) -> str:
 
 
 def test_the_import_alone_loads_nothing_that_is_slow() -> None:
-    """Catches ``import sherkit`` that loads NumPy, SciPy, a table reader or what draws, before anything was asked."""
+    """Catches ``import sherkit`` that loads NumPy, SciPy, a table reader, what draws, or instruments, before anything
+    was asked."""
     loaded = loaded_by("import sherkit")
     assert not loaded & {*SLOW, "click", "concurrent.futures", "subprocess"}
-    assert "sherkit._core" not in loaded
+    assert not {name for name in loaded if name.startswith(("sherkit._core", "sherkit.lab."))}
 
 
 @pytest.mark.parametrize("typed", [["--version"], ["diagnoze"]])
