@@ -309,7 +309,7 @@ def test_warnings_are_sentences_beside_the_result(work: Path) -> None:
     """Catches a warning that shows Python code, spoils the JSON on stdout, or stops the work."""
     text = Path("whole.csv").read_text().replace("repeat", "repeats", 1)
     Path("slip.csv").write_text(text)
-    done = installed(work, "calibrate", "robot.toml", "slip.csv", "--json")
+    done = sherkit(work, "calibrate", "robot.toml", "slip.csv", "--correction", "none", "--json")
     assert done.returncode == 0
     assert json.loads(done.stdout)["whole"]["rows"] == 588
     message = "warning: slip.csv: column 'repeats' is taken as a covariate; is it meant to be 'repeat'?\n"
@@ -318,9 +318,7 @@ def test_warnings_are_sentences_beside_the_result(work: Path) -> None:
 
 def test_a_reader_that_stops_listening_is_no_crash(work: Path) -> None:
     """Catches a traceback where the output is piped into ``head``."""
-    with subprocess.Popen(
-        [SHERKIT, "calibrate", "robot.toml", "whole.csv"], cwd=work, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
+    with subprocess.Popen([SHERKIT, "effects"], cwd=work, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 1
