@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 import sherkit as sk
+from consistency import named
 from second_simulator import (
     CATALOGUE,
     Noise,
@@ -87,11 +88,6 @@ def measured(
     for name, function in (add or {}).items():
         columns[name] = columns[name] + function(columns)
     return Run(sk.from_frame(pl.DataFrame(columns)), errors, planted)
-
-
-def named(d: sk.diagnosis.Diagnosis) -> set[str]:
-    """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.indistinguishable)
 
 
 def ratio_of(name: str, where: str, ratio: float) -> float:

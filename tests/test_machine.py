@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import sherkit as sk
+from consistency import named
 from running import command
 from second_machines import MACHINES, apart, run_of
 from sherkit.app.workbench import Workbench
@@ -78,10 +79,6 @@ ASKED = (
 
 def diagnosed(name: str, seed: int, sizes: dict[str, float]) -> sk.diagnosis.Diagnosis:
     return sk.Study(MACHINE[name], run_of(name, seed, sizes)).diagnose()
-
-
-def named(d: sk.diagnosis.Diagnosis) -> set[str]:
-    return set(d.effects).union(*d.indistinguishable)
 
 
 def held_out(d: sk.diagnosis.Diagnosis) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 import sherkit as sk
+from consistency import named
 from second_simulator import room_temperature
 from second_simulator.spherical import SPHERICAL_EFFECTS, SecondSpherical, sphere_grid, spherical_plan
 from sherkit.diagnosis import template
@@ -123,11 +124,6 @@ def measured(
     if any_room:
         columns["time_s"] = columns["time_s"] + np.random.default_rng([seed, 6]).uniform(-1e5, 1e5)
     return Run(sk.from_frame(pl.DataFrame(columns)), robot, plan)
-
-
-def named(d: sk.diagnosis.Diagnosis) -> set[str]:
-    """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.indistinguishable)
 
 
 def hidden(name: str, ratio: float, where: str, seed: int, *, any_room: bool = False) -> sk.diagnosis.Diagnosis:

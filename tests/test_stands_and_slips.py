@@ -13,6 +13,7 @@ import sherkit as sk
 import test_arm_counted as arm
 import test_discovery as delta
 import test_spherical_discovery as spherical
+from consistency import named
 from second_simulator import grid
 from sherkit.base.types import Floats
 from sherkit.data.lagged import Room
@@ -21,11 +22,6 @@ from sherkit.diagnosis import waves
 NEW = ("thermal_shift", "joint_slip")
 #: Chance with which a correct program fails one of the counts below.
 RARE = 1e-3
-
-
-def named(d: sk.diagnosis.Diagnosis) -> set[str]:
-    """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.indistinguishable)
 
 
 @pytest.mark.parametrize("lag_s", [3.0, 200.0, 5000.0])

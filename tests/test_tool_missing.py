@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import sherkit as sk
+from consistency import named
 from second_tool import CONDITIONS
 from sherkit.errors import MeasurementError
 from sherkit.robots.tool import places as tip_places
@@ -85,7 +86,7 @@ def diagnosed(name: str | None, seed: int, ratio: float = 1.0) -> sk.diagnosis.D
 def test_effects_are_found_by_name(name: str) -> None:
     """Catches an effect that is computed with the wrong sign or not at all; visible part 1 × the noise, seed 1."""
     d = diagnosed(name, 1)
-    assert name in {*d.effects, *(other for tie in d.indistinguishable for other in tie)}
+    assert name in named(d)
     assert d.steps[-1].error.rms / np.sqrt(d.error.axes) == pytest.approx(NOISE_MM, rel=0.06)
 
 
@@ -188,18 +189,13 @@ def test_a_run_without_pictures_is_refused() -> None:
         ToolModel(TOOL, run)
 
 
-def names_of(d: sk.diagnosis.Diagnosis) -> set[str]:
-    """What leads, or is tied with it."""
-    return {*d.effects, *(other for tie in d.indistinguishable for other in tie)}
-
-
 @pytest.mark.parametrize(("name", "seed"), [("shaft_bend", 2), ("camera_delay", 2)])
 def test_what_takes_most_of_a_run_is_no_mistake_of_the_set_up(name: str, seed: int) -> None:
     """Catches a large effect that is taken for a wrong set-up where the tip hardly moves, or whose fit ends on the way
     and takes a minute: five times the noise."""
     d = diagnosed(name, seed, 5.0)
     assert d.verdict == "explained"
-    assert name in names_of(d)
+    assert name in named(d)
 
 
 @pytest.mark.slow
@@ -212,7 +208,7 @@ def test_the_right_effect_is_named_in_98_of_100() -> None:
         (name, seed)
         for name in TOOL_CATALOGUE
         for seed in range(12)
-        if name not in names_of(diagnosed(name, seed, (1.0, 2.0, 5.0)[seed % 3]))
+        if name not in named(diagnosed(name, seed, (1.0, 2.0, 5.0)[seed % 3]))
     ]
     assert len(missed) <= 8, missed
     assert max(sum(m[0] == name for m in missed) for name in TOOL_CATALOGUE) <= 3, missed
