@@ -420,10 +420,10 @@ FOCUSED = """() => {
 }"""
 
 
-def test_a_keyboard_is_enough(app: Served) -> None:
+def test_a_keyboard_is_enough(lab: Path) -> None:
     """Catches a control that only a mouse reaches, and a focus that is lost when the list is drawn anew."""
-    with seen(app.url) as page:
-        begun(page)
+    with serving(lab, "--fresh") as app, seen(app.url) as page:
+        diagnosed(page)
 
         def focused() -> str:
             return page.evaluate(FOCUSED)
