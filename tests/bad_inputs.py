@@ -143,10 +143,7 @@ BAD = (
     Bad("a pose number that is none", ("line 5, column 'pose'", "2.5 is not a whole number"), _cell(5, "pose", "2.5")),
     Bad("a pose and repeat twice", ("line 4", "pose 1 repeat 1", "line 3"), _cell(4, "repeat", "1")),
     Bad(
-        "one pose number for all rows",
-        ("pose 1 stands at places", "mm apart", "as repeats"),
-        _poses(),
-        names_all=True,
+        "one pose number for all rows", ("pose 1 stands at places", "mm apart", "as repeats"), _poses(), names_all=True,
     ),
     Bad(
         "a thousand, or a one?",
@@ -199,7 +196,7 @@ BAD = (
     Bad("a picture, not a table", ("is not text", "CSV", ".parquet"), b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00"),
     Bad("a folder", ("is a folder", "CSV or Parquet"), "", folder=True),
     Bad("a file that is not there", ("there is no such file",), None),
-)
+)  # fmt: skip
 
 
 @contextlib.contextmanager

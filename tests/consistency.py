@@ -25,6 +25,11 @@ def noise_of(d: Any) -> float | None:
     return float(np.sqrt(np.sum(np.square(list(d.noise.values())))))
 
 
+def named(d: Any) -> set[str]:
+    """Effects that lead or are tied with one that does."""
+    return set(d.effects).union(*d.indistinguishable)
+
+
 def contradictions(d: Any, level: float = CONFIRMED) -> list[str]:
     """Each way in which a diagnosis contradicts itself, as a sentence; empty where it does not."""
     out = []

@@ -123,12 +123,9 @@ def dummy_bench(robot, place, start, *, noise=0.005, seed=0, said=True, **checks
     unit = kind_of(robot).place_unit
     settings = {"agree_within": 0.05, "moved_within": 1e-4, "noise": {"mm": 0.05, "px": 0.5}[unit], **checks}
     return Bench(
-        robot,
-        motors,
-        [Sensor(eyes, kind_of(robot).layout.coordinates)],
-        settling=Settling(0.0),
+        robot, motors, [Sensor(eyes, kind_of(robot).layout.coordinates)], settling=Settling(0.0),
         checks=Checks(**settings),
-    )
+    )  # fmt: skip
 
 
 # -- twenty faults: each is given the bench and puts something wrong from now on --------------------------------

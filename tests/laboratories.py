@@ -53,13 +53,9 @@ SPHERICAL = {
     "joints": {"limits_deg": [-180.0, 270.0]},
     "workspace": {"phi_deg": [60.0, 120.0], "gamma_deg": [25.0, 65.0]},
     "camera": {
-        "size_px": [1280, 640],
-        "focal_px": [710.0, 710.0],
-        "phi_deg": 90.0,
-        "gamma_deg": 45.0,
-        "distance_mm": 446.2,
+        "size_px": [1280, 640], "focal_px": [710.0, 710.0], "phi_deg": 90.0, "gamma_deg": 45.0, "distance_mm": 446.2,
     },
-}
+}  # fmt: skip
 
 
 def spherical_laboratory(folder, *, per_side=5, faults=None):

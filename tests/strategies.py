@@ -13,18 +13,11 @@ Floats = NDArray[np.float64]
 
 #: The example robot: that of the second simulator, so that both can be compared.
 EXAMPLE = Delta(
-    base_radius_mm=(90.0, 90.0, 90.0),
-    base_angle_deg=(90.0, 210.0, 330.0),
-    platform_radius_mm=(30.0, 30.0, 30.0),
-    platform_angle_deg=(90.0, 210.0, 330.0),
-    rod_length_mm=(120.0, 120.0, 120.0),
-    rod_spacing_mm=40.0,
-    target_offset_mm=(0.0, 0.0, -25.0),
-    pole_pitch_mm=2.0,
-    workspace_radius_mm=30.0,
-    workspace_z_mm=(-22.0, 22.0),
+    base_radius_mm=(90.0, 90.0, 90.0), base_angle_deg=(90.0, 210.0, 330.0), platform_radius_mm=(30.0, 30.0, 30.0),
+    platform_angle_deg=(90.0, 210.0, 330.0), rod_length_mm=(120.0, 120.0, 120.0), rod_spacing_mm=40.0,
+    target_offset_mm=(0.0, 0.0, -25.0), pole_pitch_mm=2.0, workspace_radius_mm=30.0, workspace_z_mm=(-22.0, 22.0),
     region_half_width_mm=10.0,
-)
+)  # fmt: skip
 #: Poses nearer to a singularity than this, as a part of the shortest rod, are not drawn.
 _FROM_SINGULAR = 0.05
 

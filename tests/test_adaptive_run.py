@@ -47,7 +47,6 @@ def test_it_stops_by_itself_and_goes_on_after_a_kill(folder: Path) -> None:
     assert "explained: rail_lean" in whole
     assert re.search(r"\d+ readings: undecided; evidence that something is missing 1e", whole)
     process = subprocess.Popen([*COMMAND, *UNTIL], cwd=folder, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
     before = []
     while len(before) < 15:
         if (line := process.stdout.readline()).startswith("stored "):

@@ -143,7 +143,6 @@ def doors(folder: Path) -> dict[str, Door]:
 def said(error: BaseException) -> str | None:
     """None where it is one of ours, or raised by a line of ours on purpose; else where it comes from."""
     trace = error.__traceback__
-    assert trace is not None
     while trace.tb_next is not None:
         trace = trace.tb_next
     code = trace.tb_frame.f_code

@@ -28,7 +28,6 @@ def test_only_the_block_is_replaced() -> None:
     """Catches text around the markers lost when the table is written anew, and markers found where there are none."""
     text = f"# title\n{START}\nold\n{END}\nmore\n"
     parts = between_markers(text)
-    assert parts is not None
     assert (parts[0], parts[2]) == (f"# title\n{START}", f"{END}\nmore\n")
     assert "".join(parts) == text
     assert between_markers(f"# title\n{START}\nno end\n") is None

@@ -272,25 +272,13 @@ def test_the_loop_runs_and_logs(archive: Path, tmp_path: Path) -> None:
 def test_a_recorded_run_is_replayed(archive: Path, tmp_path: Path) -> None:
     """Catches a tool whose numbers are lost on the way to C, and an example that no longer does what Python does."""
     doubt = ToolDoubt(
-        depth=((0.01, 1e-3, 0.0), (1e-3, 0.02, -1e-3), (0.0, -1e-3, 1 / 300)),
-        deeper_mm=0.1,
-        turn_rad=0.004,
-        force=0.01,
-        beam=((1e-3, 20.0), (20.0, 1e6)),
-        reference_nm=2e-4,
-        mean=0.03,
-        unlike=0.02,
-        warmth=0.01,
-    )
+        depth=((0.01, 1e-3, 0.0), (1e-3, 0.02, -1e-3), (0.0, -1e-3, 1 / 300)), deeper_mm=0.1, turn_rad=0.004,
+        force=0.01, beam=((1e-3, 20.0), (20.0, 1e6)), reference_nm=2e-4, mean=0.03, unlike=0.02, warmth=0.01,
+    )  # fmt: skip
     there = FlexibleTool(
-        noise_nm=1.1e-3,
-        means=((0.0, 1e-6), (-2e-6, 0.0)),
-        warmth=((0.01, -0.02, 0.01), (0.0, 0.003, -0.003)),
-        start_depth_mm=1 / 3,
-        per_second_mm2=(0.004, 1.0),
-        fibre_delay_s=0.02,
-        doubt=doubt,
-    )
+        noise_nm=1.1e-3, means=((0.0, 1e-6), (-2e-6, 0.0)), warmth=((0.01, -0.02, 0.01), (0.0, 0.003, -0.003)),
+        start_depth_mm=1 / 3, per_second_mm2=(0.004, 1.0), fibre_delay_s=0.02, doubt=doubt,
+    )  # fmt: skip
     there.save(tmp_path / "tool.toml")
     recorded = VirtualTool(there, lost=0.05).run("vessels", seconds=5.0)
     recorded.save(tmp_path / "run.csv")

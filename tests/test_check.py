@@ -156,7 +156,6 @@ def test_thousands_are_told_from_decimals(tmp_path: Path) -> None:
     grouped = [f"1.{100 + k},5;2.000,25;-1.{300 + 7 * k},125;{k},5;0,25;1,5" for k in range(6)]
     (tmp_path / "run.csv").write_text("\n".join([head, *grouped]), encoding="utf-8")
     found = check_file(tmp_path / "run.csv")
-    assert found.data is not None
     np.testing.assert_allclose(found.data.joints[:, 0], 1100.5 + np.arange(6))
     np.testing.assert_allclose(found.data.joints[:, 2], -1300.125 - 7 * np.arange(6))
     assert any("between its thousands" in str(one) for one in found.wrong)
@@ -205,7 +204,6 @@ def test_every_row_comes_back(
     path.write_bytes("\n".join(lines).encode(encoding))
     found = check_file(path)
     assert found.is_mended, [str(one) for one in found.wrong] + [found.refused]
-    assert found.data is not None
     expected = values.copy()
     expected[sorted(nothing), 4] = np.nan
     np.testing.assert_allclose(found.data.joints, expected[:, :3], atol=1e-9)
@@ -253,7 +251,6 @@ def test_units_in_cells_and_kelvin(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("\n".join(rows), encoding="utf-8")
     found = check_file(tmp_path / "run.csv")
     assert found.is_mended, found.refused
-    assert found.data is not None
     np.testing.assert_allclose(found.data.joints, values[:, :3], atol=1e-9)
     np.testing.assert_allclose(found.data.covariates["temperature_c"], values[:, 6], atol=1e-2)
     assert found.data.time_s is not None

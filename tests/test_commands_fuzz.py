@@ -55,11 +55,8 @@ _MEANT_OF = {
 }
 #: Commands that go on until they are stopped, or move what is at a port; they are tried with what they refuse.
 _ENDLESS = {
-    "app": ["--port", "65536"],
-    "lab": ["--time-scale", "0"],
-    "measure": ["--ports", "nowhere.json"],
-    "demo": ["-x"],
-}
+    "app": ["--port", "65536"], "lab": ["--time-scale", "0"], "measure": ["--ports", "nowhere.json"], "demo": ["-x"],
+}  # fmt: skip
 #: So long may honest work on small files take, s; what is damaged is said sooner.
 _WORK_S = 60 * HANGS_S
 

@@ -62,8 +62,12 @@ MADE: dict[str, Make] = {
 }
 
 
+#: The slow ones besides: what else hangs on time.
+MORE = ("delta, a slip", "spherical, drift")
+
+
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", MADE)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in MORE)) for n in MADE])
 def test_how_a_table_is_written_decides_nothing(name: str, seed: int) -> None:
     """Catches an answer that hangs on the order of rows, the start of a clock, the numbers of poses, or a unit: each
     world is asked as it is and as another laboratory writes it."""

@@ -257,7 +257,6 @@ def test_errors_stand_where_they_were_measured(study: sk.Study) -> None:
     """Catches arrows of another sign or scale, of another row, and a mean over other poses."""
     before = next(s.fit for s in study.history if s.fit is not None)
     scene = space_of(State("geometry calibrated", before), State("now", study.fit))
-    assert scene is not None
     assert scene.arrows is not None
     a, data = scene.arrows, study.data
     assert len(a.where_mm) == 75
@@ -275,7 +274,6 @@ def test_scenes_move(study: sk.Study, tmp_path: Path) -> None:
     """Catches a scene that stays empty, a slider that moves nothing, and a hover without the row's number."""
     before = next(s.fit for s in study.history if s.fit is not None)
     scene = space_of(State("geometry calibrated", before), State("now", study.fit))
-    assert scene is not None
     card = effect_card(study.fit.model.effects[0], EXAMPLE, fit=study.fit)
     file = tmp_path / "card.html"
     file.write_text(card_page("cards", [card, scene.html()]), encoding="utf-8")
@@ -359,7 +357,6 @@ def test_cells_borrow_bokeh(study: sk.Study, monkeypatch: pytest.MonkeyPatch, tm
         page.wait_for_timeout(1500)
         for frame, held in zip(page.frames[1:], page.query_selector_all("iframe"), strict=True):
             high = held.bounding_box()
-            assert high is not None
             assert 0 <= high["height"] - frame.evaluate("document.documentElement.offsetHeight") < 40
 
 

@@ -73,14 +73,8 @@ def world(kind, seed, poses=POSES):
 
 #: Errors that the virtual robots have of their own, or what needs a column that these runs lack.
 _NO_PART = (
-    "datum",
-    "camera_pose",
-    "camera_delay",
-    "lens_distortion",
-    "focal_length",
-    "thermal_growth",
-    "unequal_limbs",
-)
+    "datum", "camera_pose", "camera_delay", "lens_distortion", "focal_length", "thermal_growth", "unequal_limbs",
+)  # fmt: skip
 
 
 def watched_run(kind, seed, folder, name=None, *, poses=POSES):

@@ -95,7 +95,7 @@ def test_what_stood_there_stays_where_nothing_can_be_written(tmp_path: Path) -> 
         (tmp_path / name).write_text("old")
     source = (
         "import resource, numpy as np, polars as pl\n"
-        "from sherkit.data.frames import write_table\n"
+        "from sherkit.data.tables import write_table\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         f"for name in {names}:\n"
         "    try: write_table(pl.DataFrame({'a': np.random.rand(5000)}), name)\n"

@@ -67,7 +67,6 @@ def test_the_best_known_combination_is_said_where_no_form_holds() -> None:
     covariance = 1e-6 * np.outer(along, along) + 25.0 * np.outer(across, across)
     values = 0.1 * along + 40.0 * across
     one = known_of(fit_with(values, covariance, effect), effect)
-    assert one is not None
     assert one.form == "combination"
     assert one.values[0].what == "a_1 + 0.5 a_2"
     assert one.values[0].value == pytest.approx(0.1 * np.sqrt(5.0) / 2.0)

@@ -44,7 +44,7 @@ from test_other_programs import COLUMNS, OURS, bag, told
 from test_serial import UR5, URDF
 from trials import forked
 
-FAST = 150
+FAST = 80
 #: What a campaign of ``make test-slow`` tries of each format; ``SHERKIT_FUZZ`` sets another.
 SLOW = int(os.environ.get("SHERKIT_FUZZ", "100000"))
 

@@ -9,16 +9,13 @@ import polars as pl
 import pytest
 
 import sherkit as sk
+from consistency import named
 from second_simulator import NOMINAL_CONFIG, Noise, Robot, grid, make_plan, simulate
 from second_simulator.spherical import spherical_plan
 from sherkit.robots.serial import postures
 from test_arm_counted import OwnArm, arm_in
 from test_discovery import DELTA
 from test_spherical_discovery import ERRORS, PLANS, ROBOT, real_robot
-
-
-def named(d: sk.diagnosis.Diagnosis) -> set[str]:
-    return set(d.effects).union(*d.indistinguishable)
 
 
 def test_a_joint_of_an_arm_that_reads_from_another_zero(tmp_path: Path) -> None:

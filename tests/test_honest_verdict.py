@@ -19,7 +19,7 @@ import gross_errors
 import mistakes
 import sherkit as sk
 import worlds
-from consistency import PRAISED, consistent, contradictions, noise_of
+from consistency import PRAISED, consistent, contradictions, named, noise_of
 from sherkit.diagnosis.fitted_run import FittedRun
 from worlds import NOISE_PX, NOISE_UM, ROWS, Answer, World
 
@@ -35,11 +35,6 @@ def honest(answer: Answer) -> sk.diagnosis.Diagnosis:
     assert answer.diagnosis is not None, answer.sentences
     consistent(answer.diagnosis)
     return answer.diagnosis
-
-
-def named(d: Any) -> set[str]:
-    """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.indistinguishable)
 
 
 def table(title: str, outcomes: Iterable[tuple[str, str]]) -> None:

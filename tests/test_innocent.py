@@ -142,7 +142,6 @@ def test_a_step_does_not_stand_in_for_a_cycle() -> None:
 def test_the_distance_of_poses_is_no_period() -> None:
     """Catches "repeats with z, period 10": on planes ten millimetres apart that is any function of z. Seed 0."""
     d = ask(delta_unnamed(crosstalk_product, 5.0, "shuffled", 0)).diagnosis
-    assert d.signature is not None
     for told in (d.signature, *d.signature["indistinguishable"]):
         assert told["shape"] != "periodic" or told["depends_on"] != ["z_mm"]
 
@@ -160,7 +159,6 @@ def test_shapes_that_do_as_well_are_told() -> None:
         place={"x_mm": x}, readings=shown, names=("y_mm",), unit="mm", time_s=t, covariates={"humidity_pct": damp}
     )
     d = sk.diagnose(sk.identify(model, data))
-    assert d.signature is not None
     told = {tuple(one["depends_on"]) for one in (d.signature, *d.signature["indistinguishable"])}
     assert {("time_s",), ("humidity_pct",)} <= told
     assert "longer run" in d.signature["apart"]

@@ -23,14 +23,8 @@ def counted(name: str, repeats: int) -> int:
     """Instructions of a process that walks a path so often."""
     script = Path(__file__).with_name("hot_paths.py")
     command = [
-        "valgrind",
-        "--tool=callgrind",
-        "--callgrind-out-file=/dev/null",
-        sys.executable,
-        script,
-        name,
-        str(repeats),
-    ]
+        "valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", sys.executable, script, name, str(repeats),
+    ]  # fmt: skip
     alone = {"PYTHONHASHSEED": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     told = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | alone).stderr
     return int(re.findall(r"Collected : (\d+)", told)[-1])

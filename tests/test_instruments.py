@@ -157,7 +157,7 @@ def test_profile_is_a_trapezoid():
     """Catches a profile that jumps, exceeds its speed or acceleration, or misses its end."""
     for way in (0.001, 0.5, 30.0, -30.0):
         p = Profile(1.0, 1.0 + way, 5.0, 50.0, 20.0, 2.0)
-        t = np.linspace(1.5, p.end_s + 0.5, 200_001)
+        t = np.linspace(1.5, p.end_s + 0.5, 50_001)
         x = np.array([p.at(float(v)) for v in t])
         dt = t[1] - t[0]
         speed = np.diff(x) / dt
@@ -436,7 +436,6 @@ def test_galil_stops_on_ctrl_c_and_at_exit(how):
         program = subprocess.Popen(
             [sys.executable, "-c", PROGRAM, e.address, how], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        assert program.stdout is not None
         assert program.stdout.readline() == "moving\n"
         if how == "ctrl-c":
             while world.joints()[0] == 0.0:

@@ -296,14 +296,8 @@ def test_a_talker_of_nonsense_is_an_error_in_time(driver):
                 try:
                     while client.recv(4096):
                         words = [
-                            b":",
-                            b"?",
-                            b"\r",
-                            b"\r\n:",
-                            b"MS,01,",
-                            b"0000000092",
-                            rng.randbytes(rng.randrange(120)),
-                        ]
+                            b":", b"?", b"\r", b"\r\n:", b"MS,01,", b"0000000092", rng.randbytes(rng.randrange(120)),
+                        ]  # fmt: skip
                         client.sendall(b"".join(rng.choices(words, k=4)))
                 except OSError:
                     continue

@@ -203,11 +203,8 @@ def test_kinds_of_rows(square: bool, points: int, tmp_path: Path) -> None:
     found = import_klipper(saved(tmp_path, config(TRUE, SAVED, square=square)))
     kinds, counts = np.unique(found.measurements.labels["what"], return_counts=True)
     assert dict(zip(kinds.tolist(), counts.tolist(), strict=True)) == {
-        "distance": 10,
-        "height": 12,
-        "manual_height": 1,
-        "default": points,
-    }
+        "distance": 10, "height": 12, "manual_height": 1, "default": points,
+    }  # fmt: skip
     believed = found.robot.forward_batch(found.measurements.joints[found.measurements.labels["what"] == "default"])
     across, along = mesh(square=square)
     assert np.unique(believed.require()[:, 0].round(6)).tolist() == pytest.approx(across)
@@ -291,7 +288,6 @@ def test_corners_of_a_round_mesh_need_not_be_reached(tmp_path: Path) -> None:
     text = config(TRUE, SAVED)
     rows = len(import_klipper(saved(tmp_path, text)).measurements)
     first = re.search(r"#\*# \t(.*)\n", text)
-    assert first is not None
     other = ", ".join(f"{0.1 * k:.6f}" for k in range(COUNT))
     found = import_klipper(saved(tmp_path, text.replace(first[1], other, 1)))
     assert len(found.measurements) == rows

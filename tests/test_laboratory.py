@@ -33,12 +33,9 @@ from sherkit.robots.delta.virtual import VirtualDelta
 
 COMMAND = [sys.executable, "-c", "from sherkit.cli import main; main()"]
 ALL = [
-    {"kind": "galil", "link": "tcp"},
-    {"kind": "keyence", "link": "tcp", "latency_s": 0.002, "pieces": 3},
-    {"kind": "sm130"},
-    {"kind": "hyperion"},
-    {"kind": "net_ft"},
-]
+    {"kind": "galil", "link": "tcp"}, {"kind": "keyence", "link": "tcp", "latency_s": 0.002, "pieces": 3},
+    {"kind": "sm130"}, {"kind": "hyperion"}, {"kind": "net_ft"},
+]  # fmt: skip
 
 
 def test_every_instrument_of_a_laboratory_answers(tmp_path):

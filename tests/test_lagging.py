@@ -29,12 +29,9 @@ def test_columns_at_any_lag_are_those_of_the_model_with_it(name: str, within: tu
     time = 4.0 * np.arange(n)
     room = 21.0 + 3.0 * np.sin(time / 300.0) + 1e-3 * time
     data = replace(
-        data,
-        time_s=time,
-        order=np.arange(n),
-        covariates={**data.covariates, "temperature_c": room},
+        data, time_s=time, order=np.arange(n), covariates={**data.covariates, "temperature_c": room},
         room=Room(time, room),
-    )
+    )  # fmt: skip
     run = FittedRun(sk.identify(robot, data, effects=within))
     effect = model_of(robot).known_effects["thermal_shift"]
     sigma = np.full(len(run.axes), 0.3)

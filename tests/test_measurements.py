@@ -375,14 +375,10 @@ def test_a_table_is_read_from_a_pipe(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "meant"),
     [
-        ("X_mm", "x_mm"),
-        ("x_mmm", "x_mm"),
-        ("sigma_y", "sigma_y_mm"),
-        ("outliers", "outlier"),
-        ("Repeat", "repeat"),
+        ("X_mm", "x_mm"), ("x_mmm", "x_mm"), ("sigma_y", "sigma_y_mm"), ("outliers", "outlier"), ("Repeat", "repeat"),
         ("time", "time_s"),
     ],
-)
+)  # fmt: skip
 def test_a_covariate_that_looks_like_a_slip_is_warned_of(name: str, meant: str) -> None:
     """Catches a misspelt optional column used as a covariate without a word."""
     columns = {f"{n}_mm": [1.0, 2.0] for n in ("q1", "q2", "q3", "y")}
@@ -474,7 +470,6 @@ def test_repeatability_is_the_pooled_spread_of_poses() -> None:
             squares[axis] += float(((v - v.mean()) ** 2).sum()) if len(v) else 0.0
             freedom[axis] += max(len(v) - 1, 0)
     found = data.repeatability
-    assert found is not None
     assert found.degrees_of_freedom == {f"{a}_mm": n for a, n in freedom.items()}
     for axis in "xyz":
         assert found.sigma[f"{axis}_mm"] == pytest.approx(np.sqrt(squares[axis] / freedom[axis]), rel=1e-12)
@@ -496,7 +491,6 @@ def test_equal_joint_readings_are_repeats() -> None:
     others = {"time_s": np.arange(7.0), "direction_1": [1, -1, -1, 1, 1, 1, 1], "payload_g": [0, 0, 50, 50, 0, 0, 0]}
     for data in (from_frame(columns), from_frame(columns | others)):
         assert data.groups.tolist() == [0, 1, 0, 1, 2, 3, 0]
-        assert data.repeatability is not None
         assert data.repeatability.degrees_of_freedom == {"x_mm": 3}
         assert data.select(np.array([6, 4, 0])).groups.tolist() == [0, 1, 0]
     numbered = from_frame(columns | {"pose": [1, 2, 3, 2, 4, 5, 1]})
@@ -549,38 +543,11 @@ def test_a_wild_row_is_no_wrong_unit() -> None:
 
 TOKENS = st.sampled_from(
     [
-        "1",
-        "-2.5",
-        "3,5",
-        "",
-        " ",
-        "nan",
-        "-inf",
-        "1e400",
-        "1e300",
-        "1e-320",
-        "-0",
-        "1_0",
-        "0x1",
-        "１２",
-        "−5",
-        "abc",
-        "é",
-        "\x00",
-        '"',
-        '""',
-        '"4"',
-        "#",
-        "=1+1",
-        "\x1a",
-        "\x85",
-        "\u2028",
-        "\ufeff",
-        "1.234,5",
-        "TRUE",
+        "1", "-2.5", "3,5", "", " ", "nan", "-inf", "1e400", "1e300", "1e-320", "-0", "1_0", "0x1", "１２", "−5", "abc",
+        "é", "\x00", '"', '""', '"4"', "#", "=1+1", "\x1a", "\x85", "\u2028", "\ufeff", "1.234,5", "TRUE",
         "99999999999999999999999999999999999999",
     ]
-)
+)  # fmt: skip
 NAMES = st.sampled_from([*COLUMNS, "x_um", "pose ", "", '"x_mm"', "#"])
 
 

@@ -77,5 +77,4 @@ def test_terminal_json_and_report_are_of_the_same_rows(lab: Path, capsys: pytest
     report = (lab / "report.html").read_text(encoding="utf-8")
     assert f"lines {LINE}" in report
     found = re.search(r'id="error-before">([\d.]+)', report)
-    assert found is not None
     assert float(found[1]) == pytest.approx(error.rms, rel=6e-3)

@@ -22,7 +22,7 @@ import sherkit as sk
 from browsing import chromium, needs_browser, source
 from sherkit import save_robot
 from sherkit.cli.demo import EXAMPLE
-from sherkit.robots.delta.robot import grid, paper_whole
+from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 
 pytestmark = needs_browser
@@ -40,13 +40,12 @@ def floor_ramp(rows, p):
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A robot, a small run with leaning rails and a bias in z that no effect of the catalogue has, and a good one."""
+    """A robot, a small run with leaning rails and a bias in z that no effect of the catalogue has, and more of it."""
     folder = tmp_path_factory.mktemp("lab")
     save_robot(EXAMPLE, folder / "robot.toml")
     virtual = VirtualDelta.draw(EXAMPLE, 6, rail_lean_rad=8e-3, noise_mm=0.005)
     poses = grid(20.0, 6, (-18.0, 0.0, 18.0))
     virtual.measure(poses, repeats=2, seed=1).save(folder / "run.csv")
-    virtual.measure(paper_whole(), repeats=5, seed=6).save(folder / "whole.csv")
     more = virtual.measure(poses[::2], repeats=2, seed=2).to_frame()
     end = float(sk.read_measurements(folder / "run.csv").time_s.max())
     more.with_columns(more["time_s"] + end + 60.0).write_csv(folder / "more.csv")
@@ -71,12 +70,10 @@ def serving(lab: Path, *options: str, run: str = "run.csv") -> Iterator[Served]:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     try:
-        assert process.stdout is not None
         said = process.stdout.readline()
         found = re.search(r"http://\S+", said)
         if found is None:
             process.wait(600)
-            assert process.stderr is not None
             raise AssertionError(said + process.stderr.read())
         yield Served(process, found[0])
     finally:

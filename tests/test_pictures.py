@@ -627,7 +627,6 @@ def test_quantiles_of_the_noise(demo: Run, plane: Run) -> None:
 def test_accuracy_map_is_the_calibration(demo: Run) -> None:
     """Catches swapped axes, an outline around what misses the requirement, and hatching of what was measured."""
     state = accuracy_of(demo.calibration)
-    assert EXAMPLE.workspace_z_mm is not None
     z = np.linspace(EXAMPLE.workspace_z_mm[1], EXAMPLE.workspace_z_mm[0], 3)
     rng = np.random.default_rng(0)
     for _ in range(12):
@@ -675,7 +674,6 @@ def test_thinning_keeps_every_spike() -> None:
     rng = np.random.default_rng(2)
     at = rng.choice(50_000, 12, replace=False)
     state.estimate[at[:3]], state.others["sensor"][at[3:6]], state.others["truth"][at[6:9]] = 9.0, -9.0, 7.0
-    assert state.force_mN is not None
     state.force_mN[at[9:]] = 8.0
     t = table(estimate_picture(state), "run")
     assert len(t["t"]) < 20_000

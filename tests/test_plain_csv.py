@@ -52,7 +52,6 @@ def test_numbers_are_the_nearest_ones(tmp_path: Path) -> None:
     digits = [[repr(float(v)) for v in row] for row in rng.normal(0, 10.0 ** rng.integers(-9, 3, (400, 6)))]
     path = written(tmp_path, "q1_mm,q2_mm,q3_mm,x_mm,y_mm,z_mm\n" + "\n".join(",".join(row) for row in digits))
     plain = read_plain(path)
-    assert plain is not None
     np.testing.assert_array_equal(plain[0].to_numpy(), np.array(digits, dtype=float))
 
 

@@ -118,13 +118,9 @@ def test_a_study_goes_on_where_it_ended(planning, tmp_path):
     path.write_text(path.read_text() + "[[1, 3, 0.0")
     seen = []
     again = study_power(
-        planning,
-        wanted,
-        runs=40,
-        executor=_AtOnce(),
-        path=path,
+        planning, wanted, runs=40, executor=_AtOnce(), path=path,
         progress=lambda done, total: seen.append((done, total)),
-    )
+    )  # fmt: skip
     assert again == whole
     assert seen[0] == (10 * (len(lines) - 1), 80)
     assert seen[-1] == (80, 80)

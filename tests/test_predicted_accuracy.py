@@ -58,8 +58,8 @@ def blind() -> DeltaCalibration:
 
 @pytest.mark.parametrize(
     "name",
-    ["delta, 2 mm ripple, 6.7 mm grid", "delta, 5 mm ripple, joints 5 mm apart",
-     "spherical, 36 waves per turn, joints 10° apart"],
+    ["delta, 2 mm ripple, 6.7 mm grid", "spherical, 36 waves per turn, joints 10° apart",
+     pytest.param("delta, 5 mm ripple, joints 5 mm apart", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_what_the_poses_could_not_show_is_promised(name: str) -> None:
     """Catches a promise by the residuals alone: the ripple is in none of them, and everywhere between the poses."""
@@ -68,7 +68,11 @@ def test_what_the_poses_could_not_show_is_promised(name: str) -> None:
     assert found.whole >= 0.93
 
 
-@pytest.mark.parametrize("name", ["delta, grid of 147, jittered", "spherical, grid of 100", "delta, slip fitted"])
+@pytest.mark.parametrize(
+    "name",
+    ["delta, grid of 147, jittered",
+     *(pytest.param(n, marks=pytest.mark.slow) for n in ("spherical, grid of 100", "delta, slip fitted"))],
+)  # fmt: skip
 def test_poses_that_show_everything_leave_little_unseen(name: str) -> None:
     """Catches an addition for what irregular poses have ruled out, and a radius that does not hold without it."""
     found = kept(named(name), range(2), places=60)

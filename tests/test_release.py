@@ -57,7 +57,6 @@ def test_help_ends_with_lines_that_can_be_typed(verb):
         if isinstance(command, click.Group):
             context = click.Context(command, info_name=verb, parent=context)
             command, arguments = command.get_command(context, arguments[0]), arguments[1:]
-        assert command is not None
         command.make_context(verb, arguments, parent=context)
 
 
@@ -92,18 +91,8 @@ def test_the_doctor_knows_every_extra(monkeypatch):
 
 #: Modules of Python's own library that are left out where a library lacked when it was built.
 LEFT_OUT = (
-    "_sqlite3",
-    "_bz2",
-    "_lzma",
-    "_ssl",
-    "_hashlib",
-    "_curses",
-    "readline",
-    "_tkinter",
-    "_uuid",
-    "_dbm",
-    "_ctypes_test",
-)
+    "_sqlite3", "_bz2", "_lzma", "_ssl", "_hashlib", "_curses", "readline", "_tkinter", "_uuid", "_dbm", "_ctypes_test",
+)  # fmt: skip
 
 
 def test_a_python_that_lacks_libraries_does_all_that_needs_none_of_them(tmp_path):
@@ -168,15 +157,8 @@ def test_the_loop_of_the_wheel_runs(tmp_path):
 
     (tmp_path / "robot.h").write_text(calibration_header(Made()), encoding="utf-8")  # type: ignore[arg-type]
     flags = [
-        "-std=c11",
-        "-O2",
-        "-Wall",
-        "-Wextra",
-        "-Wpedantic",
-        "-Werror",
-        f"-I{LIBRARY / 'include'}",
-        f"-I{tmp_path}",
-    ]
+        "-std=c11", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{LIBRARY / 'include'}", f"-I{tmp_path}",
+    ]  # fmt: skip
     run(tool("cc"), *flags, LIBRARY / "examples/wheel/loop.c", built_archive(), "-lm", "-o", tmp_path / "loop")
     assert ", 0 targets out of reach" in run(tmp_path / "loop", "0.2")
 

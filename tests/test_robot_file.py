@@ -114,7 +114,6 @@ def test_the_second_simulator_means_the_same_robot(tmp_path: Path) -> None:
 def test_the_readme_shows_the_example(tmp_path: Path) -> None:
     """Catches a page whose robot file is refused."""
     shown = re.search(r"```toml\n(kind = .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert shown is not None
     assert load_robot(saved(tmp_path, shown[1])) == replace(EXAMPLE, required_um=20.0)
 
 

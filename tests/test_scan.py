@@ -25,13 +25,9 @@ Floats = NDArray[np.float64]
 
 N, M, P, F, D = 60, 3, 5, 4, 3
 CANDIDATES = (
-    Columns(functions=(0,), axis=1),
-    Columns(functions=(0, 1, 2), axis=0),
-    Columns(functions=(1, 3)),
-    Columns(dense=(0,)),
-    Columns(dense=(0, 1, 2), exact=True),
-    Columns(functions=(2,)),
-)
+    Columns(functions=(0,), axis=1), Columns(functions=(0, 1, 2), axis=0), Columns(functions=(1, 3)),
+    Columns(dense=(0,)), Columns(dense=(0, 1, 2), exact=True), Columns(functions=(2,)),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -386,14 +382,10 @@ def test_shapes_follow_from_the_variables_alone() -> None:
     q = {f"q{k}_mm": rng.uniform(0, 40, n) for k in (1, 2, 3)}
     view = Linearised(
         residual=rng.normal(size=(n, 3)),
-        variables={**q, "x_mm": rng.uniform(-20, 20, n), "time_s": time, "lamp": np.full(n, 3.0)},
-        group=np.arange(n),
-        repeated=np.arange(n),
-        derivatives=Given(rng.normal(size=(n, 3, 3))),
-        pattern_of={name: name for name in q},
-        inputs=q,
-        time=time,
-    )
+        variables={**q, "x_mm": rng.uniform(-20, 20, n), "time_s": time, "lamp": np.full(n, 3.0)}, group=np.arange(n),
+        repeated=np.arange(n), derivatives=Given(rng.normal(size=(n, 3, 3))), pattern_of={name: name for name in q},
+        inputs=q, time=time,
+    )  # fmt: skip
     family = build(view, Waves(view))
     kinds = {s.shape for s in family.shapes}
     assert kinds == {"smooth", "periodic", "interaction", "hysteretic", "step"}

@@ -298,7 +298,6 @@ def test_every_error_and_effect_is_that_of_the_second_simulator(arm: Serial) -> 
     data = virtual.measure(postures(arm, 14), seed=3, payload_kg=np.linspace(0.0, 8.0, 14))
     model = model_of(arm)
     model = replace(model, free=tuple(p.name for p in model.base))
-    assert data.time_s is not None
     middle = float(data.time_s[len(data) // 2])
     for effect in model.known_effects.values():
         at = 2 * np.pi / 3 if effect.is_periodic else middle

@@ -23,11 +23,8 @@ ROBOTS = ("ur5_robot", "ur10_robot", "ur3_robot", "panda", "xarm7", "kinova", "z
           "baxter", "romeo", "icub", "hyq_no_sensors", "pr2")  # fmt: skip
 #: Those whose every joint counts many times in the slow test.
 ARMS = {
-    "ur5_robot": "tool0",
-    "panda": "panda_link8",
-    "xarm7": "link_eef",
-    "talos_left_arm": "arm_left_7_link",
-}
+    "ur5_robot": "tool0", "panda": "panda_link8", "xarm7": "link_eef", "talos_left_arm": "arm_left_7_link",
+}  # fmt: skip
 _G = 9.81
 
 

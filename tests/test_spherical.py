@@ -15,7 +15,7 @@ import polars as pl
 import pytest
 import tomli_w
 from click.testing import CliRunner
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from numpy.typing import NDArray
 
 import sherkit as sk
@@ -139,7 +139,6 @@ def test_a_bad_robot_file_is_refused(table: str, key: str, value: Any, says: str
     assert says in str(refused.value)
 
 
-@settings(max_examples=200)
 @given(robot=sphericals(), where=st.integers(0, 2**31), crossed=st.booleans())
 def test_the_tool_is_where_the_limbs_meet(robot: Spherical, where: int, crossed: bool) -> None:
     """Catches a wrong root, mode or sign anywhere in the space of geometries: by vectors instead of formulas.

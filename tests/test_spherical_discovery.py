@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 import sherkit as sk
+from consistency import named
 from second_simulator import room_temperature
 from second_simulator.spherical import SPHERICAL_EFFECTS, SecondSpherical, sphere_grid, spherical_plan
 from sherkit.diagnosis import template
@@ -125,11 +126,6 @@ def measured(
     return Run(sk.from_frame(pl.DataFrame(columns)), robot, plan)
 
 
-def named(d: sk.diagnosis.Diagnosis) -> set[str]:
-    """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.indistinguishable)
-
-
 def hidden(name: str, ratio: float, where: str, seed: int, *, any_room: bool = False) -> sk.diagnosis.Diagnosis:
     """The diagnosis of a run with one effect whose visible part is ``ratio`` times the noise."""
     return measured(where, seed, scaled={name: ratio}, any_room=any_room).diagnose()
@@ -175,7 +171,16 @@ def test_the_plan_fills_the_picture() -> None:
     assert (high - low)[0] > 0.6 * SIZE_PX[0]
 
 
-@pytest.mark.parametrize(("k", "name"), list(enumerate(EFFECTS)))
+#: One of each link and of each way to be found. That every effect is tried, and by the right columns, is asked where
+#: nothing is hidden and in ``test_second_spherical.py``.
+ASKED = (
+    "joint_offset", "backlash", "encoder_cyclic", "gravity_flexure", "marker_offset", "camera_pose", "camera_delay",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("k", "name"), [pytest.param(*one, marks=[pytest.mark.slow] * (one[1] not in ASKED)) for one in enumerate(EFFECTS)]
+)
 def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     """Catches an effect that is never tried, tried with wrong columns, or outranked; and a wrong held-out error.
 
@@ -194,7 +199,7 @@ def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     assert d.signature is None
 
 
-@pytest.mark.parametrize("repeats", [1, 3, 5])
+@pytest.mark.parametrize("repeats", [1, 3, pytest.param(5, marks=pytest.mark.slow)])
 def test_nothing_is_found_where_nothing_is(repeats: int) -> None:
     """Catches an alarm without cause, and an adequate model without a word on what would have been found.
 
@@ -280,6 +285,7 @@ def test_a_turn_that_both_joints_share_is_tied_with_a_camera_that_turned() -> No
     assert all(pose["separation_sigma"] >= 3.0 for pose in common.next_poses[-1:])
 
 
+@pytest.mark.slow
 def test_a_camera_that_slipped_early_leaves_no_row_out() -> None:
     """Catches rows before an early slip that are taken for gross errors, and the other readings of their poses with
     them, since one of three spoils the mean: seed 13, where it slips after 59 of 1,728 rows."""
@@ -381,7 +387,6 @@ def test_a_template_of_an_unknown_shape_runs_on_pixels(tmp_path: Path) -> None:
     data = sk.from_frame(frame.with_columns(moved, pl.Series("humidity_pct", humidity)))
     d = sk.diagnose(sk.identify(ROBOT, data))
     assert d.verdict == "unexplained"
-    assert d.signature is not None
     assert d.signature["depends_on"] == ["humidity_pct"]
     path = tmp_path / "my_effects.py"
     path.write_text(template(d.signature, data.layout, "unknown_effect", path.name), encoding="utf-8")

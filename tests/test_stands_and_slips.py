@@ -13,6 +13,7 @@ import sherkit as sk
 import test_arm_counted as arm
 import test_discovery as delta
 import test_spherical_discovery as spherical
+from consistency import named
 from second_simulator import grid
 from sherkit.base.types import Floats
 from sherkit.data.lagged import Room
@@ -21,11 +22,6 @@ from sherkit.diagnosis import waves
 NEW = ("thermal_shift", "joint_slip")
 #: Chance with which a correct program fails one of the counts below.
 RARE = 1e-3
-
-
-def named(d: sk.diagnosis.Diagnosis) -> set[str]:
-    """Effects that lead or are tied with one that does."""
-    return set(d.effects).union(*d.indistinguishable)
 
 
 @pytest.mark.parametrize("lag_s", [3.0, 200.0, 5000.0])
@@ -37,7 +33,6 @@ def test_what_lags_follows_its_equation(lag_s: float) -> None:
     room = 20.0 + np.sin(time / 400.0) + time / 1000.0
     order = rng.permutation(len(time))
     made = Room.of(time[order], room[order])
-    assert made is not None
     found = made.later(time, lag_s)
 
     def slope(t: float, stand: Floats) -> Floats:
@@ -53,7 +48,6 @@ def test_rows_of_a_run_know_its_whole_room() -> None:
     whole = data.later(600.0)
     rows = np.arange(100, 400, 3)
     some = data.select(rows).later(600.0)
-    assert whole is not None
     assert some is not None
     np.testing.assert_array_equal(some, whole[rows])
 
@@ -90,7 +84,6 @@ def test_a_wave_as_long_as_the_poses_lie_apart_is_none(name: str, seed: int) -> 
     run = delta.measured(points, seed, scaled={name: 3 * delta.NOISE_UM}, repeats=1, order="planes")
     frame = run.data.to_frame().drop("time_s", "temperature_c", "humidity_pct")
     d = sk.diagnose(delta.DELTA, sk.from_frame(frame))
-    assert d.signature is not None
     assert d.signature["shape"] != "periodic"
 
 

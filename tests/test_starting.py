@@ -34,10 +34,11 @@ def command(*typed: str) -> str:
 
 
 def test_the_import_alone_loads_nothing_that_is_slow() -> None:
-    """Catches ``import sherkit`` that loads NumPy, SciPy, a table reader or what draws, before anything was asked."""
+    """Catches ``import sherkit`` that loads NumPy, SciPy, a table reader, what draws, or instruments, before anything
+    was asked."""
     loaded = loaded_by("import sherkit")
     assert not loaded & {*SLOW, "click", "concurrent.futures", "subprocess"}
-    assert "sherkit._core" not in loaded
+    assert not {name for name in loaded if name.startswith(("sherkit._core", "sherkit.lab."))}
 
 
 @pytest.mark.parametrize("typed", [["--version"], ["diagnoze"]])
@@ -90,31 +91,30 @@ def test_the_door_is_like_any_module() -> None:
         exec("from sherkit import diagnoze", {})
 
 
-def test_a_function_is_not_hidden_by_the_file_it_stands_in() -> None:
-    """Catches ``sk.calibrate`` that is a module, once something has loaded the file of that name."""
-    code = "import sherkit.cli.calibrate, sherkit.cli.diagnose, sherkit as sk\nassert callable(sk.calibrate)\n"
-    loaded_by(code + "assert all(callable(getattr(sk, n)) for n in ('diagnose', 'effect', 'identify'))")
+#: Programs that begin with one file of sherkit, and go on.
+PROGRAMS = [
+    # a function is not hidden by the file of its name, once something has loaded that
+    "import sherkit.cli.calibrate, sherkit.cli.diagnose, sherkit as sk\n"
+    "assert all(callable(getattr(sk, n)) for n in ('calibrate', 'diagnose', 'effect', 'identify'))",
+    "from sherkit.data.columns import layout_of\nassert layout_of(['q1_mm', 'x_mm']).joints[0] == 'q1_mm'",
+    "from sherkit.data import from_frame\n"
+    "from_frame({k: [0.0, 1.0] for k in ('q1_mm', 'q2_mm', 'q3_mm', 'x_mm', 'y_mm', 'z_mm')})",
+    "from sherkit.model.kinds import known_kinds\n"
+    "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'printer']",
+    "from sherkit.model.kinds import register, known_kinds\nfrom dataclasses import replace\n"
+    "from sherkit.robots.delta import KIND\nregister(replace(KIND, name='own'))\n"
+    "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'printer', 'own']",
+    "import tempfile\nfrom sherkit.robots.serial.imported import import_dh\n"
+    "open((f := tempfile.mkdtemp() + '/arm.csv'), 'w').write('d_mm,a_mm,alpha_deg\\n' + '90,200,0\\n' * 6)\n"
+    "import_dh(f)\nfrom sherkit.data.columns import layout_of\nassert layout_of(['t']).joints[0] == 'q1_mm'",
+]
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
-        "from sherkit.data.columns import layout_of\nassert layout_of(['q1_mm', 'x_mm']).joints[0] == 'q1_mm'",
-        "from sherkit.data import from_frame\n"
-        "from_frame({k: [0.0, 1.0] for k in ('q1_mm', 'q2_mm', 'q3_mm', 'x_mm', 'y_mm', 'z_mm')})",
-        "from sherkit.model.kinds import known_kinds\n"
-        "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'printer']",
-        "from sherkit.model.kinds import register, known_kinds\nfrom dataclasses import replace\n"
-        "from sherkit.robots.delta import KIND\nregister(replace(KIND, name='own'))\n"
-        "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'printer', 'own']",
-        "import tempfile\nfrom sherkit.robots.serial.imported import import_dh\n"
-        "open((f := tempfile.mkdtemp() + '/arm.csv'), 'w').write('d_mm,a_mm,alpha_deg\\n' + '90,200,0\\n' * 6)\n"
-        "import_dh(f)\nfrom sherkit.data.columns import layout_of\nassert layout_of(['t']).joints[0] == 'q1_mm'",
-    ],
-)
-def test_built_in_robots_are_known_from_every_side(code: str) -> None:
-    """Catches a file of runs or a robot that is not understood, since nobody has asked for the robots before."""
-    loaded_by(code)
+def test_a_program_may_begin_with_any_file() -> None:
+    """Catches ``sk.calibrate`` that is a module; a file of runs or a robot that is not understood, since nobody has
+    asked for the robots before. All in one process, which forgets sherkit in between."""
+    forgets = "[sys.modules.pop(n) for n in list(sys.modules) if n.startswith('sherkit') and n != 'sherkit._core']"
+    loaded_by("import sys\n" + "\n".join(f"exec({code!r}, {{}})\n{forgets}" for code in PROGRAMS))
 
 
 def test_every_verb_says_its_help_where_nothing_extra_is_installed() -> None:

@@ -126,7 +126,6 @@ def test_a_run_with_faults_is_mended_by_what_sherkit_says(tmp_path: Path) -> Non
 
     said = sherkit(tmp_path, "calibrate", "robot.toml", "run.csv", code=1).stderr
     place = re.search(r"line (\d+), column 'y_mm': nan is not a measurement; .* leave the cell empty", said)
-    assert place is not None
     lines = path.read_text(encoding="utf-8-sig").splitlines()
     assert "nan" in lines[int(place[1]) - 1]
     lines[int(place[1]) - 1] = lines[int(place[1]) - 1].replace("nan", "")

@@ -26,8 +26,6 @@ DATA = ROOT / "tests" / "data"
 
 def _load() -> Any:
     spec = importlib.util.spec_from_file_location("telescope_mount", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up there
     spec.loader.exec_module(module)

@@ -53,12 +53,9 @@ def recorded(n: int, seed: int = 3) -> dict[str, Any]:
     shifts = np.stack([np.sin(times), np.cos(times), depths], axis=1)
     shifts[rng.random(n) < 0.01] = np.inf
     return {
-        "times": times,
-        "poses": np.ascontiguousarray(np.hstack([turned.reshape(n, 9), shifts])),
-        "stamps": stamps,
-        "wavelengths": w,
-        "present": rng.random(n) > 0.1,
-    }
+        "times": times, "poses": np.ascontiguousarray(np.hstack([turned.reshape(n, 9), shifts])), "stamps": stamps,
+        "wavelengths": w, "present": rng.random(n) > 0.1,
+    }  # fmt: skip
 
 
 def filters(pose: Floats) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Trials of Parquet files as ``sherkit.data.frames`` makes them, each in a process of its own: forked from one that has
+"""Trials of Parquet files as ``sherkit.data.tables`` makes them, each in a process of its own: forked from one that has
 polars loaded already, since to load it takes a hundred times longer than to read the file."""
 
 from __future__ import annotations

@@ -39,19 +39,11 @@ CATALOGUE: Sequence[dict[str, Any]] = (
     _row("drift", "body", "mm/h", 0.1, 1.0, "rate_x", "rate_y", "rate_z", needs=["time_s"]),
     _row("slip", "body", "mm", 0.1, 1.0, "step_x", "step_y", "step_z", needs=["time_s"], search="time_s"),
     _row(
-        "thermal_shift",
-        "sensor",
-        "mm/°C",
-        0.01,
-        1.0,
-        "shift_x",
-        "shift_y",
-        "shift_z",
-        needs=["temperature_c"],
+        "thermal_shift", "sensor", "mm/°C", 0.01, 1.0, "shift_x", "shift_y", "shift_z", needs=["temperature_c"],
         search="lag_s",
     ),
     _row("sensor_linearity", "sensor", "mm", 0.005, 1.0, "cubic_x", "cubic_y", "cubic_z"),
-)
+)  # fmt: skip
 _ENDS = np.cumsum([len(row["parameters"]) for row in CATALOGUE])
 _OWN = {row["name"]: slice(end - len(row["parameters"]), end) for row, end in zip(CATALOGUE, _ENDS, strict=True)}
 

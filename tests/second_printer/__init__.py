@@ -10,13 +10,5 @@ from .plate import Plate
 from .probing import Probe, mesh_points, touched
 
 __all__ = [
-    "Firmware",
-    "Machine",
-    "Plate",
-    "Probe",
-    "duet_files",
-    "klipper_file",
-    "marlin_file",
-    "mesh_points",
-    "touched",
-]
+    "Firmware", "Machine", "Plate", "Probe", "duet_files", "klipper_file", "marlin_file", "mesh_points", "touched",
+]  # fmt: skip

@@ -17,16 +17,9 @@ Floats = NDArray[np.float64]
 
 #: Faults, and what is to be named for each; nothing where better numbers are the cure, or where probing shows nothing.
 FAULTS = {
-    "none": "",
-    "one tower leans": "rail_lean",
-    "frame twisted": "rail_lean",
-    "arm lengths": "",
-    "wrong radius": "",
-    "bent plate": "bed_shape",
-    "slack belt": "",
-    "tilted probe": "",
-    "tilting effector": "rod_mismatch",
-}
+    "none": "", "one tower leans": "rail_lean", "frame twisted": "rail_lean", "arm lengths": "", "wrong radius": "",
+    "bent plate": "bed_shape", "slack belt": "", "tilted probe": "", "tilting effector": "rod_mismatch",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

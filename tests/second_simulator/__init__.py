@@ -19,28 +19,8 @@ from .plans import grid, local_grid, make_plan, room_temperature, whole_grid, wr
 from .simulate import fitted_directions, platform_pose, scaled_effect, simulate, truth
 
 __all__ = [
-    "CATALOGUE",
-    "EFFECTS",
-    "FITTED_SIZES",
-    "NOMINAL_CONFIG",
-    "OUTSIDE_CATALOGUE",
-    "Noise",
-    "Robot",
-    "draw_effect",
-    "draw_geometric_errors",
-    "draw_zeros",
-    "fitted_directions",
-    "grid",
-    "inverse_kinematics",
-    "local_grid",
-    "make_plan",
-    "platform_pose",
-    "room_temperature",
-    "scaled_effect",
-    "simulate",
-    "truth",
-    "whole_grid",
-    "with_errors",
-    "write_csv",
+    "CATALOGUE", "EFFECTS", "FITTED_SIZES", "NOMINAL_CONFIG", "OUTSIDE_CATALOGUE", "Noise", "Robot", "draw_effect",
+    "draw_geometric_errors", "draw_zeros", "fitted_directions", "grid", "inverse_kinematics", "local_grid", "make_plan",
+    "platform_pose", "room_temperature", "scaled_effect", "simulate", "truth", "whole_grid", "with_errors", "write_csv",
     "write_robot_toml",
-]
+]  # fmt: skip

@@ -36,11 +36,8 @@ NOMINAL_CONFIG: dict[str, Any] = {
 ZEROS_MM = 50.0
 # The four groups a geometric calibration fits, with the default sd of a drawn error (mm, rad).
 FITTED_SIZES: dict[str, float] = {
-    "base_radius": 1.0,
-    "base_angle": float(np.deg2rad(0.5)),
-    "joint_offset": 0.5,
-    "rod_length": 0.5,
-}
+    "base_radius": 1.0, "base_angle": float(np.deg2rad(0.5)), "joint_offset": 0.5, "rod_length": 0.5,
+}  # fmt: skip
 ERROR_GROUPS = (*FITTED_SIZES, "platform_radius", "platform_angle")
 
 

@@ -314,45 +314,18 @@ _SPEED = frozenset({"theta1_rad_per_s", "theta2_rad_per_s"})
 
 #: Kinds, and the columns of which a description of what they leave must name one.
 DELTA_KINDS: dict[Kind, frozenset[str]] = {
-    room_cycle: TIME,
-    random_walk: TIME,
-    creep: TIME,
-    warm_up: TIME,
-    bump_back: TIME,
-    telegraph: TIME,
-    lagged_growth: TIME | {"temperature_c"},
-    tilt_of_warmth: frozenset({"temperature_c"}),
-    humidity: frozenset({"humidity_pct"}),
-    humidity_unrecorded: TIME,
-    saddle: _PLACE,
-    bowed_rails: _JOINTS,
-    ripple: _PLACE,
-    worn_spot: _JOINTS,
-    cable: _PLACE | _JOINTS,
-    saturation: _PLACE,
-    crosstalk_product: _JOINTS,
-    crosstalk_square: _JOINTS,
-    clearance_of_whole: _JOINTS | _PLACE,
-    clock_of_another: _JOINTS,
-    stick_slip: _JOINTS,
-}
+    room_cycle: TIME, random_walk: TIME, creep: TIME, warm_up: TIME, bump_back: TIME, telegraph: TIME,
+    lagged_growth: TIME | {"temperature_c"}, tilt_of_warmth: frozenset({"temperature_c"}),
+    humidity: frozenset({"humidity_pct"}), humidity_unrecorded: TIME, saddle: _PLACE, bowed_rails: _JOINTS,
+    ripple: _PLACE, worn_spot: _JOINTS, cable: _PLACE | _JOINTS, saturation: _PLACE, crosstalk_product: _JOINTS,
+    crosstalk_square: _JOINTS, clearance_of_whole: _JOINTS | _PLACE, clock_of_another: _JOINTS, stick_slip: _JOINTS,
+}  # fmt: skip
 SPHERICAL_KINDS: dict[Kind, frozenset[str]] = {
-    room_cycle: TIME,
-    random_walk: TIME,
-    creep: TIME,
-    warm_up: TIME,
-    telegraph: TIME,
-    breathing_lens: TIME,
-    lagged_growth: TIME | {"temperature_c"},
-    worn_spot: _ANGLES,
-    cable: _ANGLES | _PICTURE,
-    ripple: _PICTURE,
-    one_sided_light: _ANGLES | _PICTURE,
-    clearance_of_whole: _ANGLES | _PICTURE,
-    stick_slip: _ANGLES | _SPEED,
-    rolling_shutter: _PICTURE | _SPEED,
-    shifting_clock: TIME | _SPEED,
-}
+    room_cycle: TIME, random_walk: TIME, creep: TIME, warm_up: TIME, telegraph: TIME, breathing_lens: TIME,
+    lagged_growth: TIME | {"temperature_c"}, worn_spot: _ANGLES, cable: _ANGLES | _PICTURE, ripple: _PICTURE,
+    one_sided_light: _ANGLES | _PICTURE, clearance_of_whole: _ANGLES | _PICTURE, stick_slip: _ANGLES | _SPEED,
+    rolling_shutter: _PICTURE | _SPEED, shifting_clock: TIME | _SPEED,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,18 +13,6 @@ from .wide import Wide, WideRun
 from .world import Gratings, Recorded, World, write_csv
 
 __all__ = [
-    "CONDITIONS",
-    "EXPERIMENTS",
-    "FAULTS",
-    "Gratings",
-    "Honesty",
-    "Recorded",
-    "Rod",
-    "Wide",
-    "WideRun",
-    "World",
-    "faults",
-    "honesty",
-    "pooled",
-    "write_csv",
-]
+    "CONDITIONS", "EXPERIMENTS", "FAULTS", "Gratings", "Honesty", "Recorded", "Rod", "Wide", "WideRun", "World",
+    "faults", "honesty", "pooled", "write_csv",
+]  # fmt: skip

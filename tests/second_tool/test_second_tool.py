@@ -67,7 +67,6 @@ def test_the_depth_changes_by_the_turning_shaft_as_well() -> None:
         middle, swept = (shaft[1:] + shaft[:-1]) / 2, np.diff(shaft, axis=0)
         led = np.einsum("ni,ni->n", step, middle)
         about = np.einsum("ni,ni->n", (r.place_mm[1:] + r.place_mm[:-1]) / 2, swept)
-        assert r.depth_mm is not None
         gone = r.depth_mm - r.depth_mm[0]
         np.testing.assert_allclose(np.cumsum(led + about), gone[1:], atol=1e-3)
         assert (np.abs(np.cumsum(led) - gone[1:]).max() > 0.2) == needed

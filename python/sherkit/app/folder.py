@@ -18,7 +18,7 @@ from ..base.names import listed
 from ..data import Measurements, read_measurements
 from ..data.columns import Columns
 from ..data.files import write_whole
-from ..data.frames import PARQUET
+from ..data.tables import PARQUET
 from ..errors import EffectError, SherkitError
 from ..model.effect import Effect
 from ..model.kinds import known_kinds

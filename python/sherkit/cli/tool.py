@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from ..base.names import listed
-from ..data.frames import write_table
+from ..data.tables import write_table
 from ..diagnosis import Diagnosis
 from ..robots.tool.alignment import Aligned, align
 from ..robots.tool.calibration import ToolCalibration, read_loads

@@ -13,7 +13,7 @@ import tomli_w
 from ..base.names import listed
 from ..data.columns import POSE, REPEAT, TIME
 from ..data.files import write_whole
-from ..data.frames import read_table, write_table
+from ..data.tables import read_table, write_table
 from ..errors import MeasurementError, SherkitError
 from ..robots.spherical.robot import SPHERICAL_JOINTS
 from . import output

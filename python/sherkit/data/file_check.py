@@ -17,10 +17,11 @@ import polars as pl
 from ..base.names import brief, closest, listed
 from ..errors import MeasurementError, SherkitWarning
 from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, known_layouts, meanings, stated, unit_in
-from .frames import PARQUET, clean, read_parquet
+from .frames import clean
 from .raw_table import NOTHING, WITH_UNIT, RawTable, Wrong, is_number, raw_table
 from .reader import checked
 from .rows import Measurements
+from .tables import PARQUET, read_parquet
 
 #: The column of the temperature, which effects of warmth ask for.
 _TEMPERATURE = "temperature_c"

@@ -21,8 +21,9 @@ from ..base.types import Ints
 from ..errors import MeasurementError
 from . import columns as c
 from .columns import Columns
-from .frames import PARQUET, clean, from_frame, read_parquet
+from .frames import clean, from_frame
 from .rows import Measurements
+from .tables import PARQUET, read_parquet
 
 # -- Decimal commas, in files whose cells are not parted by commas --------------------------------------------------
 

@@ -17,9 +17,9 @@ from ..base.names import listed, nearest
 from ..base.types import Bools, Floats, Ints
 from ..errors import EffectError, ShapeError, SherkitWarning
 from . import columns as c
-from .frames import write_table
 from .lagged import Room
 from .row_checks import check_rows
+from .tables import write_table
 
 #: A joint that moved by less than this part of its range stood still.
 _NO_MOTION = 1e-9

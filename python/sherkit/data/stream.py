@@ -20,9 +20,10 @@ from ..base.names import listed
 from ..base.types import Ints
 from ..errors import MeasurementError, SherkitWarning
 from .columns import OUTLIER, POSE, REPEAT, Layout
-from .frames import PARQUET, clean, from_frame, parquet_errors, try_parquet
+from .frames import clean, from_frame
 from .reader import checked, csv_blocks
 from .rows import Measurements
+from .tables import PARQUET, parquet_errors, try_parquet
 
 BLOCK_ROWS = 100_000
 

@@ -16,7 +16,7 @@ import polars as pl
 from ..base.types import Ints
 from ..data import Measurements, from_frame
 from ..data.files import write_whole
-from ..data.frames import parquet_errors
+from ..data.tables import parquet_errors
 from ..data.toml import Table
 from ..errors import NotWritten, SherkitError
 from ..fit.error import ErrorSize

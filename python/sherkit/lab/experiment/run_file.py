@@ -26,7 +26,7 @@ import numpy as np
 import sherkit._core as _core
 
 from ...data.files import is_output
-from ...data.frames import PARQUET, write_table
+from ...data.tables import PARQUET, write_table
 from ...errors import ExperimentError, NotWritten, SherkitWarning
 from ..clock import now_s, wall_ahead_s
 from .plan import Plan, Point

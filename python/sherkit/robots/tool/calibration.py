@@ -17,7 +17,7 @@ import polars as pl
 
 from ...base import linalg
 from ...base.types import Bools, Floats
-from ...data.frames import write_table
+from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from .bench_fit import (
     CONVENTIONS,

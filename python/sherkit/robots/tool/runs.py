@@ -18,8 +18,8 @@ from ...base import linalg
 from ...base.names import closest, listed
 from ...base.types import Bools, Floats
 from ...data.columns import TIME
-from ...data.frames import read_table, write_table
 from ...data.reader import checked
+from ...data.tables import read_table, write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from .tool import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN, rotation_of
 

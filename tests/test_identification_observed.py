@@ -1,0 +1,105 @@
+"""What readings tell of a robot and what they leave open: ranks, and the directions that nothing fixes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from sherkit import from_frame, identify
+from sherkit.fit.identify import Fit
+from sherkit.robots.delta import grid
+from strategies import EXAMPLE
+from test_identification import (
+    ALL,
+    GEOMETRIC,
+    JOINTS,
+    POSES,
+    SIGMA_MM,
+    TWELVE,
+    distances,
+    fits,
+    planted,
+    run,
+    sizes,
+    together,
+)
+
+
+def test_full_geometry_has_rank_twelve() -> None:
+    """Catches platform and base taken for independent, which the reconstruction of Eq. 9 rules out."""
+    rng = np.random.default_rng(61)
+    fit = identify(EXAMPLE, run(TWELVE, planted(TWELVE, rng), rng), free=GEOMETRIC)
+    assert fit.rank == 12
+    assert len(fit.unobserved) == 6
+    assert fit.rms()["x_mm"] == pytest.approx(1e3 * SIGMA_MM, rel=0.3)
+    _check_unobserved(fit)
+
+
+def test_datum_is_reported_as_unobserved() -> None:
+    """Catches a datum reported as known: shifting the sensor is shifting the base, and rising is all offsets."""
+    fit = fits(ALL, SIGMA_MM, 200)[0][1]
+    assert len(fit.unobserved) == 3
+    for axis in "xyz":
+        assert sum(f"datum_{axis}" in d.change for d in fit.unobserved) == 1, axis
+    (rise,) = (d for d in fit.unobserved if "datum_z" in d.change)
+    assert set(rise.change) == {"datum_z", "joint_offset_1", "joint_offset_2", "joint_offset_3"}
+    assert [rise.change[f"joint_offset_{k}"] / rise.change["datum_z"] for k in (1, 2, 3)] == pytest.approx([-1.0] * 3)
+    assert all(np.isinf(d.std) for d in fit.unobserved)
+    _check_unobserved(fit)
+
+
+@pytest.mark.parametrize("planes", [(0.0,), (-20.0, 0.0, 20.0)])
+def test_heights_alone_give_rank_nine(planes: tuple[float, ...]) -> None:
+    """Catches an exception, or certainty, where only z is read: all of x, y and turning about z stays open."""
+    rng = np.random.default_rng(71)
+    full = run(ALL, planted(ALL, rng), rng, poses=grid(20.0, 7, planes))
+    data = from_frame(full.to_frame().select(*JOINTS, "z_mm"))
+    fit = identify(ALL, data)
+    assert fit.rank == 9
+    scaled = ALL.derivatives(data, fit.values)[:, 2] * sizes(ALL)
+    assert np.linalg.matrix_rank(scaled, tol=1e-9 * np.linalg.norm(scaled, 2)) == 9
+    assert len(fit.unobserved) == 6
+    assert {"datum_x alone", "datum_y alone"} <= {str(d) for d in fit.unobserved}
+    assert fit.rms().keys() == {"z_mm"}
+    assert np.isfinite(fit.std).all()
+    assert (fit.residuals[:, 2] ** 2).sum() < (fit.nominal_residuals[:, 2] ** 2).sum() / 1e4
+    _check_unobserved(fit)
+
+
+def test_distances_alone_give_rank_eight() -> None:
+    """Catches a distance that is taken to know where the robot stands: shifts and the turn about z stay open."""
+    rng = np.random.default_rng(81)
+    values = planted(TWELVE, rng)
+    fit = identify(TWELVE, distances(values, 200, rng))
+    assert fit.rank == 8
+    assert len(fit.unobserved) == 4
+    assert fit.rms()["distance_mm"] == pytest.approx(1e3 * SIGMA_MM, rel=0.3)
+    _check_unobserved(fit)
+
+
+def test_distances_add_to_positions() -> None:
+    """Catches distance rows that are dropped or weigh nothing: every parameter gets better known, and stays right."""
+    rng = np.random.default_rng(82)
+    values = planted(TWELVE, rng)
+    few = run(TWELVE, values, rng, poses=POSES[::10])
+    both = together(few, distances(values, 300, rng))
+    alone, more = identify(TWELVE, few), identify(TWELVE, both)
+    assert both.is_distance.sum() == 300
+    assert (more.std / more.scale < 0.95 * alone.std / alone.scale).all()
+    # level 0.1 %: what is found with both is what was planted
+    e = more.values - values
+    assert stats.chi2.sf(e @ np.linalg.solve(more.covariance, e), 12) > 1e-3
+
+
+# -- helpers -------------------------------------------------------------------------------------------------
+
+
+def _check_unobserved(fit: Fit) -> None:
+    """The reported null space is orthonormal in plausible sizes and changes no reading to the first order."""
+    size = sizes(fit.model)
+    jacobian = fit.model.derivatives(fit.data, fit.values)[fit.data.taken] * size
+    assert np.abs(jacobian @ fit.unobserved_basis.T).max() < 1e-6 * np.abs(jacobian).max()
+    np.testing.assert_allclose(
+        fit.unobserved_basis @ fit.unobserved_basis.T, np.eye(len(size) - fit.rank), rtol=0, atol=1e-9
+    )

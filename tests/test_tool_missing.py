@@ -1,0 +1,292 @@
+"""What the flexible tool's model is missing: planted in the virtual tool, found by name, written into its file."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import sherkit as sk
+from consistency import named
+from second_tool import CONDITIONS
+from sherkit.errors import MeasurementError
+from sherkit.robots.tool import places as tip_places
+from sherkit.robots.tool.effects import TOOL_CATALOGUE
+from sherkit.robots.tool.filters import estimate
+from sherkit.robots.tool.model import ToolModel, applied
+from sherkit.robots.tool.places import Places
+from sherkit.robots.tool.tare import tare
+from sherkit.robots.tool.tool import FlexibleTool
+from sherkit.robots.tool.virtual import VirtualTool
+from test_tool import KNOWING, TOOL
+from tool_honesty import honest, run_of, tool_of
+
+SECONDS = 40.0
+#: Of the camera, per axis.
+NOISE_MM = 0.2 / np.sqrt(3.0)
+_PATTERNS = np.array([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]])
+
+
+def planted(name: str | None, seed: int, factor: float = 1.0) -> VirtualTool:
+    """A virtual tool with one effect of ``factor`` times about its plausible size, in the world and not in its file."""
+    rng = np.random.default_rng([seed, 7])
+    size = factor * rng.choice([-1, 1]) * rng.uniform(0.7, 1.5)
+    v = VirtualTool(FlexibleTool(), camera_warp_mm=0.0)
+    if name == "tool_stiffness":
+        return v.changed(stiffness_mn_mm2=v.tool.stiffness_mn_mm2 * (1 + 0.06 * size))
+    if name == "tool_length":
+        return v.changed(length_mm=60 + 1.5 * size)
+    if name == "fbg_gain":
+        return v.changed(gains=(np.array(v.tool.gains) * (1 + 0.04 * factor * rng.normal(size=(2, 1, 1)))).tolist())
+    if name == "fbg_bias":
+        return replace(v, bias_nm=tuple((0.01 * factor * rng.normal(size=(2, 2)) @ _PATTERNS).ravel()))
+    if name == "fbg_temperature":
+        leak = tuple((0.1 * factor * rng.normal(size=(2, 2)) @ _PATTERNS).ravel())
+        return replace(v, temperature_c=10.0, leak=leak)
+    if name == "force_hysteresis":
+        return replace(v, hysteresis_mn=6 * abs(size))
+    if name == "shaft_bend":
+        return replace(v, shaft_bend_mm=tuple(0.3 * factor * rng.normal(size=2)))
+    if name == "registration":
+        return v.changed(camera_rotation_rad=tuple(0.02 * factor * rng.normal(size=3)))
+    if name == "camera_delay":
+        return v.changed(camera_delay_s=0.02 * size)
+    if name == "fibre_delay":
+        return v.changed(fibre_delay_s=0.02 * abs(size))
+    assert name is None
+    return v
+
+
+def visible(name: str, seed: int, factor: float) -> float:
+    """What the effect leaves of the tip's places beside the camera's offset, without noise: RMS per axis, in noise."""
+    virtual = replace(planted(name, seed, factor), camera_mm=0.0, noise_nm=1e-6)
+    model = ToolModel(FlexibleTool(), virtual.run("vessels", seconds=SECONDS, seed=seed))
+    fit = sk.identify(model, model.readings)
+    return float(np.sqrt(np.mean(fit.residuals**2)) / NOISE_MM)
+
+
+def diagnosed(name: str | None, seed: int, ratio: float = 1.0) -> sk.diagnosis.Diagnosis:
+    """As a user does, with an effect whose visible part is about ``ratio`` times the camera's noise."""
+    # nearly in proportion: two steps are enough
+    factor = 1.0
+    if name is not None:
+        for _ in range(2):
+            factor *= ratio / visible(name, seed, factor)
+    run = planted(name, seed, factor).run("vessels", seconds=SECONDS, seed=seed)
+    model = ToolModel(FlexibleTool(), run)
+    return sk.diagnose(sk.identify(model, model.readings))
+
+
+@pytest.mark.parametrize("name", ["tool_stiffness", "shaft_bend", "registration", "camera_delay"])
+def test_effects_are_found_by_name(name: str) -> None:
+    """Catches an effect that is computed with the wrong sign or not at all; visible part 1 × the noise, seed 1."""
+    d = diagnosed(name, 1)
+    assert name in named(d)
+    assert d.steps[-1].error.rms / np.sqrt(d.error.axes) == pytest.approx(NOISE_MM, rel=0.06)
+
+
+def test_a_force_that_lags_is_explained() -> None:
+    """Catches a lag of which half is left: where the felt force stands still the true one goes on; seed 3."""
+    d = diagnosed("force_hysteresis", 3)
+    assert (d.verdict, d.effects) == ("explained", ("force_hysteresis",))
+
+
+def test_the_holes_width_is_found() -> None:
+    """Catches a hole whose width is that of its way to give, and one found where a needle bends a stopped tool."""
+    for experiment, found in (("vessels", True), ("bends", False)):
+        run = VirtualTool(FlexibleTool()).run(experiment, seconds=20.0, seed=1)
+        hole = Places(FlexibleTool(), run, run.time_s[:1]).hole
+        assert (hole is not None) == found
+        if hole is not None:
+            assert hole.clearance_mm == pytest.approx(2.2, abs=0.08)
+            assert hole.gives_mm_mn == pytest.approx(1.0 / 150.0, abs=2e-3)
+
+
+def test_a_short_run_without_a_force_is_soon_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches fits that smooth the whole run at each of their steps: a free motion of 2 s took minutes."""
+    counted: list[int] = []
+    calmed = tip_places.calmed
+
+    def counting(time_s: NDArray[np.float64]) -> Any:
+        counted.append(len(time_s))
+        return calmed(time_s)
+
+    monkeypatch.setattr(tip_places, "calmed", counting)
+    run = VirtualTool(FlexibleTool()).free_motion(seconds=2.0, seed=1)
+    model = ToolModel(FlexibleTool(), run)
+    assert sk.diagnose(sk.identify(model, model.readings)).verdict in ("adequate", "unexplained", "partly explained")
+    assert len(counted) < 10
+
+
+def test_nothing_is_found_where_nothing_is() -> None:
+    """Catches an alarm without cause; seeds 2 and 3, level 1 % (of the seeds 0 to 23 seed 1 alone has p < 1 %)."""
+    for seed in (2, 3):
+        d = diagnosed(None, seed)
+        assert (d.verdict, d.effects) == ("adequate", ())
+
+
+def test_wrong_pictures_are_listed() -> None:
+    """Catches a diagnosis that a marker taken for another ends in a traceback, or that takes it for physics."""
+    run = planted(None, 3).run("vessels", seconds=20.0, seed=3)
+    wild = run.camera_mm.copy()
+    wild[[50, 120, 200]] += [[3.0, 0.0, 0.0], [0.0, -5.0, 0.0], [1.0, 2.0, 20.0]]
+    model = ToolModel(FlexibleTool(), replace(run, camera_mm=wild))
+    d = sk.diagnose(sk.identify(model, model.readings))
+    first = int(np.argmax(model.pictures))
+    assert d.outliers.tolist() == [50 - first, 120 - first, 200 - first]
+    assert (d.verdict, d.effects) == ("adequate", ())
+    assert len(d.to_json()["outliers"]) == 3
+
+
+@pytest.mark.parametrize("name", ["fbg_bias", "fbg_temperature"])
+def test_a_crept_grating_is_fitted(name: str) -> None:
+    """Catches places of the tip that jump as a force falls under a threshold: no fit of them converges; 50 pm."""
+    there = planted(name, 0, 5.0)
+    model = ToolModel(there.tool, there.run("vessels", seconds=20.0, seed=0))
+    fit = sk.identify(model, model.readings, effects=[e for e in model.candidates if e.name == name])
+    assert fit.converged
+    assert np.sqrt(np.mean(fit.residuals**2)) == pytest.approx(NOISE_MM, rel=0.06)
+
+
+def test_the_depth_of_a_run_is_as_good_as_the_smoothers() -> None:
+    """Catches a depth without threshold that strays: against the truth, beside the filter's smoother; seeds 0, 1."""
+    for seed in range(2):
+        run = VirtualTool(KNOWING).run("phantom", seconds=30.0, seed=seed)
+        assert run.depth_mm is not None
+        depth = Places(KNOWING, run, run.time_s[:1]).felt.depth_mm
+        e = estimate(KNOWING, run)
+        smooth = e.smooth_depth[0][:, 0]
+        # what the bend takes between the length of shaft and the paper's depth
+        depth = depth + e.together.value[:, 0] - e.arc_mm
+        off, other = (float(np.sqrt(np.mean((d - run.depth_mm) ** 2))) for d in (depth, smooth))
+        assert off < 1.35 * other + 0.01
+
+
+def test_values_are_those_that_were_planted() -> None:
+    """Catches an effect that is found with a wrong size: stiffness and delay, seed 2."""
+    for name, parameter in (("tool_stiffness", "relative"), ("camera_delay", "delay")):
+        there = planted(name, 2)
+        truth = {
+            "tool_stiffness": there.true.stiffness_mn_mm2 / there.tool.stiffness_mn_mm2 - 1,
+            "camera_delay": there.true.camera_delay_s,
+        }[name]
+        model = ToolModel(there.tool, there.run("vessels", seconds=40.0, seed=2))
+        effect = next(e for e in model.candidates if e.name == name)
+        fit = sk.identify(model, model.readings, effects=[effect])
+        found = fit.by_name[f"{name}.{parameter}"]
+        assert abs(found - truth) < max(5 * fit.std_from_readings[-1], 0.02 * abs(truth))
+
+
+def test_a_run_without_pictures_is_refused() -> None:
+    """Catches a diagnosis of nothing."""
+    run = replace(VirtualTool(TOOL).run("vessels", seconds=3.0), camera_time_s=np.zeros(0), camera_mm=np.zeros((0, 3)))
+    with pytest.raises(MeasurementError, match="holds no place of the camera"):
+        ToolModel(TOOL, run)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("shaft_bend", 2), ("camera_delay", 2)])
+def test_what_takes_most_of_a_run_is_no_mistake_of_the_set_up(name: str, seed: int) -> None:
+    """Catches a large effect that is taken for a wrong set-up where the tip hardly moves, or whose fit ends on the way
+    and takes a minute: five times the noise."""
+    d = diagnosed(name, seed, 5.0)
+    assert d.verdict == "explained"
+    assert name in named(d)
+
+
+@pytest.mark.slow
+def test_the_right_effect_is_named_in_98_of_100() -> None:
+    """Catches any effect that shows on some draws only: ratios 1, 2, 5, 4 seeds each of 10 effects, 98 % lead or tie.
+
+    More than 8 of 120 missed would come by chance once in 1,000 at 2 %; and no effect more than 3 of its 12.
+    """
+    missed = [
+        (name, seed)
+        for name in TOOL_CATALOGUE
+        for seed in range(12)
+        if name not in named(diagnosed(name, seed, (1.0, 2.0, 5.0)[seed % 3]))
+    ]
+    assert len(missed) <= 8, missed
+    assert max(sum(m[0] == name for m in missed) for name in TOOL_CATALOGUE) <= 3, missed
+
+
+@pytest.mark.slow
+def test_a_verdict_hangs_on_no_seed() -> None:
+    """Catches verdicts that hang on how rows are dealt to folds: each effect at twice the noise and none, 10 seeds of
+    the diagnosis; verdict and names are the same in 97 %."""
+    same = []
+    for name in (*TOOL_CATALOGUE, None):
+        factor = 1.0
+        for _ in range(2 if name else 0):
+            assert name is not None
+            factor *= 2.0 / visible(name, 4, factor)
+        run = planted(name, 4, factor).run("vessels", seconds=SECONDS, seed=4)
+        model = ToolModel(FlexibleTool(), run)
+        fit = sk.identify(model, model.readings)
+        told = [(d.verdict, d.effects) for d in (sk.diagnose(fit, seed=k) for k in range(10))]
+        same += [one == max(told, key=told.count) for one in told]
+    assert np.mean(same) >= 0.97
+
+
+def test_what_was_named_is_written() -> None:
+    """Catches a value that is written with the wrong sign or about another point: the next run leaves no more."""
+    names = (
+        "tool_stiffness", "fbg_gain", "fbg_bias", "fbg_temperature", "registration", "camera_delay", "fibre_delay",
+        "shaft_bend",
+    )  # fmt: skip
+    for name in names:
+        there = planted(name, 2)
+        model = ToolModel(there.tool, there.run("vessels", seconds=12.0, seed=2))
+        fit = sk.identify(model, model.readings, effects=[e for e in model.candidates if e.name == name])
+        told = applied(model, fit)
+        again = ToolModel(told.tool, model.run)
+        left = sk.identify(again, again.readings)
+        if name == "shaft_bend":
+            assert (told.written, told.kept_out) == ((), ("shaft_bend",))
+            continue
+        assert told.written == (name,)
+        assert np.mean(left.residuals**2) == pytest.approx(np.mean(fit.residuals**2), rel=0.02)
+        assert np.abs(left.values).max() < 0.03
+
+
+@pytest.mark.parametrize("ms", [50, 200])
+def test_a_late_interrogator_that_does_not_say_so_is_found(ms: int) -> None:
+    """Catches a delay with the wrong sign, or one that is named and not used: depth on the second simulator, seed 1."""
+    world = CONDITIONS[f"unsaid_{ms}"]
+    recorded = world.run("vessels", seconds=30.0, seed=1)
+    tool, run = tool_of(world, 1), run_of(recorded)
+    model = ToolModel(tool, run)
+    fit = sk.identify(model, model.readings, effects=[e for e in model.candidates if e.name == "fibre_delay"])
+    told = applied(model, fit)
+    assert told.written == ("fibre_delay",)
+    assert told.tool.fibre_delay_s == pytest.approx(1e-3 * ms, abs=5e-3)
+    before, after = (honest(estimate(t, run), recorded)["depth"] for t in (tool, told.tool))
+    assert after.mean_error_mm < 0.6 * before.mean_error_mm
+    assert after.coverage > 0.85 > before.coverage
+
+
+def test_a_tare_needs_an_untouched_tool() -> None:
+    """Catches references that are taken while something presses, and a tare of a run without a free second."""
+    there = planted("fbg_bias", 2)
+    made = tare(FlexibleTool(), there.free_motion(seconds=5.0), untouched=True)
+    shift = np.array(there.bias_nm).reshape(2, 3)
+    np.testing.assert_allclose(made.shift_nm[:6].reshape(2, 3), shift - shift.mean(axis=1, keepdims=True), atol=2e-4)
+    with pytest.raises(MeasurementError, match="something touched the tool"):
+        tare(FlexibleTool(), there.run("vessels", seconds=10.0), untouched=True)
+    pressed = there.run("vessels", seconds=10.0)
+    never = replace(pressed, wavelengths_nm=pressed.wavelengths_nm + 0.05 * np.array([1, -1, 0, -1, 1, 0, 0, 0, 0]))
+    assert tare(FlexibleTool(), never).tool == FlexibleTool()
+
+
+def test_a_fibre_that_shows_nothing_leaves_its_section_untared() -> None:
+    """Catches a warning of NumPy, or no number among the references, where one fibre of the witness is dead."""
+    run = VirtualTool(FlexibleTool()).free_motion(seconds=5.0)
+    run.wavelengths_nm[:, 7] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = tare(FlexibleTool(), run, untouched=True)
+    assert (made.shift_nm[6:] == 0).all()
+    assert (made.shift_nm[:6] != 0).all()
