@@ -251,11 +251,11 @@ class Accurate(Deployed):
                 chosen = [which for which, _ in found.values()]
                 spreads = np.array([spread for _, spread in found.values()])
                 most = np.trace(spreads, axis1=2, axis2=3).argmax(axis=0)
-                each = np.arange(len(most))
+                each, model = np.arange(len(most)), part.model(self.robot)
                 whole[here] += spreads[most, each]
                 for k, row in enumerate(rows[here]):
                     one = chosen[most[k]][k]
-                    worst[row] = Hiding(one.called(part.model(self.robot)), one.places, one.left)
+                    worst[row] = Hiding(one.called(model), one.places, one.left)
         radius[rows] = self.reach_mm * radius_95(known)
         addition[rows] = self.reach_mm * radius_95(whole) - radius[rows]
         visit = np.full(len(x), np.nan)
