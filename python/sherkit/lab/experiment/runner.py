@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from ...errors import Disconnected, Garbled, Implausible, OutOfRange, SherkitError, Timeout
 from ...model.kinds import kind_of
-from ..clock import now_s
+from ..instruments.transport import now_s
 from .bench import Bench
 from .plan import Plan, Point
 from .run_file import RunFile

@@ -12,8 +12,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from ...base.names import nearest
 from ...errors import Disconnected, Garbled, InstrumentError, ShapeError, Timeout
-from .opening import open_port
-from .transport import Transport
+from .transport import Transport, open_port
 
 T = TypeVar("T")
 E = TypeVar("E", bound=InstrumentError)
@@ -60,7 +59,7 @@ class Identity:
 class Instrument(ABC):
     """An instrument at a port. Making one opens nothing; ``connect`` or ``with`` does. Opening never moves anything.
 
-    ``address`` is as in :func:`~sherkit.lab.instruments.opening.open_port`. ``timeout_s`` bounds each exchange;
+    ``address`` is as in :func:`~sherkit.lab.instruments.transport.open_port`. ``timeout_s`` bounds each exchange;
     ``retries`` says how often a question that changes nothing is asked again after a lost or garbled answer.
     Exchanges are locked, so that threads can share an instrument.
     """

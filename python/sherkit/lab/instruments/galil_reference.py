@@ -13,10 +13,10 @@ from collections.abc import Sequence
 
 from ...base.names import listed
 from ...errors import Halted, InstrumentError, Refused, Timeout
-from ..clock import now_s
 from .axes import Axis, AxisController, Reference
 from .base import Identity, Reading
 from .galil_line import LARGEST_COUNT, NUMBER, GalilLine
+from .transport import now_s
 
 #: The controller's variable that says that its zero was set.
 ZEROED = "zeroed"

@@ -21,9 +21,9 @@ from typing import Any, Self
 
 from ...base.names import listed
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
-from ..clock import now_s
 from .axes import Axis, AxisController, Reference
 from .base import Identity, Instrument, Reading
+from .transport import now_s
 from .waiting import begun, error_of, is_done, waited
 
 #: What gives an instrument: called without arguments.
