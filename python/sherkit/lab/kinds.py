@@ -21,9 +21,8 @@ from ..data.toml import Table
 from ..errors import ExperimentError
 from ..model.kinds import Robot, kind_of
 from .instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scpi, Sm130, Snapshots, VideoCamera, fetch_scale
-from .instruments.axes import LETTERS
-from .instruments.base import Instrument
-from .instruments.galil_reference import ZEROED
+from .instruments.base import LETTERS, Instrument
+from .instruments.galil_line import ZEROED
 from .instruments.own import Make, OwnAxes, OwnSensor
 
 #: Defaults by the unit of the joints: speed per s, acceleration per s², how near a target counts as there.

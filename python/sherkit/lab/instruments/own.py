@@ -21,10 +21,9 @@ from typing import Any, Self
 
 from ...base.names import listed
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
-from .axes import Axis, AxisController, Reference
-from .base import Identity, Instrument, Reading
+from .base import Axis, AxisController, Identity, Instrument, Reading, Reference
+from .devices import begun, error_of, is_done, waited
 from .transport import now_s
-from .waiting import begun, error_of, is_done, waited
 
 #: What gives an instrument: called without arguments.
 Make = Callable[[], Any]
@@ -297,27 +296,6 @@ class OwnAxes(_Own, AxisController):
                     f"{axis.label} ({_kind_of(one)}) has no {method}(): nor can {what}; do so with its own program",
                 )
         return parts
-
-    def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
-        """The target by letters. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
-        if not isinstance(target, Mapping):
-            if len(target) != len(self.axes):
-                raise self.fail(InstrumentError, f"a target of {len(target)} numbers; expected {len(self.axes)}")
-            target = {a.letter: q for a, q in zip(self.axes, target, strict=True)}
-        named = {word: a for a in self.axes for word in (a.letter, a.label)}
-        out = {}
-        for word, value in target.items():
-            if word not in named:
-                raise self.fail(InstrumentError, f"has no axis '{word}'; it has {listed(a.label for a in self.axes)}")
-            axis = named[word]
-            low, high = axis.limits
-            if not low <= value <= high:
-                raise self.fail(
-                    OutOfRange,
-                    f"axis {axis.label} was to go to {value:g} {self.unit}; its soft limits are {low:g} to {high:g}",
-                )
-            out[axis.letter] = float(value)
-        return out
 
     def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
         """Moves there, and returns where the axes then stand. Any error, also Ctrl-C, stops them first."""
