@@ -103,7 +103,7 @@ def markers(
 
 def _print(paper: Path, marker: str, size_mm: float, identity: int | None, *, asked: bool) -> None:
     """Writes a marker to print, and says what it is."""
-    from ..vision.printed import save_marker
+    from ..vision.marker import save_marker
 
     if asked:
         raise SherkitError("--print writes a marker and looks at no pictures; leave out SOURCES and -o")
