@@ -148,7 +148,7 @@ def intrinsics(
 ) -> None:  # fmt: skip
     """Focal lengths, centre and distortion of a camera from PICTURES of a board (files or folders)."""
     require_vision()
-    from ..vision.intrinsics import charuco_intrinsics, chessboard_intrinsics
+    from ..vision.camera import charuco_intrinsics, chessboard_intrinsics
     from ..vision.pictures import picture_files
 
     if (chessboard is None) == (charuco is None):
