@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from sherkit.lab.clock import now_s
 from sherkit.lab.experiment import Bench
 from sherkit.lab.experiment.bench import Checks, Sensor, Settling
 from sherkit.lab.instruments import Axis, AxisController, Identity, Reading, Reference
 from sherkit.lab.instruments.base import Instrument
+from sherkit.lab.instruments.transport import now_s
 from sherkit.model.kinds import kind_of
 
 

@@ -26,7 +26,7 @@ from laboratories import SPHERICAL, experiment, laboratory
 from second_machines import apart, run_of
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data.noise import noise_of
-from sherkit.lab.ports import write_ports
+from sherkit.lab.kinds import write_ports
 from sherkit.model.effect import load_effects
 from sherkit.model.kinds import Robot, robot_from_tables
 from sherkit.robots.machine import load_machine

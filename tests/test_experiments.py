@@ -17,7 +17,6 @@ import tomli_w
 from laboratories import ROBOT, experiment, laboratory
 from sherkit import load_robot, read_measurements
 from sherkit.errors import ExperimentError, Halted, InstrumentError, MeasurementError, OutOfRange, SherkitWarning
-from sherkit.lab import clock
 from sherkit.lab.experiment import (
     Control,
     Goal,
@@ -33,6 +32,7 @@ from sherkit.lab.experiment import (
     run_file,
 )
 from sherkit.lab.experiment.bench import Sensor
+from sherkit.lab.instruments import transport
 from sherkit.lab.instruments.base import Reading
 from sherkit.lab.instruments.keyence import Keyence
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
@@ -196,12 +196,12 @@ def test_a_run_keeps_its_own_time(tmp_path, monkeypatch):
     """Catches rows that are judged at another time than they are stored with, after the clock was set back."""
     with RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT) as file:
         file.begin({})
-        file.store(0, replace(point(1), time_s=clock.now_s()))
-    monkeypatch.setattr(clock, "_WALL_S", clock._WALL_S - 3600.0)
+        file.store(0, replace(point(1), time_s=transport.now_s()))
+    monkeypatch.setattr(transport, "_WALL_S", transport._WALL_S - 3600.0)
     with RunFile.resume(tmp_path / "a.sqlite", PLAN, ABOUT) as file:
         with pytest.warns(SherkitWarning, match="set back by 360"):
             file.begin({})
-        now = file.store(1, replace(point(2), time_s=clock.now_s()))
+        now = file.store(1, replace(point(2), time_s=transport.now_s()))
         assert [p.time_s for p in file.points()][1] == now.time_s > file.points()[0].time_s
 
 

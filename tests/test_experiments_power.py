@@ -15,9 +15,8 @@ from dummies import dummy_bench
 from laboratories import ROBOT, experiment, laboratory
 from sherkit.cli import main
 from sherkit.errors import ExperimentError, Implausible, InstrumentError, NotReferenced, SherkitError, SherkitWarning
-from sherkit.lab import clock
 from sherkit.lab.experiment import Control, RunFile, load_experiment, plan_of_poses, run
-from sherkit.lab.instruments import Galil
+from sherkit.lab.instruments import Galil, transport
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
 from sherkit.model.kinds import robot_from_tables
 
@@ -344,7 +343,7 @@ def test_a_clock_that_was_set_is_said_and_does_not_reach_the_rows(lab, tmp_path,
             run(chosen.plan, bench, file, report=report)
         assert any("set back by 3600 s during the run" in what for _, _, what in file.diary())
     # the next program begins with the clock as it now is
-    monkeypatch.setattr(clock, "_WALL_S", clock._WALL_S - 3600.0)
+    monkeypatch.setattr(transport, "_WALL_S", transport._WALL_S - 3600.0)
     with pytest.warns(SherkitWarning, match="set back by 360"):
         assert go_on(chosen) == "complete"
     with RunFile.open(chosen.run_path) as file:

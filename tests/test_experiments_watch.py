@@ -14,7 +14,7 @@ from laboratories import ROBOT, SPHERICAL
 from second_machines import apart
 from sherkit.errors import Implausible, InstrumentError
 from sherkit.lab.experiment import RunFile, plan_of_poses, run
-from sherkit.lab.laboratory.virtual import HiddenEffects, RobotOnTheBench
+from sherkit.lab.laboratory import HiddenEffects, RobotOnTheBench
 from sherkit.model import kinds
 from sherkit.model.kinds import kind_of, model_of, robot_from_tables
 from sherkit.robots.delta.virtual import TABLE_II_SIZES, VirtualDelta

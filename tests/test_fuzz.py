@@ -27,8 +27,8 @@ from second_printer.trials import Trial
 from sherkit.cli.demo import EXAMPLE
 from sherkit.lab.experiment import Plan, RunFile, export_run, load_experiment
 from sherkit.lab.experiment.bench import Point
+from sherkit.lab.kinds import read_ports
 from sherkit.lab.laboratory import load_laboratory
-from sherkit.lab.ports import read_ports
 from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 from sherkit.robots.printer import import_klipper

@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import select
 import signal
 import socket
 import struct
@@ -13,9 +14,12 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from serial import serial_for_url
+from serial.rfc2217 import PortManager
 
 from sherkit.errors import (
     Disconnected,
@@ -43,8 +47,7 @@ from sherkit.lab.emulators import (
 from sherkit.lab.instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scale, Sm130, VideoCamera, fetch_scale
 from sherkit.lab.instruments.galil_line import parse_answer, parse_numbers
 from sherkit.lab.instruments.keyence import parse_reply, parse_value
-from sherkit.lab.instruments.opening import open_port
-from sherkit.lab.instruments.transport import TcpPort, deadline_in
+from sherkit.lab.instruments.transport import TcpPort, deadline_in, open_port
 
 LINKS = ("pty", "tcp")
 AXES = (
@@ -251,7 +254,9 @@ def test_port_keeps_what_came_too_early():
     server.close()
 
 
-@pytest.mark.parametrize("bad", ["", "ftp://x:1", "tcp://x", "tcp://:5", "tcp://x:0", "tcp://x:70000", "udp://x:5x"])
+@pytest.mark.parametrize(
+    "bad", ["", "ftp://x:1", "serial://x", "tcp://x", "tcp://:5", "tcp://x:0", "tcp://x:70000", "udp://x:5x"]
+)
 def test_addresses_that_are_none_are_refused(bad):
     """Catches a wrong address that fails late, or with another exception."""
     with pytest.raises(InstrumentError, match=r"expected|address"):
@@ -632,6 +637,39 @@ def test_two_programs_cannot_share_a_serial_port():
     """Catches two programs that command the same motors."""
     with emulated(World()) as e, controller(e.address), pytest.raises(Disconnected, match="opened"):
         controller(e.address).connect()
+
+
+def _serve_rfc2217(listener, address):
+    """A server of one serial port (RFC 2217): the line of an emulator, with the port's settings in between."""
+    client, _ = listener.accept()
+    with (
+        contextlib.suppress(ConnectionError),
+        client,
+        serial_for_url(address.replace("tcp", "socket"), timeout=0) as line,
+    ):
+        manager = PortManager(line, SimpleNamespace(write=client.sendall))
+        while True:
+            ready, _, _ = select.select([client, line._socket], [], [])
+            if client in ready:
+                if not (data := client.recv(4096)):
+                    return
+                line.write(b"".join(manager.filter(data)))
+            if line._socket in ready:
+                client.sendall(b"".join(manager.escape(line.read(4096))))
+
+
+@pytest.mark.filterwarnings("ignore:set(Daemon|Name)")
+def test_serial_ports_of_a_server_are_read_by_the_url_of_pyserial():
+    """Catches an address of pyserial's that is refused, and a time limit that such a port asks the other end for."""
+    world = World((1.0, 2.0, 3.0))
+    with KeyenceEmulator(world, link="tcp") as e, socket.create_server(("127.0.0.1", 0)) as listener:
+        server = threading.Thread(target=_serve_rfc2217, args=(listener, e.address), daemon=True)
+        server.start()
+        with Keyence(f"rfc2217://127.0.0.1:{listener.getsockname()[1]}", timeout_s=2.0) as k:
+            assert k.read().values == (1.0, 2.0, 3.0)
+            e.faults.schedule("drop")
+            assert k.read().values == (1.0, 2.0, 3.0)
+        server.join()
 
 
 def test_drivers_need_no_emulators_and_emulators_no_drivers():

@@ -55,7 +55,7 @@ def test_a_row_names_an_emulator_that_is_there(name):
     if issubclass(made, Emulator):
         assert made.links == row.links
     robot = KINDS["spherical" if row.place_unit == "px" else "delta"]
-    empty = sk.lab.laboratory.file.Table({}, "a test")
+    empty = sk.lab.laboratory.Table({}, "a test")
     assert set(row.emulated(empty, type("Robot", (), {"kind": robot.name, "joint_unit": "mm"})())) <= taken
 
 

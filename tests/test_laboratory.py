@@ -24,10 +24,9 @@ from laboratories import ROBOT, experiment, laboratory
 from sherkit.cli.verbs import cli
 from sherkit.errors import EffectError, ExperimentError, RobotError
 from sherkit.lab.experiment import RunFile, load_experiment, run
-from sherkit.lab.instruments import Galil, Hyperion, Keyence, NetFT, Sm130, fetch_scale
-from sherkit.lab.instruments.galil import Axis
+from sherkit.lab.instruments import Axis, Galil, Hyperion, Keyence, NetFT, Sm130, fetch_scale
+from sherkit.lab.kinds import read_ports
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
-from sherkit.lab.ports import read_ports
 from sherkit.robots.delta.model import DeltaModel
 from sherkit.robots.delta.virtual import VirtualDelta
 

@@ -25,10 +25,9 @@ from sherkit.robots.spherical.virtual import PAPER_ERRORS
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: sherkit[vision]")
 
 from sherkit.robots.spherical.pictures import joined_by_time, marker_rows, seen_run  # noqa: E402
-from sherkit.vision.intrinsics import Intrinsics, charuco_intrinsics, chessboard_intrinsics  # noqa: E402
+from sherkit.vision.camera import Intrinsics, View, charuco_intrinsics, chessboard_intrinsics, draw_marker  # noqa: E402
 from sherkit.vision.marker import Seen, find_marker  # noqa: E402
 from sherkit.vision.pictures import CameraPicture, frames_of, picture_of  # noqa: E402
-from sherkit.vision.render import View, draw_marker  # noqa: E402
 
 CAMERA = Intrinsics((1100.0, 1080.0), (645.0, 318.0), (-0.12, 0.05, 0.001, -0.0008), (1280, 640))
 VIEW = View(CAMERA, (0.02, -0.03, 0.1), (5.0, -4.0, 446.2))

@@ -19,9 +19,8 @@ from ..diagnosis.linearised import orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from .evidence import ROUGH
-from .hypotheses import Hypotheses, Hypothesis, Key, weighted
+from .hypotheses import CUTS, WAVES, Covariate, Hypotheses, Hypothesis, Key, Rows, Shape, shapes, weighted
 from .region import Region, planned
-from .shapes import CUTS, WAVES, Covariate, Rows, Shape, shapes
 
 #: Rows of the reference on which columns are scaled; a part of a column that is rounding.
 _REFERENCE, _ROUNDING = 160, 1e-4

@@ -25,13 +25,11 @@ from ..model.kinds import required_um as stated_um
 from ..model.robot_file import RobotLike, load_robot
 from . import rule, told
 from .choice import choose, rivals
-from .conclusion import Conclusion, Held, conclude
+from .conclusion import Conclusion, Held, Progress, conclude, progress
 from .family import Family
 from .look import Look, look
-from .progress import Progress, progress
 from .region import Places, Region
-from .rule import State
-from .silence import Unseen, outlook
+from .rule import State, Unseen, outlook
 
 #: Readings to begin with at least, and those beyond the parameters.
 _START, _BEYOND = 12, 8

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..adaptive.evidence import Evidence
-from ..adaptive.hypotheses import Hypotheses, Hypothesis, Key, weighted
-from ..adaptive.shapes import Rows, shapes
+from ..adaptive.hypotheses import Hypotheses, Hypothesis, Key, Rows, shapes, weighted
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements

@@ -18,8 +18,8 @@ from ..data.files import write_whole
 from ..data.toml import Schema
 from ..errors import ExperimentError, SherkitError
 from ..lab.experiment.file import experiment_from, names_of_poses
+from ..lab.instruments.own import OwnCode
 from ..lab.kinds import instrument_kinds
-from ..lab.own_code import OwnCode
 from ..model.kinds import Kind, known_kinds
 from ..robots.tool.tool import FlexibleTool
 from . import output
@@ -76,7 +76,7 @@ def _experiments() -> Schema:
 
 def _laboratories() -> Schema:
     """Every emulated instrument around every kind of robot."""
-    from ..lab.laboratory.file import laboratory_from
+    from ..lab.laboratory import laboratory_from
 
     def examples(kind: Kind, robot: str) -> Iterator[Mapping[str, Any]]:
         shown = [n for n, row in instrument_kinds().items() if row.emulator and row.sees(kind.example)]

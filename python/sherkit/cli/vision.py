@@ -103,7 +103,7 @@ def markers(
 
 def _print(paper: Path, marker: str, size_mm: float, identity: int | None, *, asked: bool) -> None:
     """Writes a marker to print, and says what it is."""
-    from ..vision.printed import save_marker
+    from ..vision.marker import save_marker
 
     if asked:
         raise SherkitError("--print writes a marker and looks at no pictures; leave out SOURCES and -o")
@@ -148,7 +148,7 @@ def intrinsics(
 ) -> None:  # fmt: skip
     """Focal lengths, centre and distortion of a camera from PICTURES of a board (files or folders)."""
     require_vision()
-    from ..vision.intrinsics import charuco_intrinsics, chessboard_intrinsics
+    from ..vision.camera import charuco_intrinsics, chessboard_intrinsics
     from ..vision.pictures import picture_files
 
     if (chessboard is None) == (charuco is None):

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from . import instruments as instruments
     from . import laboratory as laboratory
     from .experiment import Bench, Control, Goal, Live, Plan, RunFile, export_run, load_experiment, plan_of_poses, run
+    from .kinds import read_ports, write_ports
     from .laboratory import RunningLaboratory, load_laboratory
-    from .ports import read_ports, write_ports
 
 __all__ = [
     "Bench",
@@ -37,8 +37,8 @@ _ROOMS = ("emulators", "experiment", "instruments", "laboratory")
 _ELSEWHERE = {
     "RunningLaboratory": "laboratory",
     "load_laboratory": "laboratory",
-    "read_ports": "ports",
-    "write_ports": "ports",
+    "read_ports": "kinds",
+    "write_ports": "kinds",
 }
 
 if not TYPE_CHECKING:

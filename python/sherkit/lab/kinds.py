@@ -6,10 +6,12 @@ A new one is its driver, its emulator, and a row of :data:`INSTRUMENTS`, or of a
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,13 +19,13 @@ from numpy.typing import NDArray
 
 from ..base.extensions import INSTRUMENTS as OF_PACKAGES
 from ..base.extensions import brought_beside
+from ..data.files import write_whole
 from ..data.toml import Table
 from ..errors import ExperimentError
 from ..model.kinds import Robot, kind_of
 from .instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scpi, Sm130, Snapshots, VideoCamera, fetch_scale
-from .instruments.axes import LETTERS
-from .instruments.base import Instrument
-from .instruments.galil_reference import ZEROED
+from .instruments.base import LETTERS, Instrument
+from .instruments.galil_line import ZEROED
 from .instruments.own import Make, OwnAxes, OwnSensor
 
 #: Defaults by the unit of the joints: speed per s, acceleration per s², how near a target counts as there.
@@ -376,3 +378,25 @@ INSTRUMENTS: Mapping[str, InstrumentKind] = {
 def instrument_kinds() -> Mapping[str, InstrumentKind]:
     """Every kind of instrument by name: those here, then those of other packages."""
     return {**INSTRUMENTS, **brought_beside(INSTRUMENTS, OF_PACKAGES, InstrumentKind)}
+
+
+# -- files of ports: kind and address by name, written by a laboratory and read by an experiment ----------------
+
+
+def write_ports(path: str | Path, ports: Mapping[str, Mapping[str, str]]) -> None:
+    """Writes kind and address by name as JSON; the file is whole whenever another program looks at it."""
+    write_whole(path, json.dumps(ports, indent=2) + "\n")
+
+
+def read_ports(path: str | Path) -> dict[str, dict[str, Any]]:
+    """Reads what :func:`write_ports` wrote. Raises :class:`~sherkit.errors.ExperimentError`."""
+    path = Path(path)
+    try:
+        ports = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ExperimentError(f"{path}: there is no such file of ports; is the laboratory running?") from None
+    except (OSError, ValueError) as error:
+        raise ExperimentError(f"{path}: holds no ports: {error}") from None
+    if not isinstance(ports, dict) or not all(isinstance(p, dict) and "address" in p for p in ports.values()):
+        raise ExperimentError(f"{path}: expected an object with an address for each instrument")
+    return ports

@@ -6,9 +6,8 @@ from typing import Any
 
 from sherkit.data.toml import Table
 from sherkit.errors import Garbled
-from sherkit.lab.emulators.faults import Fault
+from sherkit.lab.emulators import Fault, World
 from sherkit.lab.emulators.server import LineEmulator
-from sherkit.lab.emulators.world import World
 from sherkit.lab.instruments.base import Identity, Instrument, Reading
 from sherkit.lab.instruments.transport import deadline_in
 from sherkit.lab.kinds import InstrumentKind, InstrumentSettings

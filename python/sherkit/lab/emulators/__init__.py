@@ -5,14 +5,12 @@ Written apart from the drivers, which never import them and which they never imp
 
 from .ati import NetFtEmulator
 from .camera import CameraEmulator, NetworkCamera
-from .faults import FAULTS, Fault, Faults
 from .galil import GalilEmulator
 from .keyence import KeyenceEmulator
 from .micron_optics import HyperionEmulator, Sm130Emulator
-from .profile import Profile
 from .scpi import ScpiEmulator
 from .server import Emulator
-from .world import StillRobot, VirtualRobot, World
+from .world import FAULTS, Fault, Faults, Profile, StillRobot, VirtualRobot, World
 
 __all__ = [
     "FAULTS",

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import struct
 import time
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any, Self
 
-from .faults import Fault
-from .server import LOOPBACK, Emulator, WebPage
-from .world import World
+from .server import Emulator, Page
+from .world import Fault, World
 
 _SATURATED = 0x8000_0002
 _FULL = (1 << 31) - 1
@@ -52,15 +50,14 @@ class NetFtEmulator(Emulator):
     def start(self) -> Self:
         """Opens the port, and serves the page that says how records are to be read."""
         super().start()
-        self._served = NetFtPage(self)
-        self._served.__enter__()
-        self.page = self._served.url
+        self._served = NetFtPage(self).start()
+        self.page = self._served.address
         return self
 
     def stop(self) -> None:
         """Closes both."""
         if self._served is not None:
-            self._served.__exit__()
+            self._served.stop()
             self._served = None
         super().stop()
 
@@ -119,26 +116,20 @@ class NetFtEmulator(Emulator):
                 self._listener.sendto(self.faults.garbled(record) if kind == "garble" else record, self._whom)
 
 
-class NetFtPage(WebPage):
-    """The device's ``netftapi2.xml`` on HTTP, on this machine alone. ``url`` is what the driver fetches."""
+class NetFtPage(Page):
+    """The device's configuration, on this machine alone."""
+
+    path = "/netftapi2.xml"
+    content_type = "text/xml"
 
     def __init__(self, emulator: NetFtEmulator) -> None:
-        xml = (
+        super().__init__(emulator.world)
+        self.emulator = emulator
+
+    def shown(self) -> bytes:
+        """How its counts are to be read."""
+        return (
             '<?xml version="1.0" encoding="ISO-8859-1"?>\n<netft>'
-            f"<cfgcpf>{emulator.counts_per_force:g}</cfgcpf><cfgcpt>{emulator.counts_per_torque:g}</cfgcpt>"
+            f"<cfgcpf>{self.emulator.counts_per_force:g}</cfgcpf><cfgcpt>{self.emulator.counts_per_torque:g}</cfgcpt>"
             "<scfgfu>N</scfgfu><scfgtu>Nmm</scfgtu></netft>"
         ).encode()
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                self.send_response(200 if self.path == "/netftapi2.xml" else 404)
-                self.end_headers()
-                if self.path == "/netftapi2.xml":
-                    self.wfile.write(xml)
-
-            def log_message(self, *_: Any) -> None:
-                """Nothing: tests read what is printed."""
-
-        server = HTTPServer((LOOPBACK, 0), Handler)
-        super().__init__(server)
-        self.url = f"http://{LOOPBACK}:{server.server_port}/netftapi2.xml"

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import numpy as np
 
 from ...errors import ExperimentError
-from .faults import Faults
-from .server import LOOPBACK, WebPage
-from .world import World
+from .server import Page
+from .world import Faults, World
 
 
 class CameraEmulator:
@@ -70,56 +67,32 @@ class CameraSource:
         self._open = False
 
 
-class NetworkCamera(WebPage):
+class NetworkCamera(Page):
     """A camera on HTTP: each request for ``/snapshot.png`` takes a picture. ``address`` is for the driver.
 
     It listens on this machine alone unless ``host`` says otherwise. Its pictures are those of the world, which draws
     their noise: that of a place is always the same.
     """
 
-    page = ""
+    path = "/snapshot.png"
+    content_type = "image/png"
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        link: str = "http",
-        host: str = LOOPBACK,
-        port: int = 0,
-        faults: Faults | None = None,
-        seed: int = 0,
-        noise_grey: float = 0.0,
-    ) -> None:
-        del link, seed, noise_grey
+    def __init__(self, world: World, *, noise_grey: float = 0.0, **line: Any) -> None:
+        del noise_grey
         try:
             import cv2
         except ImportError:
             raise ExperimentError('an emulated camera needs OpenCV: pip install "sherkit[vision]"') from None
-        camera = CameraEmulator(world, faults=faults)
-        self.faults = camera.faults
-        lock = threading.Lock()
-        source = camera.source()
+        super().__init__(world, **line)
+        self._encode = cv2.imencode
+        self._level = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+        self._camera = CameraEmulator(world, faults=self.faults)
+        self._source = self._camera.source()
 
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                nonlocal source
-                with lock:
-                    there, picture = source.read() if self.path == "/snapshot.png" else (False, None)
-                    if not source.isOpened():
-                        # a camera that was unplugged is there again for the next one
-                        source = camera.source()
-                if not there:
-                    self.send_error(404 if self.path != "/snapshot.png" else 503)
-                    return
-                self.send_response(200)
-                self.send_header("Content-Type", "image/png")
-                self.end_headers()
-                self.wfile.write(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
-
-            def log_message(self, *_: Any) -> None:
-                """Nothing: tests read what is printed."""
-
-        server = ThreadingHTTPServer((host, port), Handler)
-        server.daemon_threads = True
-        super().__init__(server)
-        self.address = f"http://{host}:{server.server_port}/snapshot.png"
+    def shown(self) -> bytes | None:
+        """The picture."""
+        there, picture = self._source.read()
+        if not self._source.isOpened():
+            # a camera that was unplugged is there again for the next one
+            self._source = self._camera.source()
+        return self._encode(".png", picture, self._level)[1].tobytes() if there else None

@@ -7,10 +7,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .faults import Fault
-from .profile import Braking, CutShort, Profile
 from .server import LineEmulator
-from .world import World
+from .world import Braking, CutShort, Fault, Profile, World
 
 _LETTERS = "ABCDEFGH"
 _TEXTS = {

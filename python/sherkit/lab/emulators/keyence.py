@@ -6,9 +6,8 @@ import math
 import random
 from typing import Any
 
-from .faults import Fault
 from .server import LineEmulator
-from .world import World
+from .world import Fault, World
 
 _OUTPUTS = 12
 #: Decimals, mm, to which a place of the joints is the same place.

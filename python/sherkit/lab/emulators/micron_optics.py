@@ -5,9 +5,8 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-from .faults import Fault
 from .server import Emulator, LineEmulator
-from .world import World
+from .world import Fault, World
 
 
 class _InterrogatorEmulator(Emulator):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from .faults import Fault
 from .server import LineEmulator
-from .world import World
+from .world import Fault, World
 
 
 class ScpiEmulator(LineEmulator):

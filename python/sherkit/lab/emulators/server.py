@@ -1,4 +1,4 @@
-"""An emulated instrument as a server: a pseudo-terminal, or a TCP or UDP port of this machine.
+"""An emulated instrument as a server: a pseudo-terminal, or a TCP, HTTP or UDP port of this machine.
 
 One thread per emulator waits for bytes, hands whole commands to the instrument, and sends its answers as a real line
 does: late, in pieces, with other text in between, or not at all.
@@ -19,34 +19,10 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from http.server import HTTPServer
 from pathlib import Path
 from typing import ClassVar, Self
 
-from .faults import Fault, Faults
-from .world import World
-
-# -- A page on HTTP that an emulator serves from a thread of its own, for as long as it is entered ------------------
-
-
-class WebPage:
-    """Serves ``server`` between ``__enter__`` and ``__exit__``, and closes it."""
-
-    def __init__(self, server: HTTPServer) -> None:
-        self._server = server
-        self._thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
-
-
-# --------------------------------------------------------------------------------------------------------------
+from .world import Fault, Faults, World
 
 LOOPBACK = "127.0.0.1"
 _TICK_S = 0.005
@@ -68,10 +44,9 @@ class Client:
 class Emulator(ABC):
     """The base of all emulated instruments with a port. ``with`` starts and stops it; ``address`` is for the driver.
 
-    ``link`` is "pty", "tcp" or "udp". ``latency_s`` passes before an answer; ``pieces`` is the most parts that it is
-    cut into, ``gap_s`` apart. ``faults`` says what goes wrong. ``log`` holds what came, what was answered and the
-    fault. It listens on this machine alone unless ``host`` says otherwise. ``page`` is its page
-    on HTTP, if it has one.
+    ``link`` is "pty", "tcp", "http" or "udp". ``latency_s`` passes before an answer; ``pieces`` is the most parts that
+    it is cut into, ``gap_s`` apart. ``faults`` says what goes wrong. ``log`` holds what came, what was answered and the
+    fault. It listens on this machine alone unless ``host`` says otherwise. ``page`` is its page on HTTP, if it has one.
     """
 
     links: tuple[str, ...] = ("tcp",)
@@ -94,6 +69,7 @@ class Emulator(ABC):
         self.link = link or self.links[0]
         if self.link not in self.links:
             raise ValueError(f"{type(self).__name__} has no {self.link!r}; expected one of {', '.join(self.links)}")
+        self._streams = self.link in ("tcp", "http")
         self.faults = Faults() if faults is None else faults
         self.latency_s = latency_s
         self.pieces = pieces
@@ -138,7 +114,7 @@ class Emulator(ABC):
                 self._powered = False
                 self.forget()
                 for client in list(self._clients):
-                    if self.link == "tcp":
+                    if self._streams:
                         self._leave(client)
                     else:
                         client.received.clear()
@@ -193,11 +169,11 @@ class Emulator(ABC):
             self._folder = tempfile.TemporaryDirectory(prefix="sherkit-port-")
             self._new_terminal()
         else:
-            kind = socket.SOCK_STREAM if self.link == "tcp" else socket.SOCK_DGRAM
+            kind = socket.SOCK_STREAM if self._streams else socket.SOCK_DGRAM
             self._listener = socket.socket(socket.AF_INET, kind)
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._listener.bind(self._where)
-            if self.link == "tcp":
+            if self._streams:
                 self._listener.listen()
         self._running = True
         self._thread = threading.Thread(target=self._serve, daemon=True, name=type(self).__name__)
@@ -389,9 +365,39 @@ class LineEmulator(Emulator):
         at = received.find(self.ending)
         if at < 0:
             return None
-        line = bytes(received[: at + 1])
-        del received[: at + 1]
+        line = bytes(received[: at + len(self.ending)])
+        del received[: len(line)]
         return line
 
     def _misheard(self, command: bytes) -> bytes:
         return self.faults.garbled(command[:-1]).replace(self.ending, b"") + self.ending
+
+
+class Page(LineEmulator):
+    """What shows one thing on HTTP, at ``path``. What goes wrong with it, it shows itself."""
+
+    links = ("http",)
+    ending = b"\r\n\r\n"
+    path: ClassVar[str]
+    content_type: ClassVar[str]
+
+    @property
+    def address(self) -> str:
+        """The address of what it shows."""
+        return super().address + self.path
+
+    @abstractmethod
+    def shown(self) -> bytes | None:
+        """What is at its path now, None where that fails."""
+
+    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+        """Of HTTP/1.0: what it shows, to a GET of its path alone."""
+        there = command.startswith(f"GET {self.path} HTTP".encode())
+        body = self.shown() if there else None
+        said = "200 OK" if body is not None else "503 Service Unavailable" if there else "404 Not Found"
+        body = body or b""
+        head = f"HTTP/1.0 {said}\r\nContent-Type: {self.content_type}\r\nContent-Length: {len(body)}\r\n\r\n"
+        return head.encode() + body
+
+    def _obey(self, client: Client, command: bytes) -> None:
+        self._post(client, self.answer(command, None), self.latency_s)

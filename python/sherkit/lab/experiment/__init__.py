@@ -1,12 +1,10 @@
 """Experiments: a plan of steps, the bench that carries it out, and the run file that loses nothing."""
 
-from .adaptive import AdaptiveRun
 from .bench import Bench
-from .file import Experiment, load_experiment
-from .live import Goal, Live
+from .file import AdaptiveRun, Experiment, load_experiment
 from .plan import Plan, PlanStep, Point, plan_of_poses
 from .run_file import RunFile, export_run
-from .runner import Control, RunProgress, run
+from .runner import Control, Goal, Live, RunProgress, run
 
 __all__ = [
     "AdaptiveRun",

@@ -13,9 +13,9 @@ import numpy as np
 from ...data.columns import factor
 from ...errors import ExperimentError, Garbled, Implausible, OutOfRange
 from ...model.kinds import Robot, kind_of
-from ..clock import now_s
 from ..instruments import AxisController
 from ..instruments.base import Identity, Instrument, Reading
+from ..instruments.transport import now_s
 from .plan import PlanStep, Point
 from .watch import Watch
 

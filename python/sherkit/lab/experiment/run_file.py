@@ -28,7 +28,7 @@ import sherkit._core as _core
 from ...data.files import is_output
 from ...data.tables import PARQUET, write_table
 from ...errors import ExperimentError, NotWritten, SherkitWarning
-from ..clock import now_s, wall_ahead_s
+from ..instruments.transport import now_s, wall_ahead_s
 from .plan import Plan, Point
 from .run_rows import FORMAT, READ_TOO, RunRows, connected, exported, holds_nothing_else, is_bare, make_tables, reads
 

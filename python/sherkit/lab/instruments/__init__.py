@@ -6,8 +6,7 @@ need pyserial (``pip install "sherkit[lab]"``).
 """
 
 from .ati import NetFT, Scale, fetch_scale
-from .axes import Axis, AxisController, Reference
-from .base import Identity, Instrument, Reading
+from .base import Axis, AxisController, Identity, Instrument, Reading, Reference
 from .camera import Frame, Snapshots, VideoCamera
 from .galil import Galil
 from .keyence import Keyence

@@ -15,9 +15,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
-from ..clock import now_s
 from .base import Identity, Instrument, Reading
-from .transport import UdpPort, deadline_in
+from .transport import UdpPort, deadline_in, now_s
 
 _REQUEST = struct.Struct(">HHI")
 _RECORD = struct.Struct(">IIIiiiiii")

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
-from ..clock import now_s
 from .base import Identity, Instrument, Reading
+from .transport import now_s
 
 Picture = NDArray[np.uint8]
 

@@ -1,71 +1,130 @@
-"""Instruments as devices that bluesky's ``RunEngine`` can drive. Its protocols are duck-typed: bluesky is not imported.
+"""Devices of bluesky, ophyd and ophyd-async, both ways; none of the three is imported.
 
-``set`` and ``trigger`` return at once with a :class:`Status` and go on in a thread. ``RE.stop``, a pause and a failure
-of anything else in the plan end in ``stop``, which brakes the axes of this device alone.
+Theirs as sherkit calls them: :func:`begun` and :func:`waited` call a method of a device in this thread, or in an event
+loop where it answers in coroutines. Ours as bluesky's ``RunEngine`` drives them: ``set`` and ``trigger`` return at once
+with a :class:`Status` and go on in a thread. ``RE.stop``, a pause and a failure of anything else in the plan end in
+``stop``, which brakes the axes of this device alone.
 """
 
 from __future__ import annotations
 
+import asyncio
+import inspect
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from typing import Any
 
 from ...errors import Halted, InstrumentError
-from .axes import Axis
-from .base import Instrument, Reading
+from .base import Axis, Instrument, Reading
 from .galil import BY_COMMAND, Galil
 from .keyence import Keyence
 
 Values = dict[str, dict[str, Any]]
+
+# -- theirs as sherkit calls them ------------------------------------------------------------------------------
+
+_LOCK = threading.Lock()
+_LOOP: asyncio.AbstractEventLoop | None = None
+
+
+def _loop() -> asyncio.AbstractEventLoop:
+    """An event loop in a thread of its own, which ends with the program."""
+    global _LOOP
+    with _LOCK:
+        if _LOOP is None:
+            _LOOP = asyncio.new_event_loop()
+            threading.Thread(target=_LOOP.run_forever, daemon=True, name="devices").start()
+        return _LOOP
+
+
+def is_async(device: object) -> bool:
+    """Whether a device answers in coroutines, as those of ophyd-async do."""
+    return any(inspect.iscoroutinefunction(getattr(device, name, None)) for name in ("connect", "read", "set"))
+
+
+def begun(device: object, function: Callable[..., Any], *arguments: Any, timeout_s: float = 10.0) -> Any:
+    """Calls a method of a device, without waiting for what it began: a status, a task, or None where it is done."""
+    if not is_async(device):
+        return function(*arguments)
+
+    async def begin() -> Any:
+        made = function(*arguments)
+        return asyncio.ensure_future(made) if inspect.iscoroutine(made) else made
+
+    return asyncio.run_coroutine_threadsafe(begin(), _loop()).result(timeout_s)
+
+
+def waited(device: object, function: Callable[..., Any], *arguments: Any, timeout_s: float) -> Any:
+    """Calls a method of a device and waits for its end. Raises what the device raises, or ``TimeoutError``."""
+    if is_async(device):
+
+        async def wait() -> Any:
+            made = function(*arguments)
+            return await asyncio.wait_for(made, timeout_s) if inspect.isawaitable(made) else made
+
+        return asyncio.run_coroutine_threadsafe(wait(), _loop()).result(timeout_s + 1.0)
+    made = function(*arguments)
+    if hasattr(made, "wait") and hasattr(made, "done"):
+        made.wait(timeout_s)
+        return None
+    return made
+
+
+def is_done(status: Any) -> bool:
+    """Whether what :func:`begun` gave has ended; None always has."""
+    if status is None:
+        return True
+    done = status.done
+    return bool(done() if callable(done) else done)
+
+
+def error_of(status: Any) -> BaseException | None:
+    """What went wrong in what has ended, or None."""
+    if status is None or not hasattr(status, "exception"):
+        return None
+    error: BaseException | None = status.exception()
+    return error
+
+
+# -- ours as bluesky drives them -------------------------------------------------------------------------------
 
 
 class Status:
     """What becomes of a motion or a reading that was begun. Calls each callback once, at its end."""
 
     def __init__(self) -> None:
-        self._finished = threading.Event()
-        self._lock = threading.Lock()
-        self._callbacks: list[Callable[[Status], None]] = []
-        self._error: BaseException | None = None
+        self._end: Future[None] = Future()
 
     @property
     def done(self) -> bool:
         """Whether it has ended, well or not."""
-        return self._finished.is_set()
+        return self._end.done()
 
     @property
     def success(self) -> bool:
         """Whether it has ended well."""
-        return self.done and self._error is None
+        return self.done and self._end.exception() is None
 
     def add_callback(self, callback: Callable[[Status], None]) -> None:
         """Calls ``callback`` with this status at its end; at once where that has come."""
-        with self._lock:
-            if not self.done:
-                self._callbacks.append(callback)
-                return
-        callback(self)
+        self._end.add_done_callback(lambda _: callback(self))
 
     def exception(self, timeout: float | None = 0.0) -> BaseException | None:
         """What went wrong, or None. Raises ``TimeoutError`` where it has not ended within ``timeout``, s."""
-        if not self._finished.wait(timeout):
-            raise TimeoutError(f"has not ended within {timeout:g} s" if timeout is not None else "has not ended")
-        return self._error
+        return self._end.exception(timeout)
 
     def wait(self, timeout: float | None = None) -> None:
         """Waits for the end and raises what went wrong, or ``TimeoutError``."""
-        if (error := self.exception(timeout)) is not None:
-            raise error
+        self._end.result(timeout)
 
     def finish(self, error: BaseException | None = None) -> None:
         """Ends it."""
-        with self._lock:
-            self._error = error
-            self._finished.set()
-            callbacks, self._callbacks = self._callbacks, []
-        for callback in callbacks:
-            callback(self)
+        if error is None:
+            self._end.set_result(None)
+        else:
+            self._end.set_exception(error)
 
 
 def _in_thread(task: Callable[[], None], status: Status) -> Status:
@@ -82,14 +141,15 @@ def _in_thread(task: Callable[[], None], status: Status) -> Status:
     return status
 
 
-class _Device(ABC):
-    """What all devices share: a name, no parent, nothing to stage."""
+class _Device:
+    """What all devices share: a name, no parent, nothing to stage; ``columns`` are name and unit by the reading's."""
 
     parent = None
 
-    def __init__(self, instrument: Instrument, name: str) -> None:
+    def __init__(self, instrument: Instrument, name: str, columns: Mapping[str, tuple[str, str]]) -> None:
         self.instrument = instrument
         self.name = name
+        self._columns = columns
 
     def stage(self) -> list[Any]:
         """Connects where that has not been done."""
@@ -114,30 +174,68 @@ class _Device(ABC):
         """Which columns a table or picture shows."""
         return {"fields": list(self.describe())}
 
-    @abstractmethod
     def describe(self) -> Values:
         """The columns of :meth:`read`, with their units."""
-
-    def _column(self, unit: str) -> dict[str, Any]:
         source = f"{self.instrument.kind} {self.instrument.address}"
-        return {"source": source, "dtype": "number", "shape": [], "units": unit}
+        return {
+            column: {"source": source, "dtype": "number", "shape": [], "units": unit}
+            for column, unit in self._columns.values()
+        }
+
+    def read(self) -> Values:
+        """A value for each column, and the host's time."""
+        reading = self._reading()
+        return {
+            column: {"value": reading[name], "timestamp": reading.time_s} for name, (column, _) in self._columns.items()
+        }
+
+    def _reading(self) -> Reading:
+        return self.instrument.read()
 
 
-class _Mover(_Device):
+class _Mover(_Device, ABC):
     """What one axis and all axes share."""
 
     instrument: Galil
 
-    def __init__(self, galil: Galil, name: str, axes: Sequence[Axis]) -> None:
-        super().__init__(galil, name)
-        self.axes = tuple(axes)
+    def __init__(self, galil: Galil, name: str, columns: Mapping[Axis, str]) -> None:
+        super().__init__(galil, name, {a.label: (column, galil.unit) for a, column in columns.items()})
+        self.axes = tuple(columns)
         self._under_way: Status | None = None
         self._stop_is_success: bool | None = None
         self._lock = threading.Lock()
         self._setpoint: dict[str, float] = {}
 
-    def _set(self, targets: Mapping[str, float]) -> Status:
-        checked = self.instrument.check(targets)
+    @abstractmethod
+    def _targets(self, value: Any) -> dict[str, float]:
+        """What ``set`` was given, by letters; refused outside the soft limits."""
+
+    @abstractmethod
+    def _shown(self, values: tuple[float, ...]) -> Any:
+        """Values of the axes, as ``set`` takes them."""
+
+    @property
+    def position(self) -> Any:
+        """Where the encoders are, in the axes' unit."""
+        return self._shown(self._here())
+
+    def _here(self) -> tuple[float, ...]:
+        reading = self.instrument.read()
+        return tuple(reading[a.label] for a in self.axes)
+
+    def locate(self) -> dict[str, Any]:
+        """Where it was sent (where it is, before that) and where it is."""
+        here = self._here()
+        sent = tuple(self._setpoint.get(a.letter, h) for a, h in zip(self.axes, here, strict=True))
+        return {"setpoint": self._shown(sent), "readback": self._shown(here)}
+
+    def check_value(self, value: Any) -> None:
+        """Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
+        self._targets(value)
+
+    def set(self, value: Any) -> Status:
+        """Moves to ``value``, in the axes' unit. Raises :class:`~sherkit.errors.OutOfRange` before anything moves."""
+        targets = self._targets(value)
         status = Status()
         with self._lock:
             if self._under_way is not None and not self._under_way.done:
@@ -150,7 +248,7 @@ class _Mover(_Device):
 
         def move() -> None:
             try:
-                self.instrument.move(checked)
+                self.instrument.move(targets)
             except Halted as halted:
                 # a stop that was asked for, and called a good end by who asked
                 if halted.code != BY_COMMAND or not self._stop_is_success:
@@ -175,46 +273,23 @@ class _Mover(_Device):
     def resume(self) -> None:
         """Nothing to do: bluesky sends the last ``set`` again."""
 
-    def _values(self, reading: Reading) -> dict[str, float]:
-        return {a.label: reading[a.label] for a in self.axes}
-
 
 class GalilAxis(_Mover):
-    """One axis, moved by ``set(mm)``. Called as its joint unless ``name`` says otherwise."""
+    """One axis, moved by ``set(mm)``, which is its one column. Called as its joint unless ``name`` says otherwise."""
 
     def __init__(self, galil: Galil, axis: str, name: str = "") -> None:
         found = [a for a in galil.axes if axis in (a.label, a.letter)]
         if not found:
             raise InstrumentError(f"{galil.name} has no axis '{axis}'")
-        super().__init__(galil, name or found[0].label, found)
         self.axis = found[0]
+        name = name or self.axis.label
+        super().__init__(galil, name, {self.axis: name})
 
-    @property
-    def position(self) -> float:
-        """Where the encoder is, in the axis' unit."""
-        return self.instrument.read()[self.axis.label]
+    def _targets(self, value: float) -> dict[str, float]:
+        return self.instrument.check({self.axis.letter: float(value)})
 
-    def check_value(self, value: float) -> None:
-        """Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
-        self.instrument.check({self.axis.letter: value})
-
-    def set(self, value: float) -> Status:
-        """Moves to ``value``, in the axis' unit. Raises :class:`~sherkit.errors.OutOfRange` before anything moves."""
-        return self._set({self.axis.letter: float(value)})
-
-    def read(self) -> Values:
-        """The encoder and the host's time."""
-        reading = self.instrument.read()
-        return {self.name: {"value": reading[self.axis.label], "timestamp": reading.time_s}}
-
-    def describe(self) -> Values:
-        """One column."""
-        return {self.name: self._column(self.instrument.unit)}
-
-    def locate(self) -> dict[str, float]:
-        """Where it was sent (where it is, before that) and where it is."""
-        here = self.position
-        return {"setpoint": self._setpoint.get(self.axis.letter, here), "readback": here}
+    def _shown(self, values: tuple[float, ...]) -> float:
+        return values[0]
 
 
 class GalilAxes(_Mover):
@@ -224,43 +299,14 @@ class GalilAxes(_Mover):
     """
 
     def __init__(self, galil: Galil, name: str = "") -> None:
-        super().__init__(galil, name or galil.name, galil.axes)
-
-    @property
-    def position(self) -> tuple[float, ...]:
-        """Where the encoders are."""
-        return self.instrument.read().values
+        name = name or galil.name
+        super().__init__(galil, name, {a: f"{name}_{a.label}" for a in galil.axes})
 
     def _targets(self, value: Sequence[float] | Mapping[str, float]) -> dict[str, float]:
-        if isinstance(value, Mapping):
-            return self.instrument.check(value)
-        return self.instrument.check([float(v) for v in value])
+        return self.instrument.check(value if isinstance(value, Mapping) else [float(v) for v in value])
 
-    def check_value(self, value: Sequence[float] | Mapping[str, float]) -> None:
-        """Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
-        self._targets(value)
-
-    def set(self, value: Sequence[float] | Mapping[str, float]) -> Status:
-        """Moves all axes together. Raises :class:`~sherkit.errors.OutOfRange` before anything moves."""
-        return self._set(self._targets(value))
-
-    def read(self) -> Values:
-        """The encoders and the host's time."""
-        reading = self.instrument.read()
-        return {
-            f"{self.name}_{label}": {"value": v, "timestamp": reading.time_s}
-            for label, v in self._values(reading).items()
-        }
-
-    def describe(self) -> Values:
-        """A column for each axis."""
-        return {f"{self.name}_{a.label}": self._column(self.instrument.unit) for a in self.axes}
-
-    def locate(self) -> dict[str, tuple[float, ...]]:
-        """Where they were sent and where they are."""
-        here = self.position
-        sent = tuple(self._setpoint.get(a.letter, h) for a, h in zip(self.axes, here, strict=True))
-        return {"setpoint": sent, "readback": here}
+    def _shown(self, values: tuple[float, ...]) -> tuple[float, ...]:
+        return values
 
 
 class Detector(_Device):
@@ -270,9 +316,8 @@ class Detector(_Device):
     """
 
     def __init__(self, instrument: Instrument, names: Sequence[str], units: Sequence[str], name: str = "") -> None:
-        super().__init__(instrument, name or instrument.name)
-        self._names = tuple(names)
-        self._units = tuple(units)
+        name = name or instrument.name
+        super().__init__(instrument, name, {n: (f"{name}_{n}", u) for n, u in zip(names, units, strict=True)})
         self._taken: Reading | None = None
 
     def trigger(self) -> Status:
@@ -284,14 +329,10 @@ class Detector(_Device):
 
         return _in_thread(take, Status())
 
-    def read(self) -> Values:
-        """The reading of the last trigger; without one, or where it was handed over before, a new one."""
+    def _reading(self) -> Reading:
+        # that of the last trigger; without one, or where it was handed over before, a new one
         reading, self._taken = self._taken or self.instrument.read(), None
-        return {f"{self.name}_{n}": {"value": reading[n], "timestamp": reading.time_s} for n in self._names}
-
-    def describe(self) -> Values:
-        """A column for each value, with its unit."""
-        return {f"{self.name}_{n}": self._column(u) for n, u in zip(self._names, self._units, strict=True)}
+        return reading
 
 
 class KeyenceDetector(Detector):

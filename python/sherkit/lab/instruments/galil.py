@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import atexit
 import math
+import secrets
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 from ...base.names import listed
 from ...errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, Timeout
-from .axes import Axis
-from .base import Reading
-from .galil_line import LARGEST_COUNT
-from .galil_reference import GalilReference
+from .base import LETTERS, Axis, Reading, Reference
+from .galil_line import LARGEST_COUNT, ZEROED, GalilLine
 from .transport import deadline_in
 
 #: Meanings of ``SC``.
@@ -33,14 +33,15 @@ STOP_CODES = {
     15: "stopped by an error of the amplifier",
     99: "timed out",
 }
-_DONE = 1
-#: The stop code of a motion that was told to stop.
-BY_COMMAND = 4
+#: The stop codes of a motion that arrived, of one that was told to stop, and after homing.
+_DONE, BY_COMMAND, _HOMED = 1, 4, 10
+#: So many zeros are told from each other.
+_MARKS = 1_000_000_000
 #: The profile is over, its stop code not yet written: asked again so often.
 _SETTLE_POLL_S = 0.02
 
 
-class Galil(GalilReference):
+class Galil(GalilLine):
     """A motion controller with its axes. Connecting moves nothing and switches no motor on.
 
     Targets are bounded by each axis' soft limits here and, with ``controller_limits``, by ``FL`` and ``BL`` in the
@@ -53,7 +54,7 @@ class Galil(GalilReference):
     ``poll_timeout_s``. ``home_at`` says where the home switches are, one position for each axis, for :meth:`home` at
     ``home_speed``.
 
-    Before each motion it is proven where the axes stand (:meth:`~sherkit.lab.instruments.axes.AxisController.
+    Before each motion it is proven where the axes stand (:meth:`~sherkit.lab.instruments.base.AxisController.
     require_reference`): a controller that lost its power, or its zero, moves nothing.
     """
 
@@ -101,7 +102,7 @@ class Galil(GalilReference):
         self.controller_limits = controller_limits
         if home_at is not None and len(home_at) != len(axes):
             raise InstrumentError(f"{self.name}: home_at has {len(home_at)} positions; expected {len(axes)}")
-        for axis, place in zip(sorted(axes, key=lambda a: a.letter), home_at or (), strict=False):
+        for axis, place in zip(self.axes, home_at or (), strict=False):
             if not axis.limits[0] <= place <= axis.limits[1]:
                 raise InstrumentError(
                     f"{self.name}: the home switch of {axis.label} is at {place:g} {axis.unit}; expected "
@@ -134,37 +135,18 @@ class Galil(GalilReference):
 
     def enable(self) -> None:
         """Switches the motors on (``SH``), where they stand. Raises :class:`~sherkit.errors.InstrumentError`."""
-        self._repeat(lambda: self._acknowledged(f"SH{self._letters()}"))
+        self._repeat(lambda: self._acknowledged(f"SH{''.join(a.letter for a in self.axes)}"))
 
     def disable(self) -> None:
         """Switches the motors off (``MO``). An axis that carries weight may fall."""
         self.left_at = {}
-        self._repeat(lambda: self._acknowledged(f"MO{self._letters()}"))
+        self._repeat(lambda: self._acknowledged(f"MO{''.join(a.letter for a in self.axes)}"))
 
     def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
         """The target by letters, in their unit. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
-        if isinstance(target, Mapping):
-            named = {a.label: a.letter for a in self.axes} | {a.letter: a.letter for a in self.axes}
-            unknown = [k for k in target if k not in named]
-            if unknown:
-                raise self.fail(InstrumentError, f"has no axis {listed(unknown)}")
-            targets = {named[k]: float(v) for k, v in target.items()}
-        else:
-            if len(target) != len(self.axes):
-                raise self.fail(
-                    InstrumentError,
-                    f"a target of {len(target)} numbers; expected {len(self.axes)}, one for each axis",
-                )
-            targets = {a.letter: float(v) for a, v in zip(self.axes, target, strict=True)}
-        for axis in self.axes:
-            value = targets.get(axis.letter, axis.limits[0])
-            low, high = axis.limits
-            if not low <= value <= high:
-                raise self.fail(
-                    OutOfRange,
-                    f"axis {axis.label} was to go to {value:g} {self.unit}; its soft limits are {low:g} to {high:g}",
-                )
-            if abs(axis.to_counts(value)) > LARGEST_COUNT:
+        targets = super().check(target)
+        for letter, value in targets.items():
+            if abs((axis := self._axis(letter)).to_counts(value)) > LARGEST_COUNT:
                 raise self.fail(
                     OutOfRange,
                     f"axis {axis.label}: {value:g} {self.unit} are more counts than the controller has; check "
@@ -183,7 +165,7 @@ class Galil(GalilReference):
         targets = self.check(target)
         if not targets:
             return self.read()
-        with self._stopping(targets):
+        with self._stopping(frozenset(targets)):
             stops = self._start(targets)
             self._wait(targets, stops)
             return self._settled(targets)
@@ -244,31 +226,129 @@ class Galil(GalilReference):
                 )
             time.sleep(min(self.poll_s, 0.05))
 
-    def _letters(self) -> str:
-        return "".join(a.letter for a in self.axes)
+    # --- the zero
+
+    def set_reference(self, positions: Sequence[float]) -> Reference:
+        """Sets the counts of the axes where they stand (``DP``), and the variable ``zeroed``. Moves nothing.
+
+        Raises :class:`~sherkit.errors.InstrumentError` for positions outside the limits, and while an axis moves.
+        """
+        targets = self.check([float(q) for q in positions])
+        return self._set_reference([targets[a.letter] for a in self.axes])
+
+    def home(self) -> Reference:
+        """Drives all axes together to their home switches (``HM``) at ``home_speed`` and sets the reference there.
+
+        The controller's soft limits are off until then: they mean nothing without a zero. Raises
+        :class:`~sherkit.errors.InstrumentError` where ``home_at`` is not given, and where an axis did not get there;
+        the axes then stand.
+        """
+        if self.home_at is None:
+            raise self.fail(InstrumentError, "does not know where its home switches are; home_at is not set")
+        letters = [a.letter for a in self.axes]
+        mask = "".join(letters)
+        self._prepared = False
+        self.left_at = {}
+        # HM itself sets a zero at its end: should this program die before it has set the right one, there is none
+        self._repeat(lambda: self._acknowledged(f"{ZEROED}=0"))
+        self._set("FL", dict.fromkeys(letters, LARGEST_COUNT))
+        self._set("BL", dict.fromkeys(letters, -LARGEST_COUNT - 1))
+        self._set_speed(self.home_speed)
+        try:
+            self._acknowledged(f"HM{mask}")
+            self._moving |= set(letters)
+            self._acknowledged(f"BG{mask}", self.poll_timeout_s)
+            self._wait_for_home(letters)
+        except BaseException:
+            self.stop()
+            raise
+        self._moving -= set(letters)
+        return self._set_reference(self.home_at)
+
+    def _wait_for_home(self, letters: Sequence[str]) -> None:
+        # to the switch, back over it and once more: the whole way three times
+        longest_s = 5.0 + 3.0 * max((a.limits[1] - a.limits[0]) / self.home_speed for a in self.axes)
+        end = time.monotonic() + longest_s
+        while any(self._running(letters, self.poll_timeout_s)):
+            if time.monotonic() > end:
+                raise self.fail(Timeout, f"did not find its home switches in {longest_s:.0f} s")
+            time.sleep(self.poll_s)
+        codes = self._operands([f"_SC{x}" for x in letters], self.poll_timeout_s)
+        bad = {x: c for x, c in zip(letters, codes, strict=True) if c != _HOMED}
+        if bad:
+            who = listed(f"{self._axis(x).label} (SC {c})" for x, c in bad.items())
+            raise self.fail(Halted, f"did not end at its home switch: {who}", next(iter(bad.values())))
+
+    def _set_reference(self, positions: Sequence[float]) -> Reference:
+        if self.is_moving():
+            raise self.fail(InstrumentError, "is moving; its zero is set where it stands")
+        counts = {a.letter: a.to_counts(q) for a, q in zip(self.axes, positions, strict=True)}
+        letters = LETTERS[: LETTERS.index(max(counts)) + 1]
+        # a zero that is half set must not look like one
+        self._repeat(lambda: self._acknowledged(f"{ZEROED}=0"))
+        self.left_at = {}
+        self._repeat(lambda: self._acknowledged(f"DP {','.join(str(counts.get(x, '')) for x in letters)}"))
+        found = self.read_confirmed(max(self.arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in self.axes)))
+        for axis, at, wanted in zip(self.axes, found.values, positions, strict=True):
+            if abs(at - wanted) > self.arrived_within + 1.0 / abs(axis.counts_per_unit):
+                raise self.fail(InstrumentError, f"{axis.label} was set to {wanted:g} {self.unit} and now reads {at:g}")
+        mark = secrets.randbelow(_MARKS) + 1
+        self._repeat(lambda: self._acknowledged(f"{ZEROED}={mark}"))
+        now = self.reference()
+        if now.mark != mark:
+            raise self.fail(InstrumentError, f"the variable {ZEROED} was set to {mark} and is {now.mark}")
+        self.mark = mark
+        return now
 
     # --- the parts of a move
 
-    def _stopping(self, targets: Mapping[str, float]) -> _StopOnError:
-        return _StopOnError(self, frozenset(targets))
+    @contextmanager
+    def _stopping(self, letters: frozenset[str]) -> Iterator[None]:
+        """Stops the axes on any way out but the good one, and at exit."""
+
+        def at_exit() -> None:
+            # a motion in a thread that nobody waited for
+            if self.connected:
+                self.stop(letters)
+
+        atexit.register(at_exit)
+        try:
+            yield
+        except BaseException as error:
+            if letters & self._moving:
+                try:
+                    self._brake(sorted(letters), always=False)
+                except InstrumentError as failed:
+                    if isinstance(error, InstrumentError):
+                        error.message += f" - and then {failed.message}"
+                    else:
+                        error.add_note(str(failed))
+                if isinstance(error, Disconnected):
+                    # the controller may have lost its zero: connect() takes it up again, nothing else
+                    self._shut()
+            raise
+        finally:
+            atexit.unregister(at_exit)
 
     def _prepare(self) -> None:
         if self._prepared:
             return
-        speeds: dict[str, int] = {}
-        accelerations: dict[str, int] = {}
-        for a in self.axes:
-            # even numbers and multiples of 1024 are what the controller has; never faster than asked for
-            speeds[a.letter] = max(int(self.speed * abs(a.counts_per_unit)) // 2 * 2, 2)
-            accelerations[a.letter] = max(int(self.acceleration * abs(a.counts_per_unit)) // 1024 * 1024, 1024)
-        self._set("SP", speeds)
-        self._set("AC", accelerations)
-        self._set("DC", accelerations)
+        self._set_speed(self.speed)
         if self.controller_limits:
             ends = {a.letter: self._limits(a) for a in self.axes}
             self._set("FL", {x: high for x, (_, high) in ends.items()})
             self._set("BL", {x: low for x, (low, _) in ends.items()})
         self._prepared = True
+
+    def _set_speed(self, speed: float) -> None:
+        for setting, value, step in (
+            ("SP", speed, 2),
+            ("AC", self.acceleration, 1024),
+            ("DC", self.acceleration, 1024),
+        ):
+            # even numbers and multiples of 1024 are what the controller has; never faster than asked for
+            counts = {a.letter: int(value * abs(a.counts_per_unit)) // step * step for a in self.axes}
+            self._set(setting, {x: max(c, step) for x, c in counts.items()})
 
     def _start(self, targets: Mapping[str, float]) -> dict[str, int]:
         """Sends and verifies the targets, then begins. Returns how often each axis had been stopped before."""
@@ -368,34 +448,3 @@ class Galil(GalilReference):
                     received=" ".join(f"{reading.details[f'counts_{a.letter}']:.0f}" for a in self.axes).encode(),
                 )
             time.sleep(_SETTLE_POLL_S)
-
-
-class _StopOnError:
-    """Stops the axes on any way out but the good one, Ctrl-C and ``SystemExit`` among them, and at exit."""
-
-    def __init__(self, galil: Galil, letters: frozenset[str]) -> None:
-        self.galil = galil
-        self.letters = letters
-
-    def __enter__(self) -> None:
-        atexit.register(self._at_exit)
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        atexit.unregister(self._at_exit)
-        if error is None or not self.letters & self.galil._moving:
-            return
-        try:
-            self.galil._brake(sorted(self.letters), always=False)
-        except InstrumentError as failed:
-            if isinstance(error, InstrumentError):
-                error.message += f" - and then {failed.message}"
-            else:
-                error.add_note(str(failed))
-        if isinstance(error, Disconnected):
-            # the controller may have lost its zero: connect() takes it up again, nothing else
-            self.galil._shut()
-
-    def _at_exit(self) -> None:
-        # a motion in a thread that nobody waited for
-        if self.galil.connected:
-            self.galil.stop(self.letters)

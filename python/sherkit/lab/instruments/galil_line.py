@@ -1,7 +1,11 @@
-"""The line to a Galil motion controller: what it is told, what its answers mean, and when they are in step.
+"""The line to a Galil motion controller: what it is told, what its answers mean, and what it says of its axes.
 
 A command ends in a carriage return and is answered by ``:``, with data ``…\\r\\n:``, or by a bare ``?``; ``TC1`` then
 gives code and text (the makers' command references).
+
+The controller has no word for "homed". A variable of its own (``zeroed``) does as well: it is set with the zero, and is
+gone with it when the power goes, since variables live in the same memory as the positions and are kept only by ``BV``.
+A program of the controller that homes by itself can set it, too: ``zeroed=1`` at its end.
 """
 
 from __future__ import annotations
@@ -10,15 +14,18 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 
+from ...base.names import listed
 from ...errors import Disconnected, Garbled, InstrumentError, Refused
-from .axes import LETTERS
-from .base import Instrument
-from .transport import deadline_in
+from .base import LETTERS, Axis, AxisController, Identity, Reading, Reference
+from .transport import deadline_in, now_s
+
+#: The controller's variable that says that its zero was set.
+ZEROED = "zeroed"
 
 #: A line that the controller takes.
 _LONGEST_LINE = 80
 LARGEST_COUNT = (1 << 31) - 1
-NUMBER = re.compile(r"-?\d{1,10}(\.\d{1,4})?", re.ASCII)
+_NUMBER = re.compile(r"-?\d{1,10}(\.\d{1,4})?", re.ASCII)
 _REFUSAL = re.compile(r" ?(\d{1,3}) ?(.*)", re.ASCII)
 _PROMPTS = (b":", b"?")
 #: Numbers that mark where answers are in step again; any controller can print them.
@@ -51,7 +58,7 @@ def parse_numbers(data: str, count: int) -> tuple[float, ...]:
     # a comma may have spaces around it, or none: both forms are printed by the same controller
     words = data.replace(",", " ").split(" ")
     words = [w for w in words if w]
-    if len(words) != count or not all(NUMBER.fullmatch(w) for w in words):
+    if len(words) != count or not all(_NUMBER.fullmatch(w) for w in words):
         received = data.encode("ascii", "replace")
         raise Garbled(f"expected {count} decimal number{'s' if count > 1 else ''}", received=received)
     return tuple(float(w) for w in words)
@@ -73,12 +80,57 @@ def parse_refusal(data: str) -> tuple[int, str]:
     return int(match[1]), match[2].strip()
 
 
-class GalilLine(Instrument):
-    """Commands, operands and settings of a controller. Nothing here begins a motion."""
+class GalilLine(AxisController):
+    """Commands, operands and settings of a controller, and what it says of its axes. Nothing here begins a motion."""
 
     default_port = 23
     #: Whether the next answer belongs to the next command.
     _in_step = False
+
+    def identify(self) -> Identity:
+        """Model, firmware and serial number, as far as the controller tells; "unknown" where it tells nothing."""
+
+        def answer(command: str, *, is_number: bool) -> str:
+            data = self.command(command).strip()
+            # a late answer of the other question would make it another instrument
+            if data and bool(_NUMBER.fullmatch(data)) is not is_number:
+                raise self._garbled(f"expected {'a number' if is_number else 'a name'}", command, data)
+            return data
+
+        def asked(command: str, *, is_number: bool) -> str:
+            try:
+                return self._repeat(lambda: answer(command, is_number=is_number))
+            except Refused:
+                return ""
+
+        text, number = asked("\x12\x16", is_number=False), asked("MG _BN", is_number=True)
+        serial = f"serial number {number.partition('.')[0]}" if number else ""
+        return Identity(self.kind, ", ".join(filter(None, (text, serial))) or "unknown", self.address)
+
+    def read(self) -> Reading:
+        """Encoder positions of all axes, in their unit, in the order of their letters. Also while moving."""
+        return self._reading("_TP")
+
+    def read_commanded(self) -> Reading:
+        """Where the profiles of all axes are, in their unit (``RP``)."""
+        return self._reading("_RP")
+
+    def reference(self) -> Reference:
+        """The variable ``zeroed``, encoders, motors, and ``FL`` and ``BL``. Raises as every question."""
+        n = len(self.axes)
+        values = self._repeat(
+            lambda: self._operands([f"_{o}{a.letter}" for o in ("TP", "MO", "FL", "BL") for a in self.axes],
+                                   self.timeout_s)
+        )  # fmt: skip
+        counts, off, forward, reverse = (values[k * n : (k + 1) * n] for k in range(4))
+        ours = [(low, high) == self._limits(a) for a, low, high in zip(self.axes, reverse, forward, strict=True)]
+        return Reference(
+            True,
+            self._repeat(self._mark),
+            tuple(a.to_position(c) for a, c in zip(self.axes, counts, strict=True)),
+            tuple(not o for o in off),
+            tuple(ours),
+        )
 
     def command(self, text: str, timeout_s: float | None = None) -> str:
         """Sends one command and returns its data, "" for a bare acknowledgement.
@@ -194,3 +246,44 @@ class GalilLine(Instrument):
         if isinstance(error, Disconnected):
             raise error
         self._in_step = False
+
+    def _mark(self) -> int | None:
+        """The variable's value; None where there is none."""
+        try:
+            data = self.command(f"MG {ZEROED}")
+        except Refused:
+            return None
+        (mark,) = self._parsed(data, 1, f"MG {ZEROED}")
+        return mark or None
+
+    def _limits(self, axis: Axis) -> tuple[int, int]:
+        """``BL`` and ``FL``, in counts."""
+        low, high = sorted(axis.to_counts(v) for v in axis.limits)
+        return max(low, -LARGEST_COUNT), min(high, LARGEST_COUNT)
+
+    def _axis(self, letter: str) -> Axis:
+        return next(a for a in self.axes if a.letter == letter)
+
+    def _reading(self, operand: str) -> Reading:
+        def ask() -> Reading:
+            counts = self._operands([operand + a.letter for a in self.axes], self.timeout_s)
+            port = self._transport
+            return Reading(
+                self.name,
+                tuple(a.label for a in self.axes),
+                tuple(a.to_position(c) for a, c in zip(self.axes, counts, strict=True)),
+                (self.unit,) * len(self.axes),
+                port.arrived_s if port is not None else now_s(),
+                {f"counts_{a.letter}": float(c) for a, c in zip(self.axes, counts, strict=True)},
+            )
+
+        return self._repeat(ask)
+
+    def _running(self, letters: Sequence[str], timeout_s: float) -> list[bool]:
+        flags = self._operands([f"_BG{x}" for x in letters], timeout_s)
+        if not all(f in (0, 1) for f in flags):
+            asked = f"MG {','.join(f'_BG{x}' for x in letters)}"
+            raise self._garbled(
+                f"_BG of {listed(letters)} is {flags}; expected 0 or 1", asked, " ".join(map(str, flags))
+            )
+        return [f == 1 for f in flags]

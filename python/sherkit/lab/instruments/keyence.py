@@ -12,9 +12,8 @@ import re
 from collections.abc import Sequence
 
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Refused, Timeout
-from ..clock import now_s
 from .base import Identity, Instrument, Reading
-from .transport import deadline_in
+from .transport import deadline_in, now_s
 
 _OUTPUTS = 12
 _WIDTH = 8

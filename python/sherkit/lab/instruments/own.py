@@ -14,17 +14,22 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import math
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, Self
 
-from ...base.names import listed
-from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
-from ..clock import now_s
-from .axes import Axis, AxisController, Reference
-from .base import Identity, Instrument, Reading
-from .waiting import begun, error_of, is_done, waited
+from ...base.extensions import INSTRUMENTS
+from ...base.names import listed, nearest
+from ...errors import Disconnected, ExperimentError, Garbled, InstrumentError, OutOfRange, Timeout
+from .base import Axis, AxisController, Identity, Instrument, Reading, Reference
+from .devices import begun, error_of, is_done, waited
+from .transport import now_s
 
 #: What gives an instrument: called without arguments.
 Make = Callable[[], Any]
@@ -298,27 +303,6 @@ class OwnAxes(_Own, AxisController):
                 )
         return parts
 
-    def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
-        """The target by letters. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
-        if not isinstance(target, Mapping):
-            if len(target) != len(self.axes):
-                raise self.fail(InstrumentError, f"a target of {len(target)} numbers; expected {len(self.axes)}")
-            target = {a.letter: q for a, q in zip(self.axes, target, strict=True)}
-        named = {word: a for a in self.axes for word in (a.letter, a.label)}
-        out = {}
-        for word, value in target.items():
-            if word not in named:
-                raise self.fail(InstrumentError, f"has no axis '{word}'; it has {listed(a.label for a in self.axes)}")
-            axis = named[word]
-            low, high = axis.limits
-            if not low <= value <= high:
-                raise self.fail(
-                    OutOfRange,
-                    f"axis {axis.label} was to go to {value:g} {self.unit}; its soft limits are {low:g} to {high:g}",
-                )
-            out[axis.letter] = float(value)
-        return out
-
     def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
         """Moves there, and returns where the axes then stand. Any error, also Ctrl-C, stops them first."""
         targets = self.check(target)
@@ -382,3 +366,79 @@ def _kind_of(made: Any) -> str:
     kind = type(made)
     name = getattr(made, "__qualname__", None) if callable(made) and not hasattr(made, "read") else None
     return f"{made.__module__}.{name}" if name else f"{kind.__module__}.{kind.__qualname__}"
+
+
+# -- the code that makes them -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class OwnCode:
+    """What can be made, by name: of the files that were run, and then of installed packages.
+
+    No experiment names a file that would be run: it names what is to be found in those that a person has given
+    (``sherkit measure experiment.toml --python my_lab.py``), or in an installed package that offers it.
+    """
+
+    makers: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
+
+    def maker(self, name: str, where: str) -> tuple[Callable[..., Any], str]:
+        """What makes ``name``, and the words that say where it stands.
+
+        Raises :class:`~sherkit.errors.ExperimentError` where nobody offers it; ``where`` names the file that asks.
+        """
+        if name in self.makers:
+            made = self.makers[name]
+            return made, f"{Path(sys.modules[made.__module__].__file__ or '').name}:{name}"
+        offered = {one.name: one for one in entry_points(group=INSTRUMENTS)}
+        if name in offered:
+            try:
+                return offered[name].load(), f"{offered[name].value} (installed)"
+            except Exception as error:
+                raise ExperimentError(
+                    f"{where}: '{name}' ({offered[name].value}) cannot be loaded: {type(error).__name__}: {error}"
+                ) from error
+        known = [*self.makers, *offered]
+        hint = nearest(name, known) or (f"; known are {listed(known, 12)}" if known else "")
+        nobody = f"{listed(self.files)} did not define it" if self.files else "no Python file was named"
+        raise ExperimentError(
+            f"{where}: '{name}' is made by Python code, and {nobody}{hint}. No file of data runs code: "
+            "name the Python file on the command line, --python my_lab.py"
+        )
+
+
+def run_code(paths: Sequence[str | Path]) -> OwnCode:
+    """Runs Python files, with the rights of whoever names them; what can be made are their functions and classes.
+
+    Raises :class:`~sherkit.errors.ExperimentError` where a file is not there, fails, or defines none.
+    """
+    makers: dict[str, Callable[..., Any]] = {}
+    for path in map(Path, paths):
+        found = {k: v for k, v in _run(path).items() if not k.startswith("_") and callable(v)}
+        own = {k: v for k, v in found.items() if getattr(v, "__module__", None) == _module(path)}
+        if not own:
+            raise ExperimentError(f"{path}: defines no function and no class that could make an instrument")
+        twice = sorted(own.keys() & makers.keys())
+        if twice:
+            raise ExperimentError(f"{path}: '{twice[0]}' was defined by another file, too")
+        makers |= own
+    return OwnCode(makers, tuple(Path(path).name for path in paths))
+
+
+def _module(path: Path) -> str:
+    return f"sherkit_lab_{path.stem}"
+
+
+def _run(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise ExperimentError(f"{path}: there is no such Python file")
+    spec = importlib.util.spec_from_file_location(_module(path), path)
+    if spec is None or spec.loader is None:
+        raise ExperimentError(f"{path}: is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        raise ExperimentError(f"{path}: {type(error).__name__}: {error}") from error
+    return vars(module)

@@ -1,7 +1,11 @@
-"""Bytes to and from an instrument: serial (pyserial), TCP and UDP behind one small interface.
+"""Bytes to and from an instrument: ports of pyserial, TCP, UDP and VISA behind one small interface.
 
 Answers arrive in pieces, late, or with other text in between. Whatever arrived is kept in a bounded buffer, so that a
 reader never depends on how the bytes were cut; no call outlasts its deadline, a value of ``time.monotonic()``, s.
+
+TCP is not left to pyserial's ``socket://`` (3.5): each close sleeps for 0.3 s, in which an axis that is to be stopped
+by a new connection goes on; a connection that the other end has reset is never closed; for somebody to answer, five
+seconds are waited whatever the limit; and instruments at TCP would need the extra ``lab``.
 """
 
 from __future__ import annotations
@@ -14,13 +18,32 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from ...errors import Disconnected, Garbled, InstrumentError, Timeout
-from ..clock import now_s
 
 #: Bytes that may wait to be read before the stream counts as garbled.
 LARGEST_BUFFER = 1 << 20
 _PIECE = 1 << 16
+#: One look for bytes at a serial port takes no longer, s.
+_LOOK_S = 0.01
 #: A device that never falls silent is drained for this long, s.
 _LONGEST_DRAIN_S = 2.0
+_VISA = "visa://"
+_EXPECTED = "expected tcp://host:port, udp://host:port, visa://resource or a serial port"
+_WALL_S = time.time()
+_STEADY_S = time.monotonic()
+
+
+def now_s() -> float:
+    """The host's time, as readings and rows carry it: seconds since 1970, by the wall clock as it was when the program
+    began, counted on by the monotonic clock.
+
+    A wall clock that is set while a run goes on does not reach the rows.
+    """
+    return _WALL_S + (time.monotonic() - _STEADY_S)
+
+
+def wall_ahead_s() -> float:
+    """By how much the wall clock has been set forward since the program began, s; negative: back."""
+    return time.time() - now_s()
 
 
 def deadline_in(timeout_s: float) -> float:
@@ -143,7 +166,10 @@ class Transport(ABC):
 
 
 class SerialPort(Transport):
-    """A serial port of this machine, 8N1 without flow control. Raises :class:`~sherkit.errors.Disconnected`."""
+    """A serial port of this machine, 8N1 without flow control, or what else ``serial_for_url`` of pyserial opens.
+
+    Raises :class:`~sherkit.errors.Disconnected`, or :class:`~sherkit.errors.InstrumentError` for an unknown address.
+    """
 
     def __init__(self, path: str, baud: int = 115200) -> None:
         super().__init__(path)
@@ -153,8 +179,10 @@ class SerialPort(Transport):
             raise InstrumentError('serial ports need pyserial: pip install "sherkit[lab]"', port=path) from None
         try:
             # exclusive: a second program on the same motors would be worse than an error
-            self._serial: Any = serial.Serial(path, baud, timeout=0, write_timeout=1.0, exclusive=True)
+            self._serial: Any = serial.serial_for_url(path, baud, timeout=_LOOK_S, exclusive=True)
         except (OSError, ValueError) as error:
+            if "://" in path and isinstance(error, ValueError):
+                raise InstrumentError(f"'{path}' is no address; {_EXPECTED}") from None
             raise Disconnected(f"cannot be opened: {error}; check cable, name and permission", port=path) from None
         self._too_slow: type[OSError] = serial.SerialTimeoutException
         # USB adapters otherwise hold each answer back for up to 16 ms; other ports do not know the call
@@ -162,18 +190,21 @@ class SerialPort(Transport):
             self._serial.set_low_latency_mode(True)
 
     def _send(self, data: bytes, timeout_s: float) -> None:
-        self._serial.write_timeout = timeout_s
+        # what has no such limit (rfc2217://) says so
+        with contextlib.suppress(NotImplementedError):
+            self._serial.write_timeout = timeout_s
         try:
             self._serial.write(data)
         except self._too_slow:
             raise TimeoutError from None
 
     def _receive(self, timeout_s: float) -> bytes:
-        self._serial.timeout = timeout_s
-        piece = bytes(self._serial.read(1))
+        # in short looks: another limit is another setting, about which rfc2217:// asks the other end
+        end, piece = deadline_in(timeout_s), b""
+        while not piece and time.monotonic() < end:
+            piece = bytes(self._serial.read(1))
         # the rest is there already: it must not wait for another byte
-        if piece and (waiting := self._serial.in_waiting):
-            self._serial.timeout = 0
+        if waiting := self._serial.in_waiting:
             piece += bytes(self._serial.read(min(waiting, _PIECE)))
         return piece
 
@@ -269,11 +300,6 @@ class UdpPort(Transport):
         self._socket.close()
 
 
-# -- Ports by VISA --------------------------------------------------------------------------------------------------
-
-SCHEME = "visa://"
-
-
 class VisaPort(Transport):
     """Bytes to and from a VISA resource. Raises :class:`~sherkit.errors.Disconnected` where it cannot be opened."""
 
@@ -283,7 +309,7 @@ class VisaPort(Transport):
             import pyvisa
         except ImportError:
             raise InstrumentError('visa:// needs pyvisa: pip install "sherkit[visa]"', port=address) from None
-        resource, _, library = address.removeprefix(SCHEME).partition("@")
+        resource, _, library = address.removeprefix(_VISA).partition("@")
         if library and "@" not in library:
             library = f"@{library}"
         self._lost: type[Exception] = pyvisa.errors.VisaIOError
@@ -343,3 +369,37 @@ def _short(error: Exception) -> str:
     """The last line of what a library says: some say a whole traceback."""
     lines = [line.strip(" '\"") for line in str(error).replace("\\n", "\n").splitlines()]
     return next((line for line in reversed(lines) if line), type(error).__name__)
+
+
+def open_port(
+    address: str, *, default_port: int | None = None, baud: int = 115200, timeout_s: float = 5.0
+) -> Transport:
+    """Opens ``tcp://host:port``, ``udp://host:port``, ``visa://RESOURCE``, or the serial port of any other name: a
+    device, or what pyserial has behind a URL (``rfc2217://host:port`` of a server of serial ports, ``hwgrep://``).
+
+    Raises :class:`~sherkit.errors.Disconnected`, or :class:`~sherkit.errors.InstrumentError` for an address that is
+    none.
+    """
+    for scheme in ("tcp", "udp"):
+        if address.startswith(f"{scheme}://"):
+            host, port = _host_and_port(address, default_port)
+            return TcpPort(host, port, timeout_s) if scheme == "tcp" else UdpPort(host, port)
+    if address.startswith(_VISA):
+        return VisaPort(address, baud, timeout_s)
+    if not address:
+        raise InstrumentError(f"'{address}' is no address; {_EXPECTED}")
+    return SerialPort(address, baud)
+
+
+def _host_and_port(address: str, default_port: int | None) -> tuple[str, int]:
+    rest = address.partition("://")[2]
+    host, colon, digits = rest.rpartition(":")
+    if not colon:
+        host, digits = rest, "" if default_port is None else str(default_port)
+    host = host.removeprefix("[").removesuffix("]")
+    port = int(digits) if digits.isascii() and digits.isdigit() else 0
+    if not host or not 0 < port < 1 << 16:
+        raise InstrumentError(
+            f"'{address}' is no address; expected host and a port of 1 to 65535, as tcp://10.0.0.5:23"
+        )
+    return host, port

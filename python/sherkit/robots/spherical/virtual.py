@@ -1,7 +1,7 @@
 """A virtual spherical robot and the camera that looks at it: planted errors, noise, and real pictures.
 
 Written apart from the core on purpose: the tool axis comes from the intersection of two cones in NumPy, pixels from a
-pinhole with Brown's distortion written out here; pictures are drawn by `vision/render.py`.
+pinhole with Brown's distortion written out here; pictures are drawn by `vision/camera.py`.
 """
 
 from __future__ import annotations
@@ -182,9 +182,8 @@ class VirtualSpherical:
 
         Needs the extra ``sherkit[vision]``. The marker faces outwards, as on the robot.
         """
-        from ...vision.intrinsics import Intrinsics
+        from ...vision.camera import Intrinsics, View, draw_marker
         from ...vision.pictures import CameraPicture
-        from ...vision.render import View, draw_marker
 
         eye = self.eye
         k1, k2, p1, p2, k3 = eye.distortion
