@@ -19,7 +19,7 @@ import mistakes
 import sherkit as sk
 import table_mistakes
 import test_telescope
-import test_tool
+import test_tool_missing
 import worlds
 from clean_tables import DATA
 from second_machines import MACHINES, apart, run_of
@@ -93,7 +93,7 @@ def _telescope(file: str, run: str) -> Answer:
 
 
 def _tool(name: str | None) -> Answer:
-    return heard(lambda: test_tool.diagnosed(name, 1))
+    return heard(lambda: test_tool_missing.diagnosed(name, 1))
 
 
 def _worlds() -> Iterator[tuple[str, Ask]]:

@@ -45,6 +45,7 @@ from sherkit.lab.emulators import (
     World,
 )
 from sherkit.lab.instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scale, Sm130, VideoCamera, fetch_scale
+from sherkit.lab.instruments.base import Reading, middle_of
 from sherkit.lab.instruments.galil_line import parse_answer, parse_numbers
 from sherkit.lab.instruments.keyence import parse_reply, parse_value
 from sherkit.lab.instruments.transport import TcpPort, deadline_in, open_port
@@ -91,6 +92,16 @@ def raw(address, sent, count=4096, quiet_s=0.3):
 
 
 # --- the bytes of the documents
+
+
+def test_of_three_readings_one_may_be_wrong():
+    """Catches a digit that noise on the line turned, by less than two readings may differ, taken for a position: 0.002
+    of 0.010 mm in one reading's first axis, of whichever of the three."""
+    places = [(1.0, 2.0), (1.001, 2.0), (1.0005, 2.001)]
+    for wrong in range(3):
+        said = [(x + 0.002 * (k == wrong) * 4, y) for k, (x, y) in enumerate(places)]
+        readings = [Reading("rails", ("a", "b"), values, ("mm", "mm"), 0.0) for values in said]
+        assert max(abs(a - b) for a, b in zip(middle_of(*readings).values, (1.0005, 2.0), strict=True)) <= 0.001
 
 
 def test_galil_emulator_speaks_the_documents_bytes():

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sherkit.report.residual_against import tables
+from sherkit.data import tables
 
 _SERVER = """
 import os, resource, signal, sys

@@ -8,6 +8,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from operator import sub
+from statistics import median
 from types import TracebackType
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -46,6 +48,13 @@ class Reading:
         if len(set(self.units)) != 1:
             raise ShapeError(f"{self.instrument}: its values have no common unit: {', '.join(self.units)}")
         return self.units[0]
+
+
+def middle_of(*three: Reading) -> Reading:
+    """That of readings of what stands still which is nearest to their middle, name by name: of three one may be
+    wrong."""
+    middle = [median(each) for each in zip(*(one.values for one in three), strict=True)]
+    return min(three, key=lambda one: max(map(abs, map(sub, one.values, middle))))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 from ...base.names import listed
 from ...errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, Timeout
-from .base import LETTERS, Axis, Reading, Reference
+from .base import LETTERS, Axis, Reading, Reference, middle_of
 from .galil_line import LARGEST_COUNT, ZEROED, GalilLine
 from .transport import deadline_in
 
@@ -95,6 +95,7 @@ class Galil(GalilLine):
         self.speed = speed
         self.acceleration = acceleration
         self.arrived_within = arrived_within
+        self._apart = max(arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in axes))
         self.settle_s = settle_s
         self.poll_s = poll_s
         self.poll_timeout_s = poll_timeout_s
@@ -288,7 +289,7 @@ class Galil(GalilLine):
         self._repeat(lambda: self._acknowledged(f"{ZEROED}=0"))
         self.left_at = {}
         self._repeat(lambda: self._acknowledged(f"DP {','.join(str(counts.get(x, '')) for x in letters)}"))
-        found = self.read_confirmed(max(self.arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in self.axes)))
+        found = self.read_confirmed(self._apart)
         for axis, at, wanted in zip(self.axes, found.values, positions, strict=True):
             if abs(at - wanted) > self.arrived_within + 1.0 / abs(axis.counts_per_unit):
                 raise self.fail(InstrumentError, f"{axis.label} was set to {wanted:g} {self.unit} and now reads {at:g}")
@@ -429,10 +430,9 @@ class Galil(GalilLine):
             # targets are whole counts: half a count of rounding is no miss
             if all(abs(m) <= self.arrived_within + 0.5 / abs(self._axis(x).counts_per_unit) for x, m in miss.items()):
                 self._moving -= set(targets)
-                # the axes stand: a second reading costs little, and tells a wrong digit from a position
-                stands = self.read_confirmed(
-                    max(self.arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in self.axes))
-                )
+                # the axes stand: more readings cost little, and tell a wrong digit from a position; of two that agree
+                # one may be off by as much as they may differ, of three the middle one is not
+                stands = middle_of(reading, self.read_confirmed(self._apart), self.read())
                 at = dict(zip((a.letter for a in self.axes), stands.values, strict=True))
                 # those that another thread moves are elsewhere in a moment
                 self.left_at = {x: q for x, q in at.items() if x not in self._moving}
