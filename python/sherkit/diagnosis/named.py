@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -230,12 +230,16 @@ def on_all_rows(run: FittedRun, added: Sequence[Candidate]) -> tuple[list[Candid
 
 
 def as_shown(search: Search, found: SearchResult) -> Stage:
-    """What a search saw first, as a report shows it: an effect whose period is searched at the one that was found, or
-    at which it would have been tried first."""
+    """What a search saw first, as a report shows it: each effect at the setting that was found, or at which it would
+    have been tried first."""
     first = found.stages[0]
-    tried = (*search.strongest_settings(first), *found.added)
-    at = {c.name: c for c in tried if c.effect.is_periodic and c.columns.waves}
-    return first.asking([*(c for c in first.candidates if not c.columns.waves), *at.values()])
+    at = {c.name: c for c in search.strongest_settings(first)}
+    for added in found.added:
+        tried = [c for c in first.candidates if c.name == added.name and (c.setting is None) == (added.setting is None)]
+        if tried:
+            near = min(tried, key=lambda c: abs((c.setting or 0.0) - (added.setting or 0.0)))
+            at[added.name] = replace(near, setting=added.setting)
+    return first.asking(list(at.values()))
 
 
 def period_in(run: FittedRun, effect: Effect) -> Period | None:
