@@ -363,7 +363,7 @@ def test_no_mistake_is_claimed_on_clean_runs() -> None:
             answer = mistakes.file_of(make(seed)).ask()
             outcomes.append((kind, answer.verdict))
             # a check that holds may name a base angle and its radians, too
-            claimed += [(kind, seed, str(c)) for c in answer.diagnosis.answers if c.name == "set_up" and not c.holds]
+            claimed += [(kind, seed, str(c)) for c in answer.diagnosis.checks if c.name == "set_up" and not c.holds]
             told = Answer(None, answer.diagnosis.notes)
             claimed += [(kind, seed, m.name) for m in made if told.says(*m.words)]
     table("clean runs", outcomes)
