@@ -420,8 +420,8 @@ class Scan:
     def p_value(self, largest: float, *, level: float, seed: int = 0) -> float:
         """Familywise p of a largest z score: of all patterns of signs where it is near the ``level`` that decides.
 
-        Else of the few first, whose largest scores follow Gumbel's law (Winkler et al., "Faster permutation inference
-        in brain imaging", NeuroImage 2016).
+        Else of the few first, whose largest scores follow a law of extremes, here by its two moments (Gumbel,
+        *Statistics of Extremes*, 1958).
         """
         # of few poses many patterns are the same, which rounding must not tell from the one that flips nothing
         least = largest - _ROUNDING * abs(largest)

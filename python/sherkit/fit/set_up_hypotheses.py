@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ...base import linalg
-from ...base.types import Bools, Floats, Ints
-from ...data import Measurements
-from ...data.columns import unit_in
-from ...errors import SherkitError
-from ...model.base import ModelWithEffects
-from ...model.chain import ChainModel
-from ...model.kinds import kind_of, robot_from_tables
+from ..base import linalg
+from ..base.types import Bools, Floats, Ints
+from ..data import Measurements
+from ..data.columns import unit_in
+from ..errors import SherkitError
+from ..model.base import ModelWithEffects
+from ..model.chain import ChainModel
+from ..model.kinds import kind_of, robot_from_tables
 
 #: What stands under a name by mistake: the unit it is in, how many of the name's units it has, what to do.
 UNITS: dict[str, tuple[tuple[str, float], ...]] = {

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...base.names import listed
-from ...base.types import Bools, Floats, Ints
-from ...data import Measurements
-from ...data.doubts import angles, commanded, doubts
-from ...data.noise import noise_of
-from ...errors import SherkitError
-from ...model.base import ModelWithEffects
-from .hypotheses import SetUp, hypotheses, turned_frame
+from ..base.names import listed
+from ..base.types import Bools, Floats, Ints
+from ..data import Measurements
+from ..data.doubts import angles, commanded, doubts
+from ..data.noise import noise_of
+from ..errors import SherkitError
+from ..model.base import ModelWithEffects
 from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit, thinned
+from .set_up_hypotheses import SetUp, hypotheses, turned_frame
 
 # -- Readings that are the same in every row, and such as no row holds ----------------------------------------------
 

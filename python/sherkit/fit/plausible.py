@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.types import Bools, Floats
-from ...data import Measurements
-from ...data.noise import MAD
-from ...errors import SherkitError
-from ...model.base import ModelWithEffects
-from ...model.chain import ChainModel
-from ..least_squares import LeastSquares
+from ..base.types import Bools, Floats
+from ..data import Measurements
+from ..data.noise import MAD
+from ..errors import SherkitError
+from ..model.base import ModelWithEffects
+from ..model.chain import ChainModel
+from .least_squares import LeastSquares
 
 #: As many readings as all rows together count for: their residuals are not independent where something is wrong.
 COUNTED = 20.0
