@@ -55,6 +55,7 @@ def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> 
     assert len(d.outliers) <= len(bumped) + 3
     assert (d.verdict, d.effects) == ("adequate", ())
     assert "were read one after another, are wrong and left out: was the instrument or the target knocked" in d.headline
+    assert [check.holds for check in d.checks if check.name == "apart"] == [False]
 
 
 @pytest.mark.parametrize("seed", [3, *(pytest.param(k, marks=pytest.mark.slow) for k in (4, 6))])
