@@ -64,6 +64,19 @@ def test_nothing_runs_in_a_circle() -> None:
     tuple(TopologicalSorter(graph).static_order())
 
 
+def test_a_name_means_one_thing_in_its_file() -> None:
+    """Catches files that were put together and had a constant of the same name: the later value is that of both."""
+    twice = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        known = set()
+        for statement in ast.parse(file.read_text(encoding="utf-8")).body:
+            targets = statement.targets if isinstance(statement, ast.Assign) else ()
+            names = {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
+            twice += [f"{file.relative_to(PACKAGE)}:{statement.lineno} {name}" for name in names & known]
+            known |= names
+    assert not twice, "\n".join(twice)
+
+
 @pytest.fixture(scope="module")
 def rust() -> ModuleType:
     """``benchmarks/rust_circles.py``, which is no package."""

@@ -112,7 +112,7 @@ _OBSERVED = 1e-3
 _CLEAR = 3.0
 _COLUMNS = ("parameter", "nominal", "deviation", "value", "± readings", "± total", "unit", "")
 #: Correlations that are told: so many, of this size at least.
-_MOST, _LEAST = 5, 0.1
+_CORRELATIONS, _LEAST = 5, 0.1
 
 
 def table_of(fit: Any) -> str:
@@ -196,7 +196,7 @@ def _correlated(fit: Any) -> list[str]:
     known = np.where(std > 0, std, np.inf)
     pairs = np.triu(covariance / np.outer(known, known), 1)
     names = [p.name for p in fit.parameters]
-    strongest = np.argsort(-np.abs(pairs), axis=None, kind="stable")[:_MOST]
+    strongest = np.argsort(-np.abs(pairs), axis=None, kind="stable")[:_CORRELATIONS]
     told = [(pairs.flat[k], *np.unravel_index(k, pairs.shape)) for k in strongest]
     lines = [f"  {names[i]}, {names[j]}: {value:+.3f}" for value, i, j in told if abs(value) >= _LEAST]
     return ["", "correlations", *lines] if lines else []
