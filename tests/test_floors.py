@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import importlib.util
 import sys
-from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
 from types import ModuleType
@@ -65,30 +64,17 @@ def test_nothing_runs_in_a_circle() -> None:
     tuple(TopologicalSorter(graph).static_order())
 
 
-def named(tree: ast.Module) -> Counter[str]:
-    """How often a file gives each name at its outer level."""
-    names: Counter[str] = Counter()
-    for node in tree.body:
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            names[node.name] += not any("overload" in ast.unparse(one) for one in node.decorator_list)
-        elif isinstance(node, ast.Assign | ast.AnnAssign):
-            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            names.update(n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name))
-        elif isinstance(node, ast.ImportFrom):
-            names.update(one.asname or one.name for one in node.names)
-    return names
-
-
 def test_a_name_means_one_thing_in_its_file() -> None:
-    """Catches a constant that another of its name hides: two files that were put together had the key of a check and
-    the text of a question under one name, which no linter minds."""
-    twice = {
-        str(file.relative_to(PACKAGE)): [name for name, count in names.items() if count > 1]
-        for file in sorted(PACKAGE.rglob("*.py"))
-        # what the package's door gives to others it takes away again
-        if file != PACKAGE / "__init__.py" and (names := named(ast.parse(file.read_text(encoding="utf-8"))))
-    }
-    assert {file: names for file, names in twice.items() if names} == {}
+    """Catches files that were put together and had a constant of the same name: the later value is that of both."""
+    twice = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        known = set()
+        for statement in ast.parse(file.read_text(encoding="utf-8")).body:
+            targets = statement.targets if isinstance(statement, ast.Assign) else ()
+            names = {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
+            twice += [f"{file.relative_to(PACKAGE)}:{statement.lineno} {name}" for name in names & known]
+            known |= names
+    assert not twice, "\n".join(twice)
 
 
 @pytest.fixture(scope="module")

@@ -30,14 +30,14 @@ def lab():
 
 
 def test_status_calls_each_callback_once():
-    """Catches a callback that is lost when it is added late, or called twice."""
+    """Catches a callback that is lost when it is added late, or called twice; and an end of the wait without a word."""
     status = Status()
     called = []
     status.add_callback(called.append)
     assert not status.done
     assert not status.success
-    with pytest.raises(TimeoutError):
-        status.exception(0.01)
+    with pytest.raises(TimeoutError, match=r"has not ended within 0\.01 s"):
+        status.wait(0.01)
     status.finish()
     status.add_callback(called.append)
     assert called == [status, status]

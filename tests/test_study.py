@@ -18,6 +18,7 @@ import sherkit as sk
 from second_simulator import Robot, draw_geometric_errors, grid, make_plan, scaled_effect, simulate, truth
 from sherkit.data.stream import joined
 from sherkit.fit.folds import spatial_blocks
+from sherkit.report.states import states_so_far
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -328,6 +329,20 @@ def test_declared_noise_survives_a_run_that_declares_none() -> None:
     other = sk.Study(EXAMPLE, first)
     other.extend(sk.from_frame(second.to_frame().drop("pose", "repeat")))
     assert other.data.repeatability is not None
+
+
+def test_a_loaded_study_whose_rows_were_taken_back_is_shown(tmp_path: Path) -> None:
+    """Catches a page and a notebook without any state: of steps on other rows than the last no fit was kept, and the
+    study came back to one of them."""
+    errors = draw_geometric_errors(np.random.default_rng(6))
+    study = sk.Study(EXAMPLE, run(6, errors))
+    study.extend(sk.from_frame(run(7, errors).to_frame().with_columns(pl.col("time_s") + 5e3)))
+    study.save(tmp_path)
+    loaded = sk.Study.load(tmp_path)
+    loaded.undo()
+    assert loaded.history[0].fit is None
+    ((number, state),) = states_so_far(loaded).items()
+    assert (number, state.title, len(state.fit.data)) == (0, "geometry calibrated", len(loaded.data))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""What a loop says of all that it was told: verdict, names, ties, what stayed unseen, how far off the robot may be."""
+"""What a loop says of all that it was told: verdict, names, ties, what stayed unseen, how far off the robot may be,
+at its end and while it goes on.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Lines that define effects, run in a process of their own: whatever they do, it can be ended, and the page lives.
+"""Lines that define effects, run in a process of their own: whatever they do, it can be ended, and the page lives; and
+the one worker of the page, whose work a person can cancel.
 
 The process holds the functions; here stand effects of the same names, whose functions ask it. It is sent the rows once
 and then only parameters, and answers arrays.
@@ -84,7 +85,7 @@ def _send(pid: int, name: str) -> None:
         os.kill(pid, getattr(signal, name))
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- Seen from the page ----------------------------------------------------------------------------------------------
 
 #: How long one look at all rows may take, by the clock but for the time in which other work has the machine, and how
 #: often a person's wish to end it is looked for, s.

@@ -379,7 +379,7 @@ class Workbench:
             own=tuple(study.own),
             known={**study.model.known_effects, **study.model.held, **study.own},
             history=tuple(study.history),
-            states=states_so_far(study.history),
+            states=states_so_far(study),
             diagnosis=None,
             undoes=study.undoes,
             redoes=study.redoes,

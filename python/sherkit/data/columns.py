@@ -1,4 +1,4 @@
-"""The column names of a table of measurements, and what they mean."""
+"""The column names of a table of measurements, and what they mean; and how columns under other names are mapped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands where in a file, declared once by the class that it makes: reading and writing follow from that.
+"""What stands where in a file, declared once by the class that it makes: reading, writing and its JSON schema follow.
 
     @dataclass(frozen=True)
     class Stage(Declared):

@@ -1,4 +1,4 @@
-"""How large the noise of each reading is, and where that is known from."""
+"""How large the noise of each reading is, where that is known from, and how many digits a column has."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measurements too large for memory: passed over in blocks, as often as the fit asks."""
+"""Measurements too large for memory, passed over in blocks as often as the fit asks; and two runs joined to one."""
 
 from __future__ import annotations
 

@@ -18,10 +18,10 @@ from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from .where import Dependence
 
-#: Checks of which the first line speaks though nothing is decided by them.
-AS_DRAWN, APART, DIGITS, DECLARED = "as_drawn", "apart", "digits", "noise_as_declared"
 # -- What a verdict rests on: checks, each made on numbers that the same report shows ------------------------------
 
+#: Checks of which the first line speaks though nothing is decided by them.
+AS_DRAWN, SINGLY, DIGITS, DECLARED = "as_drawn", "apart", "digits", "noise_as_declared"
 #: The check that repeats differ by noise alone.
 REPEATS = "repeats_are_noise"
 #: The check that tests lack of fit.
@@ -104,7 +104,7 @@ def headline(checks: Sequence[Check], effects: Sequence[str], not_needed: Sequen
             line += "; " + "; ".join(failing[:_MOST])
     # a wrong column, or an absurd number, moves the drawing as well
     wrong = {check.name for check in checks if check.holds is False}
-    spoken = {APART, DIGITS, DECLARED} | ({AS_DRAWN} if not wrong & _MOVES else set())
+    spoken = {SINGLY, DIGITS, DECLARED} | ({AS_DRAWN} if not wrong & _MOVES else set())
     line += "".join(
         f"; but {check.fails}" for check in checks if check.name in wrong & spoken and check.fails not in line
     )
@@ -207,7 +207,7 @@ class Summary:
         }
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The diagnosis ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

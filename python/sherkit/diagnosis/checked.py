@@ -11,7 +11,7 @@ from ..base.names import listed, spans
 from ..base.types import Floats, Ints
 from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
-from .answers import APART, AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SMALL, Check
+from .answers import AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SINGLY, SMALL, Check
 from .explanation import ABSURD, PLAUSIBLE, largest, sizes_of
 from .fitted_run import FittedRun
 from .held_out import PRAISE, FewEnough, HeldOutGain
@@ -186,12 +186,12 @@ def _apart(final: FittedRun, outliers: Ints) -> list[Check]:
     lasting = in_one_go(final.data, outliers)
     tested, rows = "rows that are wrong are so each for itself", f"the {len(outliers)} rows listed as wrong"
     if not len(lasting):
-        return [Check(APART, tested, rows, "between them others are right", holds=True, decisive=False)]
+        return [Check(SINGLY, tested, rows, "between them others are right", holds=True, decisive=False)]
     where = f"{final.data.counted}s {spans(final.data.line[lasting])}"
     told = f"{where} were read one after another"
     return [
         Check(
-            APART, tested, rows, told, holds=False, decisive=False,
+            SINGLY, tested, rows, told, holds=False, decisive=False,
             fails=f"{told}, are wrong and left out: was the instrument or the target knocked, and put back?",
         )
     ]  # fmt: skip

@@ -97,7 +97,7 @@ def means_of(values: Floats, pose: Ints) -> Floats:
     return np.asarray(mean[pose])
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- What the deviations hold ----------------------------------------------------------------------------------------
 
 #: Chance that repeats of pure noise are said to hold something.
 LEVEL = 1e-3

@@ -1,4 +1,4 @@
-"""A fit on its rows, as diagnosis sees it, whatever the machine."""
+"""A fit on its rows, as diagnosis sees it, whatever the machine; of a long run, on as many rows as tell."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """The held-out error that people are shown, wherever they see it: every row predicted by a fit that did not see its
-block, in several ways to cut the run into blocks.
+block, in several ways to cut the run into blocks; and what of the model, or beside it, is worth its place by that.
 
 All is linear around the full fit, so that a fit without a block is a subtraction of Gram matrices.
 """

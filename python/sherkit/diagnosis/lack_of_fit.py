@@ -83,7 +83,7 @@ def z_score(gain: Floats, rank: Ints | np.integer[Any], total: float | Floats, f
     return np.where(rank > 0, z, -np.inf)
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The test --------------------------------------------------------------------------------------------------------
 
 #: An error of the poses' own counts from this part of the noise on: below it the whole error grows by less than 5 %.
 _COUNTS = 0.3

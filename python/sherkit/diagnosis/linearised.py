@@ -1,4 +1,4 @@
-"""A fitted model to first order: residuals, derivatives, variables. It knows nothing of robots.
+"""A fitted model to first order: residuals, derivatives, variables, steps in time. It knows nothing of robots.
 
 Residuals are in units of their noise, one axis per reading. A correlation in time is taken out by the filter
 ``e_t - ρ e_{t-1}``, which every column passes as well.

@@ -1,4 +1,6 @@
-"""The effects that a diagnosis names: those that the search finds and that earn their place, each given all others."""
+"""The effects that a diagnosis names: those that the search finds and that earn their place, each given all others; and
+the settings with which they are fitted.
+"""
 
 from __future__ import annotations
 

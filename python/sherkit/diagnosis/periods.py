@@ -1,4 +1,5 @@
-"""The period of an effect: made finer than the grid, how well it is known, and which others fit these poses as well.
+"""The period, moment or lag of an effect made finer than the grid; how well a period is known, and which others fit
+these poses as well.
 
 What a wave takes of a residual, as a function of its frequency, is the periodogram; given the fitted parameters it is
 the profile of the likelihood (Lomb, "Least-squares frequency analysis of unequally spaced data", Astrophys. Space Sci.

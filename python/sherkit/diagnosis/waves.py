@@ -109,7 +109,7 @@ class Gridded:
         )
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- Frequencies, and the columns of their waves ---------------------------------------------------------------------
 
 TURN = 2.0 * np.pi
 #: Frequencies per width of a peak: halfway between two of them a wave still takes four fifths of what it would.

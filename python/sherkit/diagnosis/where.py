@@ -1,4 +1,6 @@
-"""Where the model fails: error against everything, each with its own test."""
+"""Where the model fails: error against everything, each with its own test; what parameters hide, what would have been
+found, and whether what is left is steady.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The error of a model: how far what was read lies from what the model says, pose by pose.
+"""The error of a model: how far what was read lies from what the model says, pose by pose; and the radius that a
+covariance stands for.
 
 For what is read in one unit in space that is the distance in 3-D, for pixels and angles the length of the difference
 of all that is read together: mean, root mean square, what 95 of 100 rows stay within, and the largest (ISO 9283:1998,

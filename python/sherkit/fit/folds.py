@@ -1,4 +1,6 @@
-"""Gram matrices fold by fold: a fit to the rows outside a fold is a subtraction."""
+"""Blocks of poses that are held out together, and Gram matrices fold by fold: a fit to the rows outside a fold is a
+subtraction.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,7 @@ def _group_means(values: Floats, groups: Ints) -> Floats:
     return np.stack([np.bincount(groups, v) / count for v in values.T], axis=1)
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- Gram matrices, fold by fold -------------------------------------------------------------------------------------
 
 #: Rows that are looked at together: a few megabytes of columns, however long the run is.
 BLOCK = 8192

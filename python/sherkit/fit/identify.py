@@ -1,4 +1,4 @@
-"""Identification: the parameters that fit the readings, and how well each is known.
+"""Identification: the parameters that fit the readings, how well each is known, and what fits without a block miss.
 
 Source: Eqs. 9 to 11 of Xiao et al., ISMR 2022, solved column-scaled and rank-revealing and iterated to the
 nonlinear minimum. The covariance is the usual ``s² (JᵀJ)⁻¹`` (Seber and Wild, *Nonlinear Regression*, 2.1); with a

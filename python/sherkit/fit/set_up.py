@@ -77,7 +77,7 @@ def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator
             )
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The mistakes ----------------------------------------------------------------------------------------------------
 
 #: A set-up is mistaken where another explains the run better by a factor of five with parameters as plausible.
 _MUCH = COUNTED * float(np.log(5.0))

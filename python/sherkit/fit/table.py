@@ -1,4 +1,6 @@
-"""A fit as a table for people: every parameter with both its deviations, and what the fit rests on."""
+"""A fit as a table for people: every parameter with both its deviations, what the fit rests on, and the combinations of
+parameters that it knows badly or not at all.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +16,8 @@ from ..base.figures import in_people_units, with_error
 from ..base.types import Floats
 from ..model.effect import Parameter
 from .forms import known
+
+# -- Directions that are badly known, or not at all ------------------------------------------------------------------
 
 #: Parameters whose share of a direction is below this fraction of the largest are not named.
 _NAMED = 0.3
@@ -103,7 +107,7 @@ def _and(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
-# ------------------------------------------------------------------------------------------------------------------
+# -- The table -------------------------------------------------------------------------------------------------------
 
 #: A parameter counts as observed where no more than this part of its plausible variance is unobserved, and as
 #: unobserved from one less this part on.
@@ -112,7 +116,7 @@ _OBSERVED = 1e-3
 _CLEAR = 3.0
 _COLUMNS = ("parameter", "nominal", "deviation", "value", "± readings", "± total", "unit", "")
 #: Correlations that are told: so many, of this size at least.
-_MOST, _LEAST = 5, 0.1
+_CORRELATIONS, _LEAST = 5, 0.1
 
 
 def table_of(fit: Any) -> str:
@@ -196,7 +200,7 @@ def _correlated(fit: Any) -> list[str]:
     known = np.where(std > 0, std, np.inf)
     pairs = np.triu(covariance / np.outer(known, known), 1)
     names = [p.name for p in fit.parameters]
-    strongest = np.argsort(-np.abs(pairs), axis=None, kind="stable")[:_MOST]
+    strongest = np.argsort(-np.abs(pairs), axis=None, kind="stable")[:_CORRELATIONS]
     told = [(pairs.flat[k], *np.unravel_index(k, pairs.shape)) for k in strongest]
     lines = [f"  {names[i]}, {names[j]}: {value:+.3f}" for value, i, j in told if abs(value) >= _LEAST]
     return ["", "correlations", *lines] if lines else []

@@ -1,4 +1,6 @@
-"""An effect: a physical cause of error, as data, and for a user's own one a function."""
+"""An effect: a physical cause of error with its parameters, as data, and for a user's own one a function, from a file
+where it stands in one.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,7 @@ class Parameter:
     lever_mm: float = 1.0
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- Effects ---------------------------------------------------------------------------------------------------------
 
 LINKS = ("joints", "structure", "body", "sensor")
 #: Links at which a NumPy function can act, and the columns of what it gives, one row for each row of the run.

@@ -93,7 +93,7 @@ class _Bringer:
 def pictures_of(value: Any) -> list[Picture[Any]]:
     """The pictures that say most about a value, the first one first. Raises ``TypeError`` for what has none."""
     if isinstance(value, Study):
-        states = [*states_so_far(value.history).values()]
+        states = [*states_so_far(value).values()]
         return [error_history(error_history_of(value)), _map(states[0], states[-1])]
     if isinstance(value, Diagnosis):
         shown: list[Picture[Any]] = [candidates(value)] if value.candidates else []

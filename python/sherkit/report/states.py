@@ -166,11 +166,14 @@ def current_path(history: Sequence[StudyStep]) -> list[int]:
     return path
 
 
-def states_so_far(history: Sequence[StudyStep]) -> dict[int, State]:
+def states_so_far(study: Study) -> dict[int, State]:
     """By the number of its step, what a reader compares: the states of the current path whose rows are those of today,
-    under names that tell them apart."""
-    known = {k: fit for k in current_path(history) if (fit := history[k].fit) and len(fit.data) == history[-1].rows}
-    names = told_apart([history[k].action for k in known])
+    under names that tell them apart. The last is where the study stands."""
+    path = current_path(study.history)
+    # of a loaded study the step that it came back to may have no fit
+    fits = {k: study.history[k].fit for k in path} | {path[-1]: study.fit}
+    known = {k: fit for k, fit in fits.items() if fit and len(fit.data) == len(study.data)}
+    names = told_apart([study.history[k].action for k in known])
     return {k: State(name, fit) for (k, fit), name in zip(known.items(), names, strict=True)}
 
 

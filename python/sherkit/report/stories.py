@@ -1,4 +1,6 @@
-"""Short pages of their own: what has changed of a machine, the course over the years, a run that chose its poses."""
+"""Short pages of their own: what has changed of a machine, the course over the years, a run that chose its poses,
+a run of the flexible tool.
+"""
 
 from __future__ import annotations
 

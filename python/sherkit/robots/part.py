@@ -373,7 +373,7 @@ class Part:
         for k, one in enumerate(unobserved_effects):
             sizes, far = one.largest(model)
             if sizes > _ABSURD or far > _LARGEST_RESIDUAL:
-                raise table.refuse(f"unshown: entry {k + 1} ({one.effect}): larger than any robot")
+                raise table.refuse(f"unobserved_effects: entry {k + 1} ({one.effect}): larger than any robot")
         return replace(made, unobserved_effects=unobserved_effects)
 
     def _check(self, table: Table, robot: Robot, told: list[tuple[str, float]]) -> None:

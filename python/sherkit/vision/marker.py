@@ -1,4 +1,4 @@
-"""A marker in a picture, to a small part of a pixel, or the reason why there is none.
+"""A marker in a picture, to a small part of a pixel, or the reason why there is none; and markers to print.
 
 ``corner``: a disk of two black and two white quadrants, whose middle is the one corner where four fields meet. Harris'
 detector proposes corners (Harris and Stephens, 1988); the one kept looks the same turned by half a turn and inverted

@@ -1,4 +1,6 @@
-"""Two columns that hold the same though they are different quantities: one was written into the other."""
+"""Two columns that hold the same though they are different quantities: one was written into the other;
+and one value where many were expected.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,7 @@ def _variables(inputs: Floats, turning: Bools) -> list[Floats]:
     return out
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- Two columns that hold the same ----------------------------------------------------------------------------------
 
 #: What may lie between two columns that are the same, as a part of their range: rounding.
 _ROUNDING = 1e-7

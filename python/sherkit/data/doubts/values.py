@@ -1,4 +1,4 @@
-"""Values that cannot be what the column's name says."""
+"""Values that cannot be what the column's name says, and poses that cannot tell what is asked of them."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def _line(places: Floats) -> Floats | None:
     return np.asarray(turn[0])
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- Temperatures and angles of another unit -------------------------------------------------------------------------
 
 #: Temperatures of a room or a machine in it, and such as nothing of it ever has, °C.
 _COLDEST, _HOTTEST = -60.0, 180.0

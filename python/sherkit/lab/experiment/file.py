@@ -104,7 +104,7 @@ def _proposed(path: Path, names: tuple[str, ...]) -> Floats:
     return out
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The file --------------------------------------------------------------------------------------------------------
 
 #: How far joints may move while sensors are read, by their unit.
 _MOVED_WITHIN = {"mm": 0.002, "rad": 5e-5}

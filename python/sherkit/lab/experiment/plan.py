@@ -27,7 +27,7 @@ class Point:
     values: Mapping[str, float]
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The plan --------------------------------------------------------------------------------------------------------
 
 #: As listed, pass after pass; drawn anew for each pass; from the last to the first; to and fro, pass by pass.
 ORDERS = ("planes", "shuffled", "reversed", "alternating")

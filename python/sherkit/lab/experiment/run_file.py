@@ -111,7 +111,7 @@ else:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The run file ----------------------------------------------------------------------------------------------------
 
 #: Of :meth:`RunFile.create`, what must be the same for a run to go on.
 _SAME = ("plan", "robot")

@@ -100,7 +100,7 @@ def _statements(text: str) -> list[str]:
     return [one.strip().rstrip(";") for one in text.split(";\n") if one.strip()]
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- Its rows --------------------------------------------------------------------------------------------------------
 
 #: What SQLite says where the disk or another program stands in the way, not what is in the file.
 _OUTSIDE = ("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_BUSY", "SQLITE_LOCKED", "SQLITE_CANTOPEN", "SQLITE_READONLY")

@@ -113,11 +113,15 @@ class Status:
 
     def exception(self, timeout: float | None = 0.0) -> BaseException | None:
         """What went wrong, or None. Raises ``TimeoutError`` where it has not ended within ``timeout``, s."""
-        return self._end.exception(timeout)
+        try:
+            return self._end.exception(timeout)
+        except TimeoutError:
+            raise TimeoutError(f"has not ended within {timeout} s") from None
 
     def wait(self, timeout: float | None = None) -> None:
         """Waits for the end and raises what went wrong, or ``TimeoutError``."""
-        self._end.result(timeout)
+        if (error := self.exception(timeout)) is not None:
+            raise error
 
     def finish(self, error: BaseException | None = None) -> None:
         """Ends it."""

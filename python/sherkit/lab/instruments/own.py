@@ -1,4 +1,5 @@
-"""Instruments that a user brings as Python: a function, an object, or a device of bluesky, ophyd, ophyd-async.
+"""Instruments that a user brings as Python: a function, an object, or a device of bluesky, ophyd, ophyd-async; and the
+code that makes them.
 
 ``make`` gives it when the port would be opened. What it may be:
 

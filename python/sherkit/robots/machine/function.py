@@ -111,7 +111,7 @@ def _allows_complex(
     return bool(np.isfinite(found[known]).all() and np.abs(found - slope)[known].max() <= 10 * off)
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The function ----------------------------------------------------------------------------------------------------
 
 #: (joints (n, k), parameters by name) → readings (n, m).
 Forward = Callable[[Any, SimpleNamespace], Any]

@@ -144,7 +144,7 @@ def text_of(path: Path, expected: str) -> str:
         raise RobotError(f"{path}: is not a text file, expected {expected}") from None
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- As a robot and a run --------------------------------------------------------------------------------------------
 
 STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 _FULL_STEPS = 200.0

@@ -22,7 +22,8 @@ from ...model.effect import Effect, Parameter, effect
 from ...model.rows import Rows
 from ..delta.model import CATALOGUE as DELTA
 from ..delta.model import DeltaModel
-from .robot import PLATE, POSITION, PROBED, PROBING, Printer
+from ..delta.robot import POSITION
+from .robot import PLATE, PROBED, PROBING, Printer
 
 # -- The bed: its own shape, which turns with the plate, and the zero of each probing -----------------------------
 
@@ -206,7 +207,7 @@ def _spread(values: Floats, block: Block) -> Floats:
     return out
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The model -------------------------------------------------------------------------------------------------------
 
 
 class Touches(Rows):

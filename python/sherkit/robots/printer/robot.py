@@ -16,7 +16,7 @@ from ...data.columns import Layout
 from ...data.declared import key
 from ...data.toml import Table
 from ...errors import MeasurementError, OutOfReach, RobotError
-from ..delta.robot import JOINTS, POSITION, TO_JOINTS, Delta, Triple
+from ..delta.robot import JOINTS, TO_JOINTS, Delta, Triple
 
 # -- What a firmware can hold -------------------------------------------------------------------------------------
 
@@ -80,10 +80,7 @@ PROBED = Layout(JOINTS, ("measured_mm",), "µm", 1e3, None, TO_JOINTS, follows=F
 #: How far the plate was turned, degrees anticlockwise seen from above, and which of the probings a row is from.
 PLATE, PROBING = "plate_deg", "probing"
 
-__all__ = ["PLATE", "POSITION", "PROBED", "PROBING"]
-
-
-# --------------------------------------------------------------------------------------------------------------
+# -- The printer -----------------------------------------------------------------------------------------------------
 
 #: What no firmware knows, as it usually is, mm: the distance of the two rods of an arm, and that of the arms' joints
 #: from the middle of the effector. They matter where an effector tilts alone: how far follows from the difference of

@@ -1,4 +1,6 @@
-"""Streams with different clocks and rates: values at other moments, and the delay between two clocks."""
+"""Streams with different clocks and rates: values at other moments, the delay between two clocks, the turn between two
+clouds of points, and how well these are known.
+"""
 
 from __future__ import annotations
 
@@ -134,7 +136,7 @@ def _restricted(j: Floats, e: Floats, smooth: Floats) -> tuple[float, float]:
     return float(free * np.log(variance) + determinant), variance
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- Streams in time -------------------------------------------------------------------------------------------------
 
 _LEAST = 8
 #: No interrogator is later, s, and a delay less well known is none.

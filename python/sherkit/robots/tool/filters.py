@@ -86,7 +86,7 @@ def _what(k: int, rows: Bools, shift: Floats, bits: Bools) -> str:
     return "does not agree with the other gratings"
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The estimate ----------------------------------------------------------------------------------------------------
 
 #: Places of the columns of a measurement.
 _FORCE, _DEPTH, _DEPTH_VARIANCE = slice(1, 3), 7, 8

@@ -88,7 +88,7 @@ def _softness(tool: FlexibleTool, depth_mm: Floats) -> Floats:
     return np.asarray((tool.length_mm - depth_mm).clip(0.0) ** 3 / (3.0 * tool.stiffness_mn_mm2))
 
 
-# --------------------------------------------------------------------------------------------------------------
+# -- The places ------------------------------------------------------------------------------------------------------
 
 #: The direction in which a force changes is taken over this time, s.
 _SMOOTHING_S = 0.1
