@@ -14,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -681,6 +682,18 @@ def test_serial_ports_of_a_server_are_read_by_the_url_of_pyserial():
             e.faults.schedule("drop")
             assert k.read().values == (1.0, 2.0, 3.0)
         server.join()
+
+
+@pytest.mark.parametrize(
+    "address", ["spy:///dev/null?file={}", "SPY:///dev/null?file={}", "alt:///dev/null", "rfc2217://x"]
+)
+def test_an_address_opens_a_port_and_nothing_else(address: str, tmp_path: Path) -> None:
+    """Catches an address, which stands in files of other people, by which pyserial empties a file of this machine."""
+    precious = tmp_path / "precious"
+    precious.write_text("kept")
+    with pytest.raises(InstrumentError, match="is no address"):
+        Keyence(address.format(precious)).connect()
+    assert precious.read_text() == "kept"
 
 
 def test_drivers_need_no_emulators_and_emulators_no_drivers():

@@ -27,7 +27,12 @@ _LOOK_S = 0.01
 #: A device that never falls silent is drained for this long, s.
 _LONGEST_DRAIN_S = 2.0
 _VISA = "visa://"
-_EXPECTED = "expected tcp://host:port, udp://host:port, visa://resource or a serial port"
+#: URLs that are left to pyserial. Others of it are none: an address stands in files of other people, and
+#: ``spy://port?file=…`` empties any file.
+_BY_PYSERIAL = ("rfc2217://", "hwgrep://")
+_EXPECTED = (
+    "expected tcp://host:port, udp://host:port, rfc2217://host:port, hwgrep://adapter, visa://resource or a serial port"
+)
 _WALL_S = time.time()
 _STEADY_S = time.monotonic()
 
@@ -166,9 +171,9 @@ class Transport(ABC):
 
 
 class SerialPort(Transport):
-    """A serial port of this machine, 8N1 without flow control, or what else ``serial_for_url`` of pyserial opens.
+    """A serial port of this machine, or by a URL of pyserial, 8N1 without flow control.
 
-    Raises :class:`~sherkit.errors.Disconnected`, or :class:`~sherkit.errors.InstrumentError` for an unknown address.
+    Raises :class:`~sherkit.errors.Disconnected`.
     """
 
     def __init__(self, path: str, baud: int = 115200) -> None:
@@ -181,8 +186,6 @@ class SerialPort(Transport):
             # exclusive: a second program on the same motors would be worse than an error
             self._serial: Any = serial.serial_for_url(path, baud, timeout=_LOOK_S, exclusive=True)
         except (OSError, ValueError) as error:
-            if "://" in path and isinstance(error, ValueError):
-                raise InstrumentError(f"'{path}' is no address; {_EXPECTED}") from None
             raise Disconnected(f"cannot be opened: {error}; check cable, name and permission", port=path) from None
         self._too_slow: type[OSError] = serial.SerialTimeoutException
         # USB adapters otherwise hold each answer back for up to 16 ms; other ports do not know the call
@@ -375,7 +378,7 @@ def open_port(
     address: str, *, default_port: int | None = None, baud: int = 115200, timeout_s: float = 5.0
 ) -> Transport:
     """Opens ``tcp://host:port``, ``udp://host:port``, ``visa://RESOURCE``, or the serial port of any other name: a
-    device, or what pyserial has behind a URL (``rfc2217://host:port`` of a server of serial ports, ``hwgrep://``).
+    device, ``rfc2217://host:port`` of a server of serial ports, or ``hwgrep://`` and what the adapter's name holds.
 
     Raises :class:`~sherkit.errors.Disconnected`, or :class:`~sherkit.errors.InstrumentError` for an address that is
     none.
@@ -386,7 +389,9 @@ def open_port(
             return TcpPort(host, port, timeout_s) if scheme == "tcp" else UdpPort(host, port)
     if address.startswith(_VISA):
         return VisaPort(address, baud, timeout_s)
-    if not address:
+    if address.startswith("rfc2217://"):
+        _host_and_port(address.partition("?")[0], None)
+    if not address or ("://" in address and not address.startswith(_BY_PYSERIAL)):
         raise InstrumentError(f"'{address}' is no address; {_EXPECTED}")
     return SerialPort(address, baud)
 
