@@ -28,7 +28,7 @@ def main() -> None:
     )
     as_drawn = Change(drawn, drawn, after_title="as drawn")
     with_effects = Change(calibrated, found, CALIBRATED, state_with(study.effects))
-    caption = "Measured minus predicted in one plane of the demo. Arrows: x and y; blue: z lower, orange: higher."
+    caption = "Measured minus predicted in one plane of the demo."
     OUT.write_text(still(as_drawn, with_effects, caption=caption), encoding="utf-8")
 
 

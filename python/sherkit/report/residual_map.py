@@ -153,7 +153,7 @@ def still(*changes: Change, caption: str = "", width_px: int = 290) -> str:
         for across, column in enumerate(columns)
         for down, panel in enumerate(column)
     )
-    said = caption or _legend(changes[0].before)
+    said = f"{caption} {_legend(changes[0].before)}".strip()
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {bottom + _GAP // 2}" width="{width}" '
         f'style="max-width:100%;height:auto" font-family="{FONT}" font-size="{FONT_SIZE}" fill="{INK}" '
