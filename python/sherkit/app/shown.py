@@ -7,6 +7,7 @@ in which Tab goes is the one that is seen.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from html import escape
 from typing import Any
@@ -48,26 +49,37 @@ if (window.focusedEffect == button.label.slice(2)) setTimeout(() => {
 """
 
 
-class EffectList:
-    """Switches for all effects; ``pressed`` is told which one a person wants in the model, or out of it."""
+class _Folding(ABC):
+    """What shows a part of a moment, and all of it once its button was pressed."""
 
-    def __init__(self, pressed: Callable[[str], object]) -> None:
-        self._pressed = pressed
-        self._places: list[_Place] = []
-        #: What each would leave, as a diagnosis said last, and which would not help: until the next one both stay.
-        self._would: dict[str, float] = {}
-        self._idle: frozenset[str] = frozenset()
+    def __init__(self, name: str, width: int) -> None:
         self._all = False
         self._page_state: PageState | None = None
-        self._unfold = button("", "unfold_effects", width=_LIST_WIDTH - 12, visible=False)
-        self._unfold.on_click(self._unfolded)
-        self._list = column(width=_LIST_WIDTH)
-        self.root = column(self._list, self._unfold, width=_LIST_WIDTH)
+        self.unfold = button("", name, width=width, visible=False)
+        self.unfold.on_click(self._unfolded)
 
     def _unfolded(self) -> None:
         self._all = not self._all
         if self._page_state is not None:
             self.show(self._page_state)
+
+    @abstractmethod
+    def show(self, page_state: PageState) -> None:
+        """Draws a moment."""
+
+
+class EffectList(_Folding):
+    """Switches for all effects; ``pressed`` is told which one a person wants in the model, or out of it."""
+
+    def __init__(self, pressed: Callable[[str], object]) -> None:
+        super().__init__("unfold_effects", _LIST_WIDTH - 12)
+        self._pressed = pressed
+        self._places: list[_Place] = []
+        #: What each would leave, as a diagnosis said last, and which would not help: until the next one both stay.
+        self._would: dict[str, float] = {}
+        self._idle: frozenset[str] = frozenset()
+        self._list = column(width=_LIST_WIDTH)
+        self.root = column(self._list, self.unfold, width=_LIST_WIDTH)
 
     def show(self, page_state: PageState) -> None:
         """Draws the list of a moment."""
@@ -78,9 +90,9 @@ class EffectList:
         every = ordered(page_state, self._would)
         folded = [name for name in every if name in self._idle and name not in (*page_state.effects, *page_state.own)]
         names = every if self._all else [name for name in every if name not in folded]
-        self._unfold.visible = bool(folded)
+        self.unfold.visible = bool(folded)
         count = f"{len(folded)} that would not help"
-        self._unfold.label = f"Hide {count}" if self._all else f"Show {count}"
+        self.unfold.label = f"Hide {count}" if self._all else f"Show {count}"
         while len(self._places) < len(names):
             self._places.append(_Place(self._pressed))
         if len(self._list.children) != len(names):
@@ -297,25 +309,17 @@ class Maps:
         ]  # fmt: skip
 
 
-class Fall:
+class Fall(_Folding):
     """The fall of the error along the steps that led to where the study stands, and how well parameters are known."""
 
     def __init__(self) -> None:
-        self._page_state: PageState | None = None
+        super().__init__("unfold", 250)
         self._pictures: dict[str, Picture[Any]] = {}
         #: What the pictures were built for; other readings or units need new ones.
         self._fall_for: bool | None = None
         self._parameters_for: tuple[str, ...] | None = None
-        self._all = False
         self.fall = column(name="fall", sizing_mode="stretch_width")
         self.parameters = column(name="parameters", width=_WIDTH)
-        self.unfold = button("", "unfold", width=250, visible=False)
-        self.unfold.on_click(self._unfolded)
-
-    def _unfolded(self) -> None:
-        self._all = not self._all
-        if self._page_state is not None:
-            self.show(self._page_state)
 
     def show(self, page_state: PageState) -> None:
         """Draws the fall of a moment."""

@@ -130,19 +130,19 @@ class Linearised:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Derivatives by what a fit has of its own, beside what was tried before it."""
+class FittedAnew:
+    """Derivatives of a refit by what it has of its own, and by what was tried those of the fit before it."""
 
-    own: Linearised
-    tried: Linearised
+    own: Derivatives
+    before: Linearised
 
     def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
         """As the fit has it."""
-        return self.own._own(rows)
+        return self.own.fitted(rows)
 
     def effects(self, rows: slice) -> Floats:
         """As before."""
-        return self.tried.effects_in(rows)
+        return self.before.effects_in(rows)
 
 
 class Whitening:

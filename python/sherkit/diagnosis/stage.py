@@ -16,7 +16,16 @@ from .axis_waves import AxisWaves
 from .columns import Block, Columns, Image
 from .fitted_run import FittedRun
 from .lack_of_fit import chi2_log_tail
-from .linearised import Beside, Linearised, Whitening, correlation_in_time, last_asked, orthonormal, step_gains, within
+from .linearised import (
+    FittedAnew,
+    Linearised,
+    Whitening,
+    correlation_in_time,
+    last_asked,
+    orthonormal,
+    step_gains,
+    within,
+)
 from .scan import Scan
 from .shapes import Family, Shape, build
 from .waves import Waves, waves_of
@@ -175,7 +184,7 @@ class Stage:
         """The stage of the full fit ``run`` with these effects: what they are has the derivatives of that fit; shapes
         and all other effects, which change by as little as the machine does, keep those of this one."""
         own = run.linearised(self.rows, (), self.sigma)
-        view = replace(self.view, residual=own.residual, derivatives=Beside(own, self.view))
+        view = replace(self.view, residual=own.residual, derivatives=FittedAnew(own.derivatives, self.view))
         names = {one.name for one in added}
         asked = self.asking([c for c in self.candidates if c.name not in names])
         return replace(asked, run=run, view=view, scan=asked.scan.beside(Refitted(self.written, view)))
