@@ -380,7 +380,7 @@ class Adaptive:
             if self._family is None:
                 axes = axes_of(some)
                 self._family = Family.of(
-                    self.model.counted_from(some.begins_s), self.region, some, axes, max(60.0 * self.span_min, 600.0)
+                    self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0)
                 )
             found = look(self._family, some, self.last)
             seen = outlook(found, self.level)

@@ -139,7 +139,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     axes = axes_of(data)
     if not axes:
         raise FitError(f"{data.source}: verification needs coordinates; these rows are distances only")
-    model = model.counted_from(data.begins_s)
+    model = model.for_run(data)
     used = data.used[:, list(axes)]
     stand = stand_of(model, data, known.values, axes, used)
     flat = stand.columns[used]

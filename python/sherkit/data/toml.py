@@ -256,6 +256,24 @@ class Table:
         lowest = max(_SMALLEST if positive else -_LARGEST, -_LARGEST if least is None else least)
         return float(self._get(key, expected, schema, lambda v: _is_number(v) and v >= lowest, default, sample=1.0))
 
+    def choice(self, key: str) -> bool | None:
+        """true or false, or None where the key is not given."""
+        found = self._get(key, "true or false", {"type": "boolean"}, lambda v: isinstance(v, bool), optional=True)
+        return None if found is None else bool(found)
+
+    def deviations(self, key: str, count: int) -> tuple[float, ...] | None:
+        """Standard deviations, one number for all or ``count`` of them: 0 where a thing is held, inf where it is free;
+        None where the key is not given."""
+        expected = f"a number for all axes, or {count} of them, none below zero; 0 holds an axis, inf frees it"
+        one: Schema = {"type": "number", "minimum": 0}
+        several = _list_of(_is_deviation, count)
+        found = self._get(
+            key, expected, {"anyOf": [one, _list(one, count)]}, lambda v: _is_deviation(v) or several(v), optional=True
+        )
+        if found is None:
+            return None
+        return tuple(float(v) for v in (found if isinstance(found, list | tuple) else [found] * count))
+
     def heights(self, key: str) -> tuple[float, float] | None:
         """Two numbers, the lower first, or None where the key is not given."""
         holds, expected = _list_of(_is_number, 2), "two numbers, the lower first"
@@ -309,6 +327,10 @@ def _is_beyond(value: object) -> bool:
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return 0 < abs(value) < _SMALLEST or abs(value) > _LARGEST
+
+
+def _is_deviation(value: object) -> bool:
+    return value == float("inf") or (_is_number(value) and (value == 0 or value >= _SMALLEST))  # type: ignore[operator]
 
 
 def _is_number(value: object) -> bool:

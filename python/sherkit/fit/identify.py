@@ -252,7 +252,7 @@ def identify(
     given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
     model = extended_by(model_of(given, free), effects)
     data = model.as_declared(run_for(robot, data))
-    model = model.counted_from(data.begins_s)
+    model = model.for_run(data)
     if loss not in LOSSES:
         raise FitError(f"loss: '{loss}' is not known; choose {', '.join(LOSSES)}")
     noise = noise or noise_of(data)
@@ -262,8 +262,9 @@ def identify(
     problem = LeastSquares(model, data)
     values = model.start(data) if start is None else model.starting_at(start)
 
+    known = priors or any(p.known for p in model.parameters)
     try:
-        if priors and noise.origin == "unknown":
+        if known and noise.origin == "unknown":
             # a prior is weighed against the noise, which only the residuals tell
             loose, _ = problem.solve(weights, values, linear=linear)
             weights = weights / max(scale(problem.residuals(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
@@ -290,14 +291,14 @@ def identify(
         result = solver.result()
     evaluations, at_minimum = result["evaluations"], reached(ended, result)
     judged = weights if loss == "linear" else weights / spread(problem.residuals(values), weights)
-    if loss != "linear" or priors:
+    if loss != "linear" or known:
         # what the readings say there, none of them weighed down for being far off
         result = problem.information(judged, values)
     ratio = scale(problem.residuals(values), judged, result["rank"], loss)
     covariance, beyond = result["covariance"] * ratio**2, result["unobserved_covariance"]
-    if priors:
-        known = problem.information(judged / max(ratio, 1e-12), values, priors=True)
-        covariance, beyond = known["covariance"], known["unobserved_covariance"]
+    if known:
+        both = problem.information(judged / max(ratio, 1e-12), values, priors=priors)
+        covariance, beyond = both["covariance"], both["unobserved_covariance"]
     # of a robust fit the covariance is that of each column by its own spread; this is all of them over the noise
     overall = ratio if loss == "linear" else scale(problem.residuals(values), weights, result["rank"], loss)
     still = np.maximum(_STILL * np.sqrt(np.diag(covariance).clip(0.0)), _SETTLED * problem.sizes)

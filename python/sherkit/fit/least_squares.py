@@ -140,16 +140,16 @@ class LeastSquares:
     def solve(
         self, weights: Floats, start: Floats, *, priors: bool = False, linear: bool = False, **settings: Any
     ) -> tuple[_core.Solver, str]:
-        """The minimum from ``start``, and whether it was reached."""
+        """The minimum from ``start``, and whether it was reached; with ``priors`` all plausible sizes are known."""
         model, data = self.model, self.data
-        solver = _core.Solver(start, self.sizes, single_step=linear, **settings)
+        known = [p.known or priors for p in model.parameters]
+        solver = _core.Solver(start, self.sizes, single_step=linear, known=known, **settings)
         if isinstance(model, ChainModel) and not model.own:
-            return solver, model.solve(solver, data, weights, priors=priors)
+            return solver, model.solve(solver, data, weights)
 
         def feed(values: Floats) -> None:
             push(solver, model, data, weights, values)
-            if priors:
-                solver.push_priors()
+            solver.push_priors()
 
         return solver, iterate(solver, feed)
 

@@ -50,7 +50,7 @@ class NumpyChain(ABC):
 
     def solve(
         self, solver: _core.Solver, values: Floats, free: Sequence[int], block: Block, readings: Floats,
-        weights: Floats, priors: bool,
+        weights: Floats,
     ) -> tuple[str, list[int]]:  # fmt: skip
         """Iterates to the minimum; how it ended, and the rows that cannot be computed at the start."""
         missing: list[int] = []
@@ -59,8 +59,7 @@ class NumpyChain(ABC):
             missing[:] = self.accumulate(solver, values, free, block, readings, weights)
             if missing:
                 raise FitError("rows are out of reach")
-            if priors:
-                solver.push_priors()
+            solver.push_priors()
 
         try:
             return iterate(solver, feed), []

@@ -229,11 +229,11 @@ class ModelWithEffects(Saved, ABC):
         """The same model with another setting for an effect that it may get."""
         return replace(self, **dict.fromkeys(self._held_as(effect), at))  # type: ignore[type-var]
 
-    def counted_from(self, begins_s: float) -> Self:
-        """The same model with its time counted from the begin of a run, unless it has an origin of time: what moves on
+    def for_run(self, data: Measurements) -> Self:
+        """The same model for a run: its time counted from the begin, unless it has an origin of time, since what moves on
         from one row to the next must not hang on the year."""
         counts = self.settings().get("time_origin_s") == 0.0
-        return replace(self, time_origin_s=begins_s) if counts else self  # type: ignore[type-var]
+        return replace(self, time_origin_s=data.begins_s) if counts else self  # type: ignore[type-var]
 
     def setting_of(self, effect: Effect) -> float | None:
         """The setting that the model has for an effect, as :meth:`with_effect` takes it; None where it has none."""

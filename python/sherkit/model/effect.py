@@ -28,8 +28,9 @@ class Parameter:
     """One identifiable quantity. Its value is a deviation from the drawing, zero where the drawing is right.
 
     ``size`` is a plausible size in ``unit``: it weighs directions that no measurement observes and, where
-    priors are asked for, is the standard deviation of the prior. ``lever_mm`` turns the unit into the millimetres
-    it moves in this robot, so that directions of mixed units can be compared.
+    priors are asked for, is the standard deviation of the prior. Of one that is ``known`` it is a measurement, one more
+    row of every fit. ``lever_mm`` turns the unit into the millimetres it moves in this robot, so that directions of
+    mixed units can be compared.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Parameter:
     unit: str
     size: float
     lever_mm: float = 1.0
+    known: bool = False
 
 
 # -- Effects ---------------------------------------------------------------------------------------------------------

@@ -63,21 +63,12 @@ COMMON: dict[str, Sentences] = {
         residuals="Cubic in one reading, the same whatever the others are.",
         remedy="Use the middle of the range; have the sensor's linearity table loaded.",
     ),
-    "datum": Sentences(
-        physics="Readings are differences from a reference position, so their zero is arbitrary. In the default model.",
-        residuals="Constant.",
-        remedy="None needed.",
-    ),
-    "camera_pose": Sentences(
-        physics="The camera does not stand where the drawing has it, or does not look where it should; in its own "
-        "axes, x right, y down, z forward.",
-        residuals="The whole picture turned, shifted, grown or in perspective.",
-        remedy="Survey the camera with a board on the base; clamp it so that it stays.",
-    ),
-    "camera_slip": Sentences(
-        physics="The camera was knocked or its clamp let go: from one moment on it stands and looks elsewhere.",
-        residuals="A step over time of the whole picture: turned, shifted, grown or in perspective.",
-        remedy="Clamp the camera on the robot's own base; measure again from the moment on.",
+    "sensor_slip": Sentences(
+        physics="The instrument or its stand was knocked, or the robot moved on its floor: from one moment on it sees the "
+        "robot elsewhere, shifted and turned.",
+        residuals="A step over time, which differs from place to place where it is a turn.",
+        remedy="Clamp the stand; measure reference nests on the robot's base before and after; measure again from the "
+        "moment on.",
     ),
     "focal_length": Sentences(
         physics="The focal length differs from the calibrated one: the lens was refocused, or warmed up.",
@@ -102,7 +93,7 @@ def catalogue_of(table: Sequence[Mapping[str, Any]], own: Mapping[str, Sentences
     """The effects of a robot's compiled table by name, in its order: the sentences of each are the robot's ``own``, or
     those of any robot.
 
-    A row that every model has (geometry, datum) is an effect only where the robot's own say so. Raises
+    A row that every model has (geometry, the sensor's pose) is an effect only where the robot's own say so. Raises
     :class:`~sherkit.errors.EffectError` where an effect has no sentences, or sentences no effect.
     """
     shared = {row["name"]: COMMON[row["name"]] for row in table if not row["base"] and row["name"] in COMMON}

@@ -6,17 +6,18 @@
 //! the row must outlive the robot that is read from it.
 //!
 //! Delta (kind 1): branch of the whole workspace; 1 and low corner, high corner and blend of the region, and its
-//! branch, or 0. A branch is a model (assembly ±1, 18 geometric parameters, target offset, rod spacing, pole pitch,
-//! home, time origin, slip times of point and joints), the values of all parameters, and 1 and orders, low corner, high corner, fade and
+//! branch, or 0. A branch is a model (assembly ±1, 18 geometric parameters, target offset, pose of the sensors (turn row by
+//! row, shift), rod spacing, pole pitch, home, time origin, slip times of point, joints and sensors), the values of all parameters, and 1 and orders, low corner, high corner, fade and
 //! coefficients of its correction, or 0. Spherical (kind 2): assembly ±1, 6 geometric parameters, radius, the camera's 15,
 //! face ±1, gravity, home, time origin, slip times of marker and joints, period of the encoders, slip time of the
 //! camera, place of the elbows (0 open, 1 crossed, 2 ahead,
 //! 3 behind), the values of all parameters. Serial (kind 3): number of joints, of each its frame behind the one before it
 //! (turn row by row, shift), 1 where it slides, by how much it follows the one before, home, mass and the centre of it, lowest and highest reading; 4 targets,
-//! 4 centres, gravity, period of the encoders, time origin, slip times of target and joints, the values of all parameters.
+//! 4 centres, pose of the sensor, gravity, period of the encoders, time origin, slip times of target and joints, the values of
+//! all parameters.
 
 use crate::camera::{Description, Face};
-use crate::chain::{Flat, PLANES, Robot};
+use crate::chain::{Flat, Frame, PLANES, Robot};
 use crate::delta;
 use crate::delta::correction::{Correction, Domain, MAX_ORDER, coefficients_len};
 use crate::delta::{Branch, Calibrated};
@@ -27,7 +28,7 @@ use crate::{Error, Result};
 use nalgebra::{Matrix3, Vector3};
 
 /// Version of the layout.
-const VERSION: f64 = 4.0;
+const VERSION: f64 = 5.0;
 const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
 const SERIAL: f64 = 3.0;
@@ -67,12 +68,18 @@ fn write_branch(parts: &BranchParts<'_>, put: &mut impl FnMut(f64)) {
     put(m.geometry.assembly.sign());
     m.geometry.parameters().into_iter().for_each(&mut *put);
     m.target_offset.iter().copied().for_each(&mut *put);
+    write_rigid(&m.sensor, put);
     let [a, b, c] = m.home;
     let settings = [m.rod_spacing, m.pole_pitch, a, b, c];
     settings.into_iter().for_each(&mut *put);
-    [m.time_origin_s, m.slip_time_s, m.joint_slip_time_s]
-        .into_iter()
-        .for_each(&mut *put);
+    [
+        m.time_origin_s,
+        m.slip_time_s,
+        m.joint_slip_time_s,
+        m.sensor_slip_time_s,
+    ]
+    .into_iter()
+    .for_each(&mut *put);
     parts.values.iter().copied().for_each(&mut *put);
     match &parts.correction {
         None => put(0.0),
@@ -85,6 +92,12 @@ fn write_branch(parts: &BranchParts<'_>, put: &mut impl FnMut(f64)) {
             coefficients.iter().copied().for_each(put);
         }
     }
+}
+
+fn write_rigid(rigid: &Rigid, put: &mut impl FnMut(f64)) {
+    let turn = rigid.rotation.transpose();
+    let numbers = turn.iter().chain(&rigid.translation);
+    numbers.copied().for_each(put);
 }
 
 fn write_domain(domain: &Domain, put: &mut impl FnMut(f64)) {
@@ -118,7 +131,7 @@ pub fn write_spherical(
     put(model.slip_time_s);
     put(model.joint_slip_time_s);
     put(model.encoder_period);
-    put(model.camera_slip_time_s);
+    put(model.sensor_slip_time_s);
     put(match elbows {
         Elbows::Open => 0.0,
         Elbows::Crossed => 1.0,
@@ -128,7 +141,7 @@ pub fn write_spherical(
     values.iter().copied().for_each(&mut put);
 }
 
-/// Writes a calibrated arm, number by number; the tracker that saw it is left out, as in the arm that is read.
+/// Writes a calibrated arm, number by number.
 pub fn write_serial(
     model: &serial::Model,
     values: &serial::Values,
@@ -145,10 +158,7 @@ pub fn write_serial(
     .for_each(&mut put);
     let ranges = limits.low.iter().zip(&limits.high);
     for (joint, (low, high)) in model.joints.iter().zip(ranges).take(model.count) {
-        let turn = joint.fixed.rotation.transpose();
-        turn.iter().copied().for_each(&mut put);
-        let shift = joint.fixed.translation;
-        shift.iter().copied().for_each(&mut put);
+        write_rigid(&joint.fixed, &mut put);
         put(if joint.prismatic { 1.0 } else { 0.0 });
         [joint.follows, joint.home, joint.mass_kg]
             .into_iter()
@@ -158,6 +168,7 @@ pub fn write_serial(
     }
     let points = model.targets_mm.iter().chain(&model.centres_mm);
     points.flatten().copied().for_each(&mut put);
+    write_rigid(&model.sensor, &mut put);
     model.gravity.iter().copied().for_each(&mut put);
     put(model.encoder_period);
     put(model.time_origin_s);
@@ -203,6 +214,13 @@ impl<'a> Reader<'a> {
             *point = Vector3::from(self.finite::<3>()?);
         }
         Ok(out)
+    }
+
+    fn rigid(&mut self) -> Result<Rigid> {
+        Ok(Rigid {
+            rotation: Matrix3::from_row_slice(&self.finite::<9>()?),
+            translation: Vector3::from(self.finite::<3>()?),
+        })
     }
 
     fn flag(&mut self) -> Result<bool> {
@@ -284,17 +302,25 @@ impl<'a> Reader<'a> {
         let assembly = self.side(delta::Assembly::Below, delta::Assembly::Above)?;
         let geometry = self.finite()?;
         let target_offset = Vector3::from(self.finite::<3>()?);
+        let sensor = self.rigid()?;
         let [rod_spacing, pole_pitch, h1, h2, h3] = self.finite()?;
-        let [time_origin_s, slip_time_s, joint_slip_time_s] = self.finite()?;
+        let [
+            time_origin_s,
+            slip_time_s,
+            joint_slip_time_s,
+            sensor_slip_time_s,
+        ] = self.finite()?;
         let model = delta::Model {
             geometry: delta::Geometry::from_parameters(&geometry, assembly),
             target_offset,
+            sensor,
             rod_spacing,
             pole_pitch,
             home: [h1, h2, h3],
             time_origin_s,
             slip_time_s,
             joint_slip_time_s,
+            sensor_slip_time_s,
         };
         Ok(Branch {
             chain: model.with(&self.finite()?)?,
@@ -318,7 +344,11 @@ pub fn read_delta(numbers: &[f64]) -> Result<Calibrated<'_>> {
         None
     };
     row.end()?;
-    Ok(Calibrated { whole, local })
+    Ok(Calibrated {
+        whole,
+        local,
+        frame: Frame::Sensor,
+    })
 }
 
 /// Reads a calibrated spherical robot.
@@ -341,7 +371,7 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
         slip_time_s: row.finite::<1>()?[0],
         joint_slip_time_s: row.finite::<1>()?[0],
         encoder_period: row.finite::<1>()?[0],
-        camera_slip_time_s: row.finite::<1>()?[0],
+        sensor_slip_time_s: row.finite::<1>()?[0],
     };
     let elbows = match row.one()? {
         0.0 => Elbows::Open,
@@ -373,10 +403,7 @@ pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
     };
     let ranges = limits.low.iter_mut().zip(&mut limits.high);
     for (joint, (low, high)) in joints.iter_mut().zip(ranges).take(count) {
-        joint.fixed = Rigid {
-            rotation: Matrix3::from_row_slice(&row.finite::<9>()?),
-            translation: Vector3::from(row.finite::<3>()?),
-        };
+        joint.fixed = row.rigid()?;
         joint.prismatic = row.flag()?;
         [joint.follows, joint.home, joint.mass_kg] = row.finite()?;
         joint.centre_mm = Vector3::from(row.finite::<3>()?);
@@ -387,15 +414,15 @@ pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
         count,
         targets_mm: row.points()?,
         centres_mm: row.points()?,
-        // what an arm was measured with has no part in where its target is
+        // what its distances were read from has no part in where its target is
         planes: [Flat::GROUND; PLANES],
-        tracker: Rigid::identity(),
+        sensor: row.rigid()?,
         gravity: Vector3::from(row.finite::<3>()?),
         encoder_period: row.finite::<1>()?[0],
         time_origin_s: row.finite::<1>()?[0],
         slip_time_s: row.finite::<1>()?[0],
         joint_slip_time_s: row.finite::<1>()?[0],
-        tracker_slip_time_s: 0.0,
+        sensor_slip_time_s: 0.0,
     };
     let values = row.finite()?;
     row.end()?;

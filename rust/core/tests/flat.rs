@@ -139,13 +139,13 @@ fn an_arm_comes_back_to_the_last_bit() {
         targets_mm: [Vector3::new(10.0, 20.0, 30.0); serial::TARGETS],
         centres_mm: [Vector3::new(-1.0, -2.0, -3.0); CENTRES],
         planes: [Flat::GROUND; PLANES],
-        tracker: Rigid::identity(),
+        sensor: Rigid::identity(),
         gravity: -Vector3::z(),
         encoder_period: 0.4,
         time_origin_s: 1.0,
         slip_time_s: 2.0,
         joint_slip_time_s: 102.0,
-        tracker_slip_time_s: 3.0,
+        sensor_slip_time_s: 3.0,
     };
     let limits = Limits {
         low: std::array::from_fn(|k| -3.0 - k as f64),
@@ -204,7 +204,7 @@ fn a_spherical_robot_comes_back_to_the_last_bit() {
         slip_time_s: 0.0,
         joint_slip_time_s: 0.0,
         encoder_period: 0.4,
-        camera_slip_time_s: 0.0,
+        sensor_slip_time_s: 0.0,
     };
     let values = std::array::from_fn(|k| 1e-4 * (k as f64 - 7.0));
     let now = spherical::Covariates {

@@ -289,7 +289,7 @@ fn the_spherical_robot_allocates_nothing() {
         slip_time_s: 0.0,
         joint_slip_time_s: 0.0,
         encoder_period: 0.4,
-        camera_slip_time_s: 0.0,
+        sensor_slip_time_s: 0.0,
     };
     let now = spherical::Covariates {
         time_s: 0.0,

@@ -55,7 +55,7 @@ fn arm() -> Model {
             at: Vector3::new(500.0, -300.0, 80.0),
             normal: Vector3::new(0.48, -0.6, 0.64),
         }; PLANES],
-        tracker: Rigid {
+        sensor: Rigid {
             rotation: turn(2, 2.0) * turn(0, 0.3),
             translation: Vector3::new(1500.0, -700.0, 300.0),
         },
@@ -64,7 +64,7 @@ fn arm() -> Model {
         time_origin_s: 100.0,
         slip_time_s: 500.0,
         joint_slip_time_s: 600.0,
-        tracker_slip_time_s: 600.0,
+        sensor_slip_time_s: 600.0,
     }
 }
 
@@ -173,7 +173,7 @@ fn derivatives_are_exact() {
 #[test]
 fn targets_and_distances_are_where_they_are_drawn() {
     let model = Model {
-        tracker: Rigid::identity(),
+        sensor: Rigid::identity(),
         ..arm()
     };
     let chain = model.with(&some(0.0)).unwrap();
@@ -218,7 +218,7 @@ fn it_is_the_drawing_without_effects() {
         joints,
         count: 3,
         targets_mm: [Vector3::zeros(); TARGETS],
-        tracker: Rigid::identity(),
+        sensor: Rigid::identity(),
         gravity: -Vector3::z(),
         ..arm()
     };
@@ -241,7 +241,7 @@ fn it_gives_way_under_its_weight() {
         joints,
         count: 1,
         targets_mm: [Vector3::new(400.0, 0.0, 0.0); TARGETS],
-        tracker: Rigid::identity(),
+        sensor: Rigid::identity(),
         gravity: -Vector3::z(),
         ..arm()
     };

@@ -28,12 +28,14 @@ pub extern "C" fn loop_step(
     let model = Model {
         geometry: Geometry::from_parameters(parameters, Assembly::Below),
         target_offset: Vector3::zeros(),
+        sensor: Rigid::identity(),
         rod_spacing: 40.0,
         pole_pitch: 2.0,
         home: [0.0; 3],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
         joint_slip_time_s: 0.0,
+        sensor_slip_time_s: 0.0,
     };
     let Ok(chain) = model.with(&[0.0; PARAMETERS]) else {
         return 1;
@@ -42,7 +44,11 @@ pub extern "C" fn loop_step(
         chain,
         correction: None,
     };
-    let robot = Calibrated { whole, local: None };
+    let robot = Calibrated {
+        whole,
+        local: None,
+        frame: Frame::Sensor,
+    };
     let Ok((position, _)) = robot.forward(&Vector3::from(*joints), &Covariates::NONE) else {
         return 2;
     };
@@ -72,7 +78,7 @@ pub extern "C" fn spherical_step(
         slip_time_s: 0.0,
         joint_slip_time_s: 0.0,
         encoder_period: 0.4,
-        camera_slip_time_s: 0.0,
+        sensor_slip_time_s: 0.0,
     };
     let Ok(chain) = model.with(&[0.0; spherical::PARAMETERS]) else {
         return 1;

@@ -1,13 +1,15 @@
 //! `NumPy` arrays in and out, with their shapes checked.
 
 use crate::errors::shape;
-use nalgebra::SMatrix;
+use nalgebra::{Matrix3, SMatrix, Vector3};
 use numpy::ndarray::Dimension;
 use numpy::{
     IntoPyArray, PyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1,
     PyReadonlyArray2, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
+use sherkit_core::chain::Frame;
+use sherkit_core::numbers::rigid::Rigid;
 
 /// An array, and which of its rows could be computed.
 pub type Marked<'py, A> = (Bound<'py, A>, Bound<'py, numpy::PyArray1<bool>>);
@@ -153,4 +155,33 @@ pub fn marked(
         shaped(py, values, [reached.len(), width])?,
         numpy::PyArray1::from_vec(py, reached),
     ))
+}
+
+/// Numbers of a rigid transform: its turn row by row, then its shift.
+pub const RIGID: usize = 12;
+
+/// A rigid transform from so many numbers, mm.
+pub fn rigid(numbers: &[f64]) -> Rigid {
+    Rigid {
+        rotation: Matrix3::from_row_slice(&numbers[..9]),
+        translation: Vector3::from_column_slice(&numbers[9..RIGID]),
+    }
+}
+
+/// The numbers of a rigid transform.
+pub fn numbers_of(rigid: &Rigid) -> [f64; RIGID] {
+    let mut out = [0.0; RIGID];
+    let turn = rigid.rotation.transpose();
+    let numbers = turn.iter().chain(&rigid.translation);
+    out.iter_mut().zip(numbers).for_each(|(o, v)| *o = *v);
+    out
+}
+
+/// The frame of this name.
+pub fn frame(name: &str) -> PyResult<Frame> {
+    match name {
+        "base" => Ok(Frame::Base),
+        "sensor" => Ok(Frame::Sensor),
+        _ => Err(shape("frame", "'base' or 'sensor'", &[])),
+    }
 }

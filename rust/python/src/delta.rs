@@ -1,6 +1,6 @@
 //! The delta from Python: `DeltaKinematics`, `DeltaModel`, `Calibrated`.
 
-use crate::arrays::{Marked, fixed, rows};
+use crate::arrays::{self, Marked, RIGID, fixed, rigid, rows};
 use crate::bernstein::Bernstein;
 use crate::calibrated::{self, Calibrated as _, Single, calibrated_class};
 use crate::errors::{shape, to_python};
@@ -13,7 +13,7 @@ use nalgebra::{Matrix3, Vector3};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use sherkit_core::Result;
-use sherkit_core::chain::Robot;
+use sherkit_core::chain::{Frame, Robot};
 use sherkit_core::delta::correction::Domain;
 use sherkit_core::delta::{
     self, Assembly, Branch, Calibrated as Core, Chain, Covariates, GEOMETRIC, Geometry, Kinematics,
@@ -115,13 +115,14 @@ impl DeltaKinematics {
 pub struct DeltaModel(Model);
 
 model_class!(DeltaModel, Model, delta, {
-    /// `settings`: rod spacing, pole pitch, three home joint readings (mm), time origin, slip times of point
-    /// and joints (s).
+    /// `sensor` `(12,)`: from the base frame to that of the sensors (turn row by row, shift in mm); `settings`: rod
+    /// spacing, pole pitch, three home joint readings (mm), time origin, slip times of point, joints and sensors (s).
     #[new]
     fn new(
         geometry: PyReadonlyArray1<'_, f64>,
         target_offset: PyReadonlyArray1<'_, f64>,
         assembly_mode: &str,
+        sensor: PyReadonlyArray1<'_, f64>,
         settings: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<Self> {
         let p = fixed::<GEOMETRIC, _>("geometry", &geometry)?;
@@ -136,17 +137,22 @@ model_class!(DeltaModel, Model, delta, {
             time_origin_s,
             slip_time_s,
             joint_slip_time_s,
-        ] = fixed::<8, _>("settings", &settings)?;
-        Ok(Self(Model {
+            sensor_slip_time_s,
+        ] = fixed::<9, _>("settings", &settings)?;
+        let model = Model {
             geometry,
             target_offset: Vector3::from(fixed("target_offset", &target_offset)?),
+            sensor: rigid(&fixed::<RIGID, _>("sensor", &sensor)?),
             rod_spacing,
             pole_pitch,
             home: [h1, h2, h3],
             time_origin_s,
             slip_time_s,
             joint_slip_time_s,
-        }))
+            sensor_slip_time_s,
+        };
+        model.check().map_err(to_python)?;
+        Ok(Self(model))
     }
 });
 
@@ -189,6 +195,7 @@ impl OwnedBranch {
 pub struct Calibrated {
     whole: OwnedBranch,
     local: Option<(OwnedBranch, Domain)>,
+    frame: Frame,
 }
 
 /// A model, the values of all its parameters, and a correction.
@@ -209,6 +216,7 @@ impl calibrated::Calibrated<3> for Calibrated {
                 None => None,
                 Some((branch, region)) => Some((branch.view()?, *region)),
             },
+            frame: self.frame,
         })
     }
 
@@ -237,9 +245,15 @@ impl calibrated::Calibrated<3> for Calibrated {
 
 calibrated_class!(Calibrated, 3, position, positions, {
     /// `whole` and `local` are (model, values of all parameters, correction); `region` is (low corner, high
-    /// corner, width of the blend).
+    /// corner, width of the blend); `frame` is that of positions, "sensor" or "base".
     #[new]
-    fn new(whole: Part<'_>, local: Option<Part<'_>>, region: Option<Region<'_>>) -> PyResult<Self> {
+    #[pyo3(signature = (whole, local, region, frame="sensor"))]
+    fn new(
+        whole: Part<'_>,
+        local: Option<Part<'_>>,
+        region: Option<Region<'_>>,
+        frame: &str,
+    ) -> PyResult<Self> {
         let local = match (local, region) {
             (Some(local), Some((low, high, width))) => Some((
                 OwnedBranch::new(local)?,
@@ -250,6 +264,13 @@ calibrated_class!(Calibrated, 3, position, positions, {
         Ok(Self {
             whole: OwnedBranch::new(whole)?,
             local,
+            frame: arrays::frame(frame)?,
         })
+    }
+
+    /// From the base frame to that of the sensors `(12,)`: turn row by row, shift in mm.
+    fn sensor<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let numbers = arrays::numbers_of(self.core()?.sensor());
+        Ok(PyArray1::from_slice(py, &numbers))
     }
 });

@@ -243,11 +243,10 @@ macro_rules! model_class {
                 block: Block<'_>,
                 readings: PyReadonlyArray2<'_, f64>,
                 weights: PyReadonlyArray2<'_, f64>,
-                priors: bool,
             ) -> PyResult<(&'static str, Vec<usize>)> {
                 let taken = (&readings, &weights);
                 let problem = $crate::problem::Problem::new(&self.0, solver, &values, free, &block, taken)?;
-                problem.solve(py, solver, priors, |problem, solver| problem.readings(solver))
+                problem.solve(py, solver, |problem, solver| problem.readings(solver))
             }
 
             $($own)*

@@ -131,13 +131,12 @@ impl<'a, R, const J: usize, const P: usize> Problem<'a, R, J, P> {
         &self,
         py: Python<'_>,
         solver: &mut Solver,
-        priors: bool,
         fill: impl Fn(&Self, &mut Solver) -> Vec<usize> + Send + Sync,
     ) -> PyResult<(&'static str, Vec<usize>)>
     where
         R: Sync,
     {
-        py.detach(|| iterate(solver, priors, |solver| Ok(fill(self, solver))))
+        py.detach(|| iterate(solver, |solver| Ok(fill(self, solver))))
     }
 }
 

@@ -1,13 +1,13 @@
 //! The serial arm from Python: `SerialModel`, `SerialCalibrated`.
 
-use crate::arrays::{Marked, Rows, fixed, marked, rows, shaped};
+use crate::arrays::{self, Marked, RIGID, Rows, rigid, fixed, marked, rows, shaped};
 use crate::calibrated::Single;
 use crate::errors::{shape, to_python};
 use crate::maps::{WithDerivative, vector};
 use crate::model::{Derivatives, model_class};
 use crate::rows::{Block, check_free, first, table};
 use crate::solver::Solver;
-use nalgebra::{Matrix3, SVector, Vector3};
+use nalgebra::{SVector, Vector3};
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
 };
@@ -15,22 +15,12 @@ use pyo3::prelude::*;
 use sherkit_core::chain::effects::Wanted;
 use sherkit_core::chain::{Covariates, Flat, PLANES, REFERENCE_TEMPERATURE_C, Robot};
 use sherkit_core::flat::write_serial;
-use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{
     self, CATALOGUE, Calibrated as Core, JOINTS, Joint, Limits, Model, PARAMETERS, Values,
 };
 
-/// Numbers of a rigid transform: its turn row by row, then its shift.
-const RIGID: usize = 12;
 /// Numbers of a joint: its frame, whether it slides, how it follows the one before, home, mass and its centre.
 const NUMBERS: usize = RIGID + 7;
-
-fn rigid(numbers: &[f64]) -> Rigid {
-    Rigid {
-        rotation: Matrix3::from_row_slice(&numbers[..9]),
-        translation: Vector3::from_column_slice(&numbers[9..RIGID]),
-    }
-}
 
 /// As many points as there are, the others zero.
 fn points<const N: usize>(
@@ -118,7 +108,7 @@ model_class!(SerialModel, Model, serial, {
             time_origin_s,
             slip_time_s,
             joint_slip_time_s,
-            tracker_slip_time_s,
+            sensor_slip_time_s,
         ] = fixed::<8, _>("settings", &settings)?;
         let model = Model {
             joints: all,
@@ -126,13 +116,13 @@ model_class!(SerialModel, Model, serial, {
             targets_mm: points("targets", &targets)?,
             centres_mm: points("centres", &centres)?,
             planes: flats(&planes)?,
-            tracker: rigid(&fixed::<RIGID, _>("tracker", &tracker)?),
+            sensor: rigid(&fixed::<RIGID, _>("tracker", &tracker)?),
             gravity: Vector3::new(gx, gy, gz),
             encoder_period,
             time_origin_s,
             slip_time_s,
             joint_slip_time_s,
-            tracker_slip_time_s,
+            sensor_slip_time_s,
         };
         model.check().map_err(to_python)?;
         Ok(Self(model))
@@ -196,13 +186,15 @@ impl SerialCalibrated {
 
 #[pymethods]
 impl SerialCalibrated {
-    /// `low` and `high` are the limits of the joints `(k,)`.
+    /// `low` and `high` are the limits of the joints `(k,)`; `frame` is that of places, "base" or "sensor".
     #[new]
+    #[pyo3(signature = (model, values, low, high, frame="base"))]
     fn new(
         model: PyRef<'_, SerialModel>,
         values: PyReadonlyArray1<'_, f64>,
         low: PyReadonlyArray1<'_, f64>,
         high: PyReadonlyArray1<'_, f64>,
+        frame: &str,
     ) -> PyResult<Self> {
         let values = fixed("values", &values)?;
         let k = model.0.count;
@@ -215,11 +207,18 @@ impl SerialCalibrated {
             high: numbers("high", &high)?,
         };
         Ok(Self {
-            core: Core::new(&model.0, &values, &limits).map_err(to_python)?,
+            core: Core::new(&model.0, &values, &limits)
+                .map_err(to_python)?
+                .in_frame(arrays::frame(frame)?),
             model: model.0,
             values,
             limits,
         })
+    }
+
+    /// From the base frame to that of the sensor `(12,)`: turn row by row, shift in mm.
+    fn sensor<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_slice(py, &arrays::numbers_of(self.core.sensor()))
     }
 
     /// All that makes it as a row of numbers `(n,)`, for a control loop in another language.

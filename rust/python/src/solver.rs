@@ -24,7 +24,6 @@ const LITTLE: f64 = 1e-1;
 /// that cannot be computed at the start, with which nothing is solved.
 pub fn iterate(
     solver: &mut Solver,
-    priors: bool,
     mut evaluate: impl FnMut(&mut Solver) -> PyResult<Vec<usize>>,
 ) -> PyResult<(&'static str, Vec<usize>)> {
     let mut first = true;
@@ -36,7 +35,7 @@ pub fn iterate(
                 return Ok(("unreachable", missing));
             }
             solver.fail_trial();
-        } else if priors {
+        } else {
             solver.add_priors();
         }
         first = false;
@@ -59,6 +58,8 @@ pub struct Solver {
     cost: f64,
     /// Evaluations and cost when the fit was last asked whether it still gains.
     asked: (usize, f64),
+    /// Which parameters are known besides: at zero, the drawing, give or take their plausible size.
+    known: Vec<bool>,
     /// One weighted row with its residual, on its way into the stack.
     row: Vec<f64>,
 }
@@ -190,10 +191,10 @@ impl Solver {
         Ok(ended)
     }
 
-    /// Adds the rows of a prior: each parameter at zero, the drawing, give or take its plausible size.
+    /// Adds a row for each parameter that is known besides: zero, the drawing, give or take its plausible size.
     pub fn add_priors(&mut self) {
         let n = self.stack.columns();
-        for k in 0..n {
+        for k in (0..n).filter(|k| self.known.get(*k) == Some(&true)).collect::<Vec<_>>() {
             let size = self.levenberg.sizes()[k];
             let deviation = -self.trial_values()[k];
             self.cost += (deviation / size).powi(2);
@@ -208,7 +209,7 @@ impl Solver {
 impl Solver {
     #[new]
     #[pyo3(signature = (start, sizes, *, loss="linear", max_evaluations=100, step_tolerance=1e-5,
-                        rank_tolerance=1e-9, single_step=false))]
+                        rank_tolerance=1e-9, single_step=false, known=None))]
     fn new(
         start: PyReadonlyArray1<'_, f64>,
         sizes: PyReadonlyArray1<'_, f64>,
@@ -217,8 +218,13 @@ impl Solver {
         step_tolerance: f64,
         rank_tolerance: f64,
         single_step: bool,
+        known: Option<Vec<bool>>,
     ) -> PyResult<Self> {
         let n = start.len();
+        let known = known.unwrap_or_default();
+        if !known.is_empty() && known.len() != n {
+            return Err(shape("known", &format!("({n},)"), &[known.len()]));
+        }
         let settings = Settings {
             max_evaluations,
             step_tolerance,
@@ -241,6 +247,7 @@ impl Solver {
                 .ok_or_else(|| shape("loss", "'linear', 'huber', 'cauchy' or 'tukey'", &[]))?,
             cost: 0.0,
             asked: (0, f64::INFINITY),
+            known,
             row: vec![0.0; n + 1],
         })
     }
@@ -284,7 +291,7 @@ impl Solver {
         Ok(())
     }
 
-    /// Adds the prior of each parameter: zero, give or take its plausible size.
+    /// Adds the rows of what is known besides.
     fn push_priors(&mut self) {
         self.add_priors();
     }

@@ -75,7 +75,7 @@ model_class!(SphericalModel, Model, spherical, {
             time_origin_s,
             slip_time_s,
             joint_slip_time_s,
-            camera_slip_time_s,
+            sensor_slip_time_s,
             encoder_period,
         ] = rest;
         let model = Model {
@@ -90,7 +90,7 @@ model_class!(SphericalModel, Model, spherical, {
             slip_time_s,
             joint_slip_time_s,
             encoder_period,
-            camera_slip_time_s,
+            sensor_slip_time_s,
         };
         model.with(&[0.0; PARAMETERS]).map_err(to_python)?;
         Ok(Self(model))
@@ -207,11 +207,10 @@ model_class!(SphericalModel, Model, spherical, {
         block: Block<'_>,
         readings: PyReadonlyArray2<'_, f64>,
         weights: PyReadonlyArray2<'_, f64>,
-        priors: bool,
     ) -> PyResult<(&'static str, Vec<usize>)> {
         let taken = (&readings, &weights);
         let problem = Problem::new(&self.0, solver, &values, free, &block, taken)?;
-        problem.solve(py, solver, priors, |problem, solver| {
+        problem.solve(py, solver, |problem, solver| {
             problem.fill(solver, |chain, row, reading, weight, solver| {
                 let reading = Vector2::new(reading[0], reading[1]);
                 let Ok(found) = chain.inverse_residual(row, &reading) else {

@@ -1,4 +1,5 @@
-"""The linear delta as a model for identification: twelve errors, datum, effects, and how its rows reach the core.
+"""The linear delta as a model for identification: twelve errors, the sensor's pose, effects, and how its rows reach
+the core.
 
 The table of the effects is `rust/core/src/delta/effects.rs`; here are the sentences on them.
 """
@@ -18,13 +19,13 @@ from ...data import Measurements
 from ...errors import SherkitError
 from ...model.chain import SLACK, ChainModel
 from ...model.effect import Effect, Sentences
-from ...model.sentences import COMMON, catalogue_of
+from ...model.sensor_pose import POSE
+from ...model.sentences import catalogue_of
 from .robot import DELTA, POSITION, Delta
 
 # -- Effects ------------------------------------------------------------------------------------------------------
 
 _OWN = {
-    "datum": COMMON["datum"],
     "joint_scale": Sentences(
         physics="Each encoder counts too many or too few millimetres: its scale is a few parts in ten thousand off.",
         residuals="Grows in proportion to the travel of one joint; zero at the home position.",
@@ -74,7 +75,7 @@ _OWN = {
         remedy="Tighten clamp and cube; measure again from the moment on.",
     ),
     "beam_alignment": Sentences(
-        physics="The laser beams are not square to the faces of the cube, the cube is turned to the base, or a "
+        physics="The laser beams are not square to the faces of the cube, or a "
         "sensor's scale is off: each reading shows a little of the other coordinates.",
         residuals="Linear in the coordinates.",
         remedy="Square the beams to the cube with a mirror; compare sensor scales on a gauge block.",
@@ -87,6 +88,8 @@ CATALOGUE: dict[str, Effect] = catalogue_of(_core.DeltaModel.CATALOGUE, _OWN)
 
 # -- The model ----------------------------------------------------------------------------------------------------
 
+#: How far a robot goes whose file does not say it, mm.
+_WORKSPACE_MM = 20.0
 #: Poses along each axis from which the next ones are chosen.
 _GRID = (7, 7, 5)
 
@@ -95,10 +98,10 @@ _GRID = (7, 7, 5)
 class DeltaModel(ChainModel):
     """A nominal delta with named errors and effects to identify.
 
-    ``free`` names the geometric errors and datum to identify: by default the paper's twelve (Eq. 9) and the datum
-    of the sensors. The platform's radii and angles can be freed as well; they are exactly dependent on the base's.
+    ``free`` names what is identified: by default the paper's twelve geometric errors (Eq. 9) and the pose of the sensors
+    (``sensor_turn_x`` …, ``sensor_shift_x`` …), as far as the robot's file leaves that open. The platform's radii and angles can be freed as well; they are exactly dependent on the base's.
     All parameters of ``effects`` are free. ``period_mm``, ``slip_time_s``, ``joint_slip_time_s``,
-    ``thermal_shift_lag_s`` and ``time_origin_s`` are the settings of the effects that have one; ``period_mm`` is the
+    ``sensor_slip_time_s``, ``thermal_shift_lag_s`` and ``time_origin_s`` are the settings of the effects that have one; ``period_mm`` is the
     robot's pole pitch unless another is given, and None where neither is: then a cyclic error is refused. Readings have
     four columns: x, y, z, distance.
     """
@@ -107,6 +110,7 @@ class DeltaModel(ChainModel):
     period_mm: float | None = None
     slip_time_s: float = 0.0
     joint_slip_time_s: float = 0.0
+    sensor_slip_time_s: float = 0.0
     thermal_shift_lag_s: float = 0.0
     time_origin_s: float = 0.0
 
@@ -121,14 +125,17 @@ class DeltaModel(ChainModel):
         super().__post_init__()
 
     def lever_mm(self, name: str) -> float:
-        """An angle of base or platform moves what stands at its radius."""
+        """An angle of base or platform moves what stands at its radius; a turn of the sensors all of the workspace."""
+        if name in POSE:
+            return self.robot.workspace_radius_mm or _WORKSPACE_MM
         radii = self.robot.base_radius_mm if name.startswith("base") else self.robot.platform_radius_mm
         return radii[int(name[-1]) - 1] or 1.0
 
     @property
     def default(self) -> tuple[str, ...]:
-        """The paper's twelve and the datum."""
-        return tuple(p.name for p in self.base if not p.name.startswith("platform"))
+        """The paper's twelve and what the robot's file leaves open of the sensors' pose."""
+        names = (p.name for p in self.base if not p.name.startswith("platform"))
+        return tuple(name for name in names if not self.held_of_pose(name))
 
     def settings(self) -> dict[str, float | None]:
         """Period of the encoders, moments of the slips, lag of the stands, origin of time."""
@@ -136,6 +143,7 @@ class DeltaModel(ChainModel):
             "period_mm": self.period_mm,
             "slip_time_s": self.slip_time_s,
             "joint_slip_time_s": self.joint_slip_time_s,
+            "sensor_slip_time_s": self.sensor_slip_time_s,
             "thermal_shift_lag_s": self.thermal_shift_lag_s,
             "time_origin_s": self.time_origin_s,
         }
@@ -145,10 +153,12 @@ class DeltaModel(ChainModel):
         """The compiled model."""
         r = self.robot
         # without a cyclic error the period does not matter
-        times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s)
+        times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         settings = [r.rod_spacing_mm or 0.0, self.period_mm or 1.0, *self.home_mm, *times]
         offset = np.array(r.target_offset_mm)
-        return _core.DeltaModel(r.geometry, offset, r.assembly_mode, np.array(settings, dtype=float))
+        return _core.DeltaModel(
+            r.geometry, offset, r.assembly_mode, r.sensor_pose.numbers, np.array(settings, dtype=float)
+        )
 
     @cached_property
     def home_mm(self) -> tuple[float, float, float]:

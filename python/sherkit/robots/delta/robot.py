@@ -19,11 +19,12 @@ from ...base.notebook import Shown
 from ...base.saved import Saved
 from ...base.types import Floats
 from ...data.columns import Layout
-from ...data.declared import Declared, key
+from ...data.declared import Declared, Inner, key
 from ...data.toml import Table
 from ...errors import ShapeError, Singular
 from ...model.batch import Batch, matrix, vector, why
 from ...model.kinds import MOST_IN_LINE, MOST_PER_SIDE
+from ...model.sensor_pose import SensorPose
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
 
@@ -62,6 +63,7 @@ class Delta(Declared, Saved, Shown):
     none, None where nobody said. ``assembly_mode`` is ``"below"`` where the platform hangs under its
     carriages, ``"above"`` where it stands on them. Joint readings are carriage heights along +z;
     ``joint_limits_mm`` (low, high) are those that no motor may leave, ``required_um`` the accuracy that it is for.
+    ``sensor_pose`` is where the instrument that reads it stands.
     """
 
     base_radius_mm: Triple
@@ -78,6 +80,7 @@ class Delta(Declared, Saved, Shown):
     required_um: float | None = None
     joint_limits_mm: tuple[float, float] | None = None
     assembly_mode: str = "below"
+    sensor_pose: SensorPose = SensorPose()
     kind: str = field(default="delta", init=False)
 
     TABLES: ClassVar = {
@@ -101,6 +104,7 @@ class Delta(Declared, Saved, Shown):
             "required_um": key(Table.positive),
         },
         "region_of_interest": {"half_width_mm": key(Table.positive).of("region_half_width_mm")},
+        "sensor_pose": Inner(SensorPose, "sensor_pose"),
     }
 
     @classmethod

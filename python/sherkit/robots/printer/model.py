@@ -173,11 +173,10 @@ class Probed:
         block: Block,
         readings: Floats,
         weights: Floats,
-        priors: bool,
     ) -> tuple[str, list[int]]:
         """As the core's."""
         read, weigh = (_spread(one, block) for one in (readings, weights))
-        return self.core.solve(solver, values, free, block, read, weigh, priors)
+        return self.core.solve(solver, values, free, block, read, weigh)
 
     def accumulate(
         self, solver: Any, values: Floats, free: list[int], block: Block, readings: Floats, weights: Floats

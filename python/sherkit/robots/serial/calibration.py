@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 import sherkit._core as _core
@@ -18,7 +17,6 @@ from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
 from ..part import Part
-from .frames import of_rpy
 from .robot import POSITION, Serial
 
 
@@ -48,7 +46,7 @@ class SerialCalibration(Calibration):
         where = made.forward_batch(fit.data.joints[counted.any(axis=1)]).require("row")
         if use.any() or not counted.any():
             # where the tracker saw it, in the axes of the base
-            left, scatter = whole.left(lambda missed: missed[use][:, :size] @ made.tracker_turn, held_out)
+            left, scatter = whole.left(lambda missed: missed[use][:, :size] @ made.sensor_frame[0], held_out)
         else:
             # distances alone: their errors are along every direction
             left, scatter = whole.left_alike(counted, held_out)
@@ -61,17 +59,15 @@ class SerialCalibration(Calibration):
         return _core.SerialCalibrated(self.model.core, self.model.full(self.whole.values), low.copy(), high.copy())
 
     @cached_property
-    def tracker_turn(self) -> Floats:
-        """From the axes of the base to those in which the tracker reads (3, 3), as identified."""
-        turn = [self.by_name.get(f"frame_turn_{axis}", 0.0) for axis in "xyz"]
-        return scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix() @ of_rpy(
-            np.deg2rad(self.robot.tracker_rpy_deg).tolist()
-        )
+    def sensor_frame(self) -> tuple[Floats, Floats]:
+        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm."""
+        return self.model.sensor_frame(self.whole.values)
 
-    def from_tracker(self, readings_mm: ArrayLike) -> Floats:
-        """What the tracker shows (n, 3), mm, in the base frame, from where it was found to stand."""
-        shift = np.array(self.robot.tracker_mm) + [self.by_name.get(f"frame_{axis}", 0.0) for axis in "xyz"]
-        return (matrix(readings_mm, "readings") - shift) @ self.tracker_turn
+    def from_sensor(self, readings_mm: ArrayLike) -> Floats:
+        """What the sensor shows (n, 3), mm, in the base frame, from where it was found to stand."""
+        turn, shift = self.sensor_frame
+        made: Floats = (matrix(readings_mm, "readings") - shift) @ turn
+        return made
 
     def forward(
         self, joints: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,
@@ -133,7 +129,7 @@ class SerialCalibration(Calibration):
         del coordinates
         columns, _ = self.core.by_parameters_batch(joints, self._now(), self.model.indices)
         # what the tracker's frame is off by moves no target: it only hides in the others
-        columns[:, :, [p.name.startswith("frame") for p in self.model.parameters[: len(self.model.indices)]]] = 0.0
+        columns[:, :, [p.name.startswith("sensor_turn") or p.name.startswith("sensor_shift") for p in self.model.parameters[: len(self.model.indices)]]] = 0.0
         return self.whole.spread(columns)
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:

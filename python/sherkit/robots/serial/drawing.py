@@ -20,7 +20,7 @@ def drawing(model: SerialModel, data: Measurements, values: Floats, readings: Fl
     robot, points = model.robot, model.parts(data, values)
     read = (model.predict(data, values) if readings is None else readings)[:, :3]
     # what the tracker shows, seen from the base as the drawing places both
-    shown = (read - np.array(robot.tracker_mm)) @ of_rpy(np.deg2rad(robot.tracker_rpy_deg).tolist())
+    shown = (read - np.array(robot.sensor_pose.origin_mm)) @ robot.sensor_pose.turn
     reach = float(robot.reach_mm[0])
     base = _BASE * reach * np.eye(3)
     parts = [Part(f"{axis} of the base", "guide", line(np.zeros(3), base[k])) for k, axis in enumerate("xyz")]

@@ -9,15 +9,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import ClassVar
 
 import numpy as np
-import scipy
 
 import sherkit._core as _core
 
-from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import Layout
@@ -26,7 +24,6 @@ from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
 from ...model.effect import Effect, Parameter, Sentences, parameters_of_core
 from ...model.sentences import catalogue_of
-from .frames import of_rpy
 from .robot import CENTRE, PAYLOAD, PLANE, POSITION, TARGET, Joint, Serial
 
 # -- Effects ------------------------------------------------------------------------------------------------------
@@ -55,12 +52,6 @@ _OWN = {
         "than the rest. Where all parts are equal, it is thermal_growth.",
         residuals="Along the links as they stand, proportional to the deviation of temperature from 20 °C.",
         remedy="Warm up before measuring; hold the temperature; links of carbon fibre or Invar.",
-    ),
-    "tracker_slip": Sentences(
-        physics="The tracker or its stand was knocked, or the robot moved on its floor: from one moment on it sees the "
-        "robot elsewhere, shifted and turned.",
-        residuals="A step over time, which differs from place to place where it is a turn.",
-        remedy="Measure reference nests on the robot's base before and after; measure again from the moment on.",
     ),
     "sensor_scale": Sentences(
         physics="All that the instrument reads is too large or too small by the same part: air temperature and "
@@ -109,7 +100,7 @@ def has(robot: Serial, name: str) -> bool:
         return int(rest[0]) <= len(there[kind])
     if name == "bar_zero":
         return bool(robot.centres_mm)
-    return robot.has_tracker or kind not in ("frame", "tracker", "sensor")
+    return robot.has_tracker or kind != "sensor"
 
 
 def parameter_of(parameter: Parameter, joints: Sequence[Joint]) -> Parameter | None:
@@ -182,14 +173,10 @@ _POSES = 200
 #: are drawn parallel are so to fewer digits than numbers have.
 _BEYOND = 1e-3
 #: What every arm is measured with comes first.
-_FIRST = ("frame", "tool", "target", "centre", "plane")
+_FIRST = ("sensor", "tool", "target", "centre", "plane")
 #: Poses from which the next ones are chosen.
 _NEXT = 500
 _JOINT_DIGITS = 5
-_FRAME = ("frame_turn_x", "frame_turn_y", "frame_turn_z", "frame_x", "frame_y", "frame_z")
-#: Rows that tell where a tracker stands; in so many rounds, in each of which rows count that are off by no more than
-#: this many times the median; and how thin a cloud of places is a line.
-_FEWEST, _ROUNDS, _FAR, _LINE = 6, 5, 5.0, 1e-3
 
 
 @dataclass(frozen=True)
@@ -198,7 +185,7 @@ class SerialModel(ChainModel):
     tracker shows them, or how far it is from a fixed centre or above a plane; the columns ``target``, ``centre`` and
     ``plane`` hold their numbers.
 
-    ``free`` names what is identified of where the tracker sees the base frame (``frame_x``, ``frame_turn_x``, …), of
+    ``free`` names what is identified of the sensor's pose (``sensor_turn_x``, ``sensor_shift_x``, …), of
     the targets (``tool_x`` … of the first, ``target_2_x`` …), of the centres (``centre_1_x`` …) and planes
     (``plane_1_lean_u``, ``plane_1_height`` …), of each joint's zero (``offset_2``), and of where its axis lies
     (``shift_x_2``, ``shift_y_2``) and leans (``tilt_x_2``, ``tilt_y_2``), in its own frame, whose z is the axis. Left
@@ -210,7 +197,7 @@ class SerialModel(ChainModel):
     slip_time_s: float = 0.0
     joint_slip_time_s: float = 0.0
     thermal_shift_lag_s: float = 0.0
-    tracker_slip_time_s: float = 0.0
+    sensor_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
     period_rad: float | None = None
     period_mm: float | None = None
@@ -233,7 +220,7 @@ class SerialModel(ChainModel):
     @property
     def base(self) -> tuple[Parameter, ...]:
         """What the table has for every arm, of the joints that it has."""
-        return _base_of(self.robot)
+        return tuple(self.as_known(p) for p in _base_of(self.robot))
 
     @cached_property
     def core_parameters(self) -> tuple[Parameter, ...]:
@@ -265,7 +252,7 @@ class SerialModel(ChainModel):
             "slip_time_s": self.slip_time_s,
             "joint_slip_time_s": self.joint_slip_time_s,
             "thermal_shift_lag_s": self.thermal_shift_lag_s,
-            "tracker_slip_time_s": self.tracker_slip_time_s,
+            "sensor_slip_time_s": self.sensor_slip_time_s,
             "time_origin_s": self.time_origin_s,
             f"period_{unit}": self.period_mm if unit == "mm" else self.period_rad,
         }
@@ -275,7 +262,7 @@ class SerialModel(ChainModel):
         """The compiled model."""
         # without a cyclic error the period does not matter
         period = self.period_rad or self.period_mm or np.pi
-        slips = (self.slip_time_s, self.joint_slip_time_s, self.tracker_slip_time_s)
+        slips = (self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         return self.robot.core((period, self.time_origin_s, *slips))
 
     def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
@@ -308,32 +295,6 @@ class SerialModel(ChainModel):
                 has_them = f"a number from 1 to {len(there)}" if there else f"none: the robot file has no [[{name}]]"
                 raise FitError(f"{data.place(wrong)}: {name}: expected {has_them}, found {numbers[wrong][0]:g}")
 
-    def start(self, data: Measurements) -> Floats:
-        """The drawing, seen from where the tracker must stand for most of these rows to be as they are: a tracker may
-        stand anywhere, and a turn of half a circle is too far for steps from none."""
-        self.require_own(data)
-        out, names = super().start(data), [p.name for p in self.parameters]
-        rows = np.flatnonzero(data.taken[:, : data.coordinates].all(axis=1) & ~data.outlier)
-        if not set(_FRAME) <= set(names) or len(rows) < _FEWEST:
-            return out
-        seen, nominal = data.select(rows), of_rpy(np.deg2rad(self.robot.tracker_rpy_deg).tolist())
-        shown, _ = self.core.predict(np.zeros(len(self.core_parameters)), self.block(seen))
-        drawn, read = (shown[:, :3] - self.robot.tracker_mm) @ nominal, seen.readings[:, :3]
-        near = np.ones(len(rows), dtype=bool)
-        for _ in range(_ROUNDS):
-            a, b = drawn - drawn[near].mean(axis=0), read - read[near].mean(axis=0)
-            if linalg.matrix_rank(a[near], tol=_LINE * float(np.abs(a[near]).max())) < 2:
-                return out
-            # the best turn of one cloud onto the other (Kabsch, 1976), no mirror
-            u, _, v = linalg.svd(b[near].T @ a[near])
-            rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-            missed = np.linalg.norm(b - a @ rotation.T, axis=1)
-            near = missed <= _FAR * np.median(missed)
-        shift = read[near].mean(axis=0) - rotation @ drawn[near].mean(axis=0) - np.array(self.robot.tracker_mm)
-        error = scipy.spatial.transform.Rotation.from_matrix(rotation @ nominal.T).as_rotvec()
-        out[[names.index(name) for name in _FRAME]] = [*error, *shift]
-        return out
-
     def reachable(self, data: Measurements, values: Floats) -> Reachable:
         """Postures between those of the run: a place alone would leave open how the arm stands there."""
         del values
@@ -357,13 +318,13 @@ def _lever_mm(robot: Serial, name: str) -> float:
     k, reach = joint_of(name), robot.reach_mm
     if k is not None:
         return float(reach[min(k, len(reach) - 1)])
-    return float(reach[0] + np.linalg.norm(robot.tracker_mm) + np.linalg.norm(robot.joints[0].origin_mm))
+    return float(reach[0] + np.linalg.norm(robot.sensor_pose.origin_mm) + np.linalg.norm(robot.joints[0].origin_mm))
 
 
 @lru_cache(maxsize=32)
 def _base_of(robot: Serial) -> tuple[Parameter, ...]:
     rows = (row for row in SerialModel.table if row["base"])
-    every = (p for row in rows for p in parameters_of_core(row, partial(_lever_mm, robot)))
+    every = (p for row in rows for p in parameters_of_core(row, lambda name: _lever_mm(robot, name)))
     mine = (p for p in every if has(robot, p.name))
     return tuple(one for p in mine if (one := parameter_of(p, robot.joints)) is not None)
 
@@ -399,11 +360,13 @@ def _told_apart(robot: Serial) -> tuple[str, ...]:
     left = columns * [p.size for p in every.base]
     whole_size = np.linalg.norm(left, axis=0)
     first = [name.startswith(_FIRST) for name in names]
+    held = [whole.held_of_pose(name) for name in names]
     chosen: list[int] = []
     while True:
         size = np.linalg.norm(left, axis=0)
         able = size > _BEYOND * whole_size
         able[chosen] = False
+        able[held] = False
         if not able.any():
             return tuple(names[k] for k in sorted(chosen))
         among = able & first if (able & first).any() else able

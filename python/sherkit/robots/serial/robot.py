@@ -19,9 +19,10 @@ from ...base.notebook import Shown
 from ...base.saved import Saved
 from ...base.types import Bools, Floats
 from ...data.columns import Layout, know
-from ...data.declared import Declared, key, keys_from, keys_of
+from ...data.declared import Declared, Inner, key, keys_from, keys_of
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
+from ...model.sensor_pose import SensorPose
 from ...model.batch import Batch, matrix, vector, why
 from .frames import Triple, frame, of_rpy, onto
 
@@ -67,6 +68,8 @@ _ZERO: Triple = (0.0, 0.0, 0.0)
 _ANYWHERE = {"deg": 180.0, "mm": 500.0}
 #: Postures from which the inverse begins where neither home nor the middle leads there.
 _STARTS = 12
+#: What the table of the sensor's pose was called.
+_FORMER = "tracker"
 _NAME = re.compile(r"[A-Za-z]\w*")
 
 
@@ -184,8 +187,7 @@ class Serial(Declared, Saved, Shown):
     ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``. ``centres_mm`` are up to four
     fixed places in the base frame from which distances are read: numbers of the column ``centre``; ``planes`` likewise
     up to four above which heights are, numbers of the column ``plane``.
-    ``gravity`` is the direction of the weight in the base frame. The tracker sees the origin of the base frame at
-    ``tracker_mm``, and its axes turned by ``tracker_rpy_deg``; what it really sees is identified.
+    ``gravity`` is the direction of the weight in the base frame. ``sensor_pose`` is where the tracker stands, as far as that is known.
     ``has_tracker`` is False where distances alone are read. ``required_um`` is the accuracy that the arm is for.
     """
 
@@ -193,8 +195,7 @@ class Serial(Declared, Saved, Shown):
     target_mm: Triple = _ZERO
     tool_rpy_deg: Triple = _ZERO
     gravity: Triple = (0.0, 0.0, -1.0)
-    tracker_mm: Triple = _ZERO
-    tracker_rpy_deg: Triple = _ZERO
+    sensor_pose: SensorPose = SensorPose()
     more_targets_mm: tuple[Triple, ...] = ()
     centres_mm: tuple[Triple, ...] = ()
     planes: tuple[Plane, ...] = ()
@@ -205,10 +206,7 @@ class Serial(Declared, Saved, Shown):
     TABLES: ClassVar = {
         "tool": {"target_mm": key(Table.numbers, 3), "rpy_deg": key(Table.numbers, 3).of("tool_rpy_deg")},
         "base": {"gravity": key(Table.numbers, 3)},
-        "tracker": {
-            "origin_mm": key(Table.numbers, 3).of("tracker_mm"),
-            "rpy_deg": key(Table.numbers, 3).of("tracker_rpy_deg"),
-        },
+        "sensor_pose": Inner(SensorPose, "sensor_pose"),
         "workspace": {"required_um": key(Table.positive)},
     }
 
@@ -243,10 +241,17 @@ class Serial(Declared, Saved, Shown):
         joints = tuple(Joint.from_table(one) for one in table.tables("joint", optional=False))
         targets, centres = (_points(table, name) for name in ("target", "centre"))
         planes = tuple(_plane(one) for one in table.tables("plane"))
-        seen = table.has("tracker") or not (centres or planes)
+        table.pass_over(_FORMER)
+        seen = table.has(_FORMER) or table.has("sensor_pose") or not (centres or planes)
+        known = cls.values_from(table)
+        if table.has(_FORMER):
+            if table.has("sensor_pose"):
+                raise table.fail(_FORMER, "one of [tracker] and [sensor_pose], which are one thing")
+            with table.table(_FORMER) as former:
+                known["sensor_pose"] = SensorPose.from_table(former)
         try:
             return cls(
-                joints, **cls.values_from(table), more_targets_mm=targets, centres_mm=centres, planes=planes,
+                joints, **known, more_targets_mm=targets, centres_mm=centres, planes=planes,
                 has_tracker=seen,
             )  # fmt: skip
         except ShapeError as error:
@@ -261,7 +266,7 @@ class Serial(Declared, Saved, Shown):
         if self.planes:
             made["plane"] = [{"at_mm": list(p.at_mm), "normal": list(p.normal)} for p in self.planes]
         if not self.has_tracker:
-            del made["tracker"]
+            made.pop("sensor_pose", None)
         return made
 
     # -- what runs and experiments ask ---------------------------------------------------------------------
@@ -332,7 +337,7 @@ class Serial(Declared, Saved, Shown):
 
     def core(self, settings: Sequence[float] = (np.pi, 0.0, 0.0, 0.0, 0.0)) -> _core.SerialModel:
         """The compiled chain for the period of the encoders, origin of time and moments of the slips of target,
-        joints and tracker."""
+        joints and sensor."""
         before, rows = np.eye(3), []
         for joint, mass, centre in zip(self.joints, *self.weights, strict=True):
             # a frame is given behind that of the drawing, which is turned from the one before
@@ -341,12 +346,10 @@ class Serial(Declared, Saved, Shown):
             rows.append([*turn.ravel(), *shift, *numbers, *centre])
             before = joint.turn.T
         pull = np.array(self.gravity) / np.linalg.norm(self.gravity)
-        seen = of_rpy(np.deg2rad(self.tracker_rpy_deg).tolist())
-        tracker = np.array([*seen.ravel(), *self.tracker_mm])
         centres = np.array(self.centres_mm, dtype=float).reshape(-1, 3)
         planes = np.array([plane.numbers for plane in self.planes], dtype=float).reshape(-1, 6)
         return _core.SerialModel(
-            np.array(rows, dtype=float), self.targets.copy(), centres, planes, tracker, np.array([*pull, *settings])
+            np.array(rows, dtype=float), self.targets.copy(), centres, planes, self.sensor_pose.numbers, np.array([*pull, *settings])
         )
 
     @cached_property

@@ -296,9 +296,9 @@ class VirtualSerial:
         if late:
             stand = stand + np.broadcast_to(np.asarray(self.effects.knock, dtype=float), 6)
         turns = scipy.spatial.transform.Rotation
-        nominal = turns.from_euler("xyz", self.robot.tracker_rpy_deg, degrees=True)
+        nominal = turns.from_euler("xyz", self.robot.sensor_pose.rpy_deg, degrees=True)
         there = turns.from_rotvec(stand[:3]).apply(nominal.apply(point))
-        there = there + np.asarray(self.robot.tracker_mm) + stand[3:]
+        there = there + np.asarray(self.robot.sensor_pose.origin_mm) + stand[3:]
         bend = np.asarray(self.effects.bend_mm, dtype=float)
         return there * (1.0 + self.effects.zoom) + bend * (there / 1000.0) ** 3
 

@@ -25,6 +25,7 @@ from ...fit.identify import Fit
 from ...model.chain import SLACK, ChainModel
 from ...model.effect import Effect, Sentences
 from ...model.kinds import model_of
+from ...model.sensor_pose import POSE
 from ...model.sentences import catalogue_of
 from .robot import SPHERICAL_ANGLES, SPHERICAL_PIXELS, CameraView, Spherical
 
@@ -91,8 +92,10 @@ class SphericalModel(ChainModel):
 
     ``free`` names geometric errors and datum: by default ``alpha``, ``beta`` and ``radius``, as in the paper; besides
     these ``datum_phi``, ``datum_gamma`` (where angles are read), ``principal_point_u`` and ``principal_point_v`` (where
-    pixels are). ``period_rad`` is that of the encoders' cyclic error, for which a file has no place. What else of the
-    camera is free are effects: ``camera_pose``, ``focal_length``, ``lens_distortion``. Readings have two columns: u, v
+    pixels are). Where pixels are read, so is the pose of the camera (``sensor_turn_x`` …, ``sensor_shift_x`` …), which is
+    known to a millimetre and a tenth of a degree unless the robot's file says otherwise under ``[sensor_pose]``.
+    ``period_rad`` is that of the encoders' cyclic error, for which a file has no place. What else of the camera is free
+    are effects: ``focal_length``, ``lens_distortion``. Readings have two columns: u, v
     in pixels, or φ, γ in rad. The radius shows in pixels alone, and α and β in γ alone.
     """
 
@@ -100,7 +103,7 @@ class SphericalModel(ChainModel):
     slip_time_s: float = 0.0
     joint_slip_time_s: float = 0.0
     thermal_shift_lag_s: float = 0.0
-    camera_slip_time_s: float = 0.0
+    sensor_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
     period_rad: float | None = None
 
@@ -108,6 +111,7 @@ class SphericalModel(ChainModel):
     layouts: ClassVar = (SPHERICAL_PIXELS, SPHERICAL_ANGLES)
     table: ClassVar = _core.SphericalModel.CATALOGUE
     targets: ClassVar = SPHERICAL_ANGLES.coordinates
+    usual_pose_sd: ClassVar = ((1.0, 1.0, 1.0), (0.1, 0.1, 0.1))
     pose_sigma_in_file: ClassVar = "marker_sigma_px under [camera]"
 
     def lever_mm(self, name: str) -> float:
@@ -117,8 +121,16 @@ class SphericalModel(ChainModel):
 
     @property
     def default(self) -> tuple[str, ...]:
-        """The paper's three."""
-        return ("alpha", "beta", "radius")
+        """The paper's three, and what is open of the camera's pose."""
+        pose = (name for name in POSE if self.robot.camera is not None and not self.held_of_pose(name))
+        return ("alpha", "beta", "radius", *pose)
+
+    def for_run(self, data: Measurements) -> SphericalModel:
+        """Angles tell nothing of where a camera stands."""
+        made = super().for_run(data)
+        if data.layout != SPHERICAL_ANGLES:
+            return made
+        return replace(made, free=tuple(name for name in made.free if name not in POSE))
 
     def settings(self) -> dict[str, float | None]:
         """Moments of the slips of marker, joints, camera, lag of the stands, origin of time, period of the encoders."""
@@ -126,7 +138,7 @@ class SphericalModel(ChainModel):
             "slip_time_s": self.slip_time_s,
             "joint_slip_time_s": self.joint_slip_time_s,
             "thermal_shift_lag_s": self.thermal_shift_lag_s,
-            "camera_slip_time_s": self.camera_slip_time_s,
+            "sensor_slip_time_s": self.sensor_slip_time_s,
             "time_origin_s": self.time_origin_s,
             "period_rad": self.period_rad,
         }
@@ -137,7 +149,7 @@ class SphericalModel(ChainModel):
         r = self.robot
         pull = np.array(r.gravity) / np.linalg.norm(r.gravity)
         # without a cyclic error the period does not matter
-        times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.camera_slip_time_s)
+        times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         settings = np.array([r.radius_mm, *pull, *np.deg2rad(r.home_deg), *times, self.period_rad or np.pi])
         camera = (r.camera or _ANY_CAMERA).parameters
         return _core.SphericalModel(r.geometry, camera, settings, r.assembly_mode, readings="pixels")
@@ -284,7 +296,7 @@ def identify_joints(robot: Spherical | SphericalModel, data: Measurements, *, fr
     block = model.block(data)
     read = np.where(data.taken, data.readings, np.nan)
     ended, missing = model.core_for(data).solve_inverse(
-        solver, np.zeros(len(model.core_parameters)), model.indices, block, read, weights, False
+        solver, np.zeros(len(model.core_parameters)), model.indices, block, read, weights
     )
     model.require(data, np.array(missing, dtype=np.int64), np.zeros(len(model.parameters)))
     result = solver.result()

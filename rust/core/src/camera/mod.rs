@@ -16,6 +16,7 @@ pub use rotation::{left_jacobian, right_jacobian, rotation_matrix, rotation_vect
 pub use sphere::Face;
 
 use crate::numbers::math::Real;
+use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use lens::Lens;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
@@ -125,12 +126,18 @@ impl Camera {
         })
     }
 
-    /// The same camera turned by a rotation vector about its own axes after its rotation, `R = exp(δ) R₀`: the image
-    /// of the base's origin stays.
-    pub(crate) fn turned(mut self, by: &Vector3<f64>) -> Self {
-        if *by != Vector3::zeros() {
-            self.rotation = rotation_matrix(by) * self.rotation;
+    /// From the base frame to that of the camera.
+    pub(crate) fn frame(&self) -> Rigid {
+        Rigid {
+            rotation: self.rotation,
+            translation: self.translation,
         }
+    }
+
+    /// The same camera where it stands elsewhere.
+    pub(crate) fn standing(mut self, frame: &Rigid) -> Self {
+        self.rotation = frame.rotation;
+        self.translation = frame.translation;
         self
     }
 

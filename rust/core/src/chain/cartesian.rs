@@ -1,25 +1,27 @@
 //! A sensor that shows coordinates: three lasers on a cube.
 //!
-//! `r = (1 + B) x + d` is what straight sensors show, counted from their own zeros; sensors that bend show
-//! `r + c (r / span)³`. A scale bends about its own zero, wherever that lies in the workspace.
+//! `r = (1 + B) s` is what straight sensors show of the point `s` as it is seen from the sensor's pose; sensors that bend
+//! show `r + c (r / span)³`. A scale bends about its own zero, wherever that lies in the workspace.
 
 use super::columns::Columns;
 use super::effects::{Wanted, values_of};
 use super::sensor::{Look, Sensor};
+use super::sensor_pose::SensorPose;
 use super::table::Table;
 use crate::Result;
-use crate::numbers::math::{Real, Triple, dot, scale};
+use crate::numbers::math::{Real, Triple, cross, dot, scale};
+use crate::numbers::rigid::Rigid;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// The cubic error of a sensor is named by its size this far from its zero, mm.
 pub const LINEARITY_SPAN_MM: f64 = 20.0;
 
-/// Beams that are not square, sensors that bend away from the straight line, an arbitrary zero.
+/// Where it stands, beams that are not square, sensors that bend away from the straight line.
 #[derive(Clone, Copy, Debug)]
 pub struct Cartesian {
+    pub(crate) pose: SensorPose,
     beams: Matrix3<f64>,
     linearity: Vector3<f64>,
-    pub(crate) datum: Vector3<f64>,
 }
 
 /// What straight sensors show of a point: cubes of their readings over the span, and how they steepen.
@@ -30,19 +32,23 @@ struct Seen {
 }
 
 impl Cartesian {
-    /// The instrument with the effects that a robot has.
-    pub(crate) fn new<T: Table, const P: usize>(values: &[f64; P]) -> Self {
+    /// The instrument with the effects that a robot has, where it stands; it slips at a moment, s.
+    pub(crate) fn new<T: Table, const P: usize>(
+        nominal: &Rigid,
+        slip_time_s: f64,
+        values: &[f64; P],
+    ) -> Self {
         let at = T::AT.cartesian;
         Self {
+            pose: SensorPose::new::<T, P>(nominal, slip_time_s, values),
             beams: Matrix3::from_row_slice(&values_of::<9, P>(at.beam_alignment, values)),
             linearity: Vector3::from(values_of::<3, P>(at.sensor_linearity, values)),
-            datum: Vector3::from(values_of::<3, P>(at.datum, values)),
         }
     }
 
     #[inline]
     fn seen(&self, point: &Vector3<f64>) -> Seen {
-        let value = point + self.beams * point + self.datum;
+        let value = point + self.beams * point;
         let mut cubes = Vector3::zeros();
         let mut steep = Vector3::from_element(1.0);
         for k in 0..3 {
@@ -65,31 +71,32 @@ impl Cartesian {
 
 impl Sensor<3> for Cartesian {
     #[inline]
-    fn value(&self, point: &Vector3<f64>, _: Look) -> Result<SVector<f64, 3>> {
-        Ok(self.shown(&self.seen(point)))
+    fn value(&self, point: &Vector3<f64>, look: Look) -> Result<SVector<f64, 3>> {
+        let point = self.pose.at(look)?.frame.apply(point);
+        Ok(self.shown(&self.seen(&point)))
     }
 
     #[inline]
     fn predict<T: Table, const P: usize>(
         &self,
         point: &Vector3<f64>,
-        _: Look,
+        look: Look,
         wanted: Wanted,
         d: &mut SMatrix<f64, 3, P>,
     ) -> Result<(SVector<f64, 3>, Matrix3<f64>)> {
-        let seen = self.seen(point);
+        let stand = self.pose.at(look)?;
+        let turned = stand.frame.rotation * point;
+        let point = turned + stand.frame.translation;
+        let seen = self.seen(&point);
         let mut by_point = self.beams;
         for k in 0..3 {
             by_point[(k, k)] += 1.0;
             by_point.row_mut(k).scale_mut(seen.steep[k]);
         }
         let at = T::AT.cartesian;
+        self.pose
+            .columns::<T, 3, P>(stand, &turned, &by_point, look, wanted, d);
         // parameters touch their own axis alone: what an earlier row left on the others is cleared
-        if let Some(place) = wanted.wants(at.datum) {
-            let mut own = d.fixed_columns_mut::<3>(place.start);
-            own.fill(0.0);
-            own.set_diagonal(&seen.steep);
-        }
         if let Some(place) = wanted.wants(at.sensor_linearity) {
             let mut own = d.fixed_columns_mut::<3>(place.start);
             own.fill(0.0);
@@ -103,7 +110,7 @@ impl Sensor<3> for Cartesian {
                 }
             }
         }
-        Ok((self.shown(&seen), by_point))
+        Ok((self.shown(&seen), by_point * stand.frame.rotation))
     }
 
     #[inline(always)]
@@ -113,9 +120,21 @@ impl Sensor<3> for Cartesian {
         wanted: Wanted,
         to: &mut impl Columns<N, 3>,
     ) -> Option<(Triple<N>, [Triple<N>; 3])> {
+        if !self.pose.stays::<T>(wanted) {
+            return None;
+        }
         let (at, of) = (T::AT.cartesian, N::splat);
         let nothing = [of(0.0); 3];
-        let (mut value, mut by_point) = (nothing, [nothing; 3]);
+        let (mut value, mut by_seen) = (nothing, [nothing; 3]);
+        let stand = self.pose.first();
+        let frame = &stand.frame;
+        let turned = [0, 1, 2].map(|axis| {
+            dot(
+                [0, 1, 2].map(|k| of(frame.rotation[(axis, k)])),
+                points,
+            )
+        });
+        let points = [0, 1, 2].map(|axis| turned[axis] + of(frame.translation[axis]));
         for axis in 0..3 {
             let (mut beams, mut along) = (nothing, nothing);
             for k in 0..3 {
@@ -124,15 +143,12 @@ impl Sensor<3> for Cartesian {
                 along[k] = of(exact + self.beams[(axis, k)]);
             }
             let leaning = dot([0, 1, 2].map(|k| of(self.beams[(axis, k)])), points);
-            let seen = points[axis] + leaning + of(self.datum[axis]);
+            let seen = points[axis] + leaning;
             let t = seen / of(LINEARITY_SPAN_MM);
             let cube = t * t * t;
             let steep = of(1.0) + of(3.0 * self.linearity[axis] / LINEARITY_SPAN_MM) * t * t;
             value[axis] = seen + of(self.linearity[axis]) * cube;
-            by_point[axis] = scale(along, steep);
-            if let Some(place) = wanted.wants(at.datum) {
-                to.put(place.start + axis, of_axis(axis, steep));
-            }
+            by_seen[axis] = scale(along, steep);
             if let Some(place) = wanted.wants(at.sensor_linearity) {
                 to.put(place.start + axis, of_axis(axis, cube));
             }
@@ -142,6 +158,17 @@ impl Sensor<3> for Cartesian {
                 }
             }
         }
+        if let Some(place) = wanted.wants(T::AT.pose.sensor_pose) {
+            for k in 0..3 {
+                let axis = stand.axes().column(k);
+                let moved = cross([of(axis[0]), of(axis[1]), of(axis[2])], turned);
+                to.put(place.start + k, by_seen.map(|row| dot(row, moved)));
+                to.put(place.start + 3 + k, by_seen.map(|row| row[k]));
+            }
+        }
+        let by_point = by_seen.map(|row| {
+            [0, 1, 2].map(|k| dot(row, [0, 1, 2].map(|axis| of(frame.rotation[(axis, k)]))))
+        });
         Some((value, by_point))
     }
 }

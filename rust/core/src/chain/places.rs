@@ -4,10 +4,11 @@ use super::effects::places;
 
 places! { OfJoints: joint_offset joint_scale joint_slip encoder_cyclic encoder_eccentricity backlash camera_delay reading_delay }
 places! { OfBody: thermal_growth thermal_shift drift slip }
-places! { OfCartesian: beam_alignment sensor_linearity datum }
-places! { OfCamera: camera_pose camera_slip focal_length principal_point lens_distortion }
+places! { OfPose: sensor_pose sensor_slip }
+places! { OfCartesian: beam_alignment sensor_linearity }
+places! { OfCamera: focal_length principal_point lens_distortion }
 places! { OfAngles: datum }
-places! { OfTracker: tracker_frame tracker_slip sensor_scale sensor_linearity }
+places! { OfTracker: sensor_scale sensor_linearity }
 places! { OfBar: centres bar_zero }
 places! { OfPlane: planes }
 
@@ -17,6 +18,7 @@ pub struct Places<Own> {
     pub(crate) structure: Own,
     pub(crate) joints: OfJoints,
     pub(crate) body: OfBody,
+    pub(crate) pose: OfPose,
     pub(crate) cartesian: OfCartesian,
     pub(crate) camera: OfCamera,
     pub(crate) angles: OfAngles,
@@ -33,6 +35,7 @@ impl<Own: Copy> Places<Own> {
             structure,
             joints: OfJoints::NONE,
             body: OfBody::NONE,
+            pose: OfPose::NONE,
             cartesian: OfCartesian::NONE,
             camera: OfCamera::NONE,
             angles: OfAngles::NONE,

@@ -10,7 +10,9 @@ use super::table::effects;
 use super::{
     Aim, Cartesian, Covariates, Distances, Mechanism, Prediction, Robot, Row, Settings, Table,
 };
+use crate::camera::rotation_matrix;
 use crate::numbers::math::sin_cos;
+use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use nalgebra::{Matrix3x2, SMatrix, Vector2, Vector3};
 
@@ -23,8 +25,13 @@ effects! { At;
     joint_offset: Joints by joints (base) {
         offset_1 "δθ₁", offset_2 "δθ₂": "rad", 0.02, OWN_LEVER;
     }
-    datum: Sensor by cartesian (base) {
-        datum_x "d_x", datum_y "d_y", datum_z "d_z": "mm", 10.0, 1.0;
+    sensor_pose: Sensor by pose (base) {
+        sensor_turn_x, sensor_turn_y, sensor_turn_z: "rad", 1.0, 20.0;
+        sensor_shift_x, sensor_shift_y, sensor_shift_z: "mm", 10.0, 1.0;
+    }
+    sensor_slip: Sensor by pose needs "time_s" search "time_s" {
+        turn_x, turn_y, turn_z: "rad", 2e-3, 20.0;
+        shift_x, shift_y, shift_z: "mm", 0.1, 1.0;
     }
     joint_scale: Joints by joints {
         scale_1, scale_2: "rad/rad", 2e-3, 200.0;
@@ -121,7 +128,11 @@ impl Robot<2, 3, PARAMETERS> for Arm {
     }
 
     fn sensor(&self, values: &Values) -> Result<Cartesian> {
-        Ok(Cartesian::new::<Self, PARAMETERS>(values))
+        let nominal = Rigid {
+            rotation: rotation_matrix(&Vector3::new(0.3, -0.7, 1.1)),
+            translation: Vector3::new(30.0, -20.0, 10.0),
+        };
+        Ok(Cartesian::new::<Self, PARAMETERS>(&nominal, 700.0, values))
     }
 
     fn around(&self, _: &Values) {}

@@ -1,7 +1,7 @@
 //! The calibrated robot that a control loop runs: geometry, correction, local model blended into the whole.
 //!
-//! Positions are those of the measured point in the frame of the measurement (datum included). Nothing here
-//! allocates; an iteration is bounded. NaN input gives [`crate::Error::NotFinite`].
+//! Positions are those of the measured point, in the frame of the sensors that measured it unless that of the base is asked
+//! for: a delta is sent where its instrument sees the tool. Nothing here allocates; an iteration is bounded. NaN input gives [`crate::Error::NotFinite`].
 
 use super::correction::{Correction, Domain};
 use super::effects::PARAMETERS;
@@ -10,7 +10,8 @@ use super::model::{Chain, Covariates, READINGS};
 use super::nominal::Model;
 use crate::Result;
 use crate::chain::effects::Wanted;
-use crate::chain::{self, inverse};
+use crate::chain::{self, Frame, inverse};
+use crate::numbers::rigid::Rigid;
 use nalgebra::{Matrix3, Vector3};
 
 /// The inverse takes its last step where the forward model misses by less than this, mm: what the step leaves is the square
@@ -81,14 +82,45 @@ pub struct Calibrated<'a> {
     pub whole: Branch<'a>,
     /// Model of the region of interest, where it holds, and the width of the blend around it.
     pub local: Option<(Branch<'a>, Domain)>,
+    /// The frame of positions.
+    pub frame: Frame,
 }
 
 impl Calibrated<'_> {
+    /// The same robot with positions in a frame.
+    #[must_use]
+    pub fn in_frame(self, frame: Frame) -> Self {
+        Self { frame, ..self }
+    }
+
+    /// From the base frame to that of the sensors, by the model of the whole workspace.
+    #[must_use]
+    pub fn sensor(&self) -> &Rigid {
+        &self.whole.chain.sensor.pose.first().frame
+    }
+
     /// Position for joint readings, and its derivative by them.
     ///
     /// # Errors
     /// As [`Chain::predict`].
     pub fn forward(
+        &self,
+        joints: &Vector3<f64>,
+        now: &Covariates,
+    ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
+        let (seen, by_joints) = self.seen(joints, now)?;
+        Ok(match self.frame {
+            Frame::Sensor => (seen, by_joints),
+            Frame::Base => {
+                let sensor = self.sensor();
+                let back = sensor.rotation.transpose();
+                (sensor.apply_inverse(&seen), back * by_joints)
+            }
+        })
+    }
+
+    /// [`Self::forward`] in the frame of the sensors.
+    fn seen(
         &self,
         joints: &Vector3<f64>,
         now: &Covariates,
@@ -130,6 +162,10 @@ impl Calibrated<'_> {
     /// # Errors
     /// [`crate::Error::OutOfReach`] names limb and distance; [`crate::Error::NotConverged`] where the model folds over.
     pub fn inverse(&self, position: &Vector3<f64>, now: &Covariates) -> Result<Vector3<f64>> {
+        let position = &match self.frame {
+            Frame::Sensor => *position,
+            Frame::Base => self.sensor().apply(position),
+        };
         let start = self.whole.chain.rough_inverse(position)?;
         let (mut of_whole, mut of_local) = (Trail::new(), Trail::new());
         let miss = |joints: &Vector3<f64>| {
@@ -143,17 +179,17 @@ impl Calibrated<'_> {
             })?;
             Ok((position - reached, by_joints, settled))
         };
-        let again = |joints: &Vector3<f64>| Ok(position - self.forward(joints, now)?.0);
+        let again = |joints: &Vector3<f64>| Ok(position - self.seen(joints, now)?.0);
         inverse(start, miss, again, |missed| missed.norm() < NEAR_MM)
     }
 }
 
 impl Chain {
-    /// Joint readings near those that bring the measured point to a reading: effects but lean and datum left out.
+    /// Joint readings near those that bring the measured point to a reading: effects but lean left out.
     ///
     /// # Errors
     /// As [`super::Kinematics::inverse`].
     pub fn rough_inverse(&self, reading: &Vector3<f64>) -> Result<Vector3<f64>> {
-        self.structure.rough_inverse(&(reading - self.sensor.datum))
+        self.structure.rough_inverse(&self.sensor.pose.first().frame.apply_inverse(reading))
     }
 }

@@ -112,8 +112,14 @@ effects! { At;
     sensor_linearity: Sensor by cartesian {
         cubic_x, cubic_y, cubic_z: "mm", 0.005, 1.0;
     }
-    // constant offset of the sensors
-    datum: Sensor by cartesian (base) {
-        datum_x "d_x", datum_y "d_y", datum_z "d_z": "mm", 10.0, 1.0;
+    // where the sensors see the base frame: a turn of their picture of the robot, and a shift, in their own axes
+    sensor_pose: Sensor by pose (base) {
+        sensor_turn_x, sensor_turn_y, sensor_turn_z: "rad", 1.0, OWN_LEVER;
+        sensor_shift_x, sensor_shift_y, sensor_shift_z: "mm", 10.0, 1.0;
+    }
+    // by how much that changed at the time of a slip
+    sensor_slip: Sensor by pose needs "time_s" search "time_s" {
+        turn_x, turn_y, turn_z: "rad", 2e-3, 20.0;
+        shift_x, shift_y, shift_z: "mm", 0.1, 1.0;
     }
 }

@@ -1,4 +1,4 @@
-//! The nominal delta on the measurement chain: with all effects at zero it is the paper's model plus a datum.
+//! The nominal delta on the measurement chain: with all effects at zero it is the paper's model, seen from where the sensors stand.
 
 use super::effects::{AT, At, CATALOGUE, PARAMETERS, Values};
 use super::geometry::LIMBS;
@@ -51,10 +51,16 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
             self.time_origin_s,
             self.slip_time_s,
             self.joint_slip_time_s,
+            self.sensor_slip_time_s,
         ];
         let settings = settings.iter().chain(&self.home).chain(&self.target_offset);
+        let settings = settings.chain(&self.sensor.translation);
         if let Some(index) = settings.clone().position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
+        }
+        if !self.sensor.is_proper() {
+            let what = "the pose of the sensor needs right angles";
+            return Err(Error::InvalidGeometry { limb: 0, what });
         }
         if self.pole_pitch <= 0.0 {
             let what = "the period of the encoders must be positive";
@@ -68,7 +74,11 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     }
 
     fn sensor(&self, values: &Values) -> Result<Cartesian> {
-        Ok(Cartesian::new::<Self, PARAMETERS>(values))
+        Ok(Cartesian::new::<Self, PARAMETERS>(
+            &self.sensor,
+            self.sensor_slip_time_s,
+            values,
+        ))
     }
 
     fn around(&self, _: &Values) {}

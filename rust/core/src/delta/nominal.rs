@@ -1,5 +1,6 @@
 //! What the drawing and the user say of a delta.
 
+use crate::numbers::rigid::Rigid;
 use super::geometry::{Geometry, LIMBS};
 use nalgebra::Vector3;
 
@@ -10,6 +11,8 @@ pub struct Model {
     pub geometry: Geometry,
     /// From the platform centre to the measured point, mm.
     pub target_offset: Vector3<f64>,
+    /// From the base frame to that of the sensors, mm.
+    pub sensor: Rigid,
     /// Distance between the two rods of a limb, mm; zero where the platform cannot tilt.
     pub rod_spacing: f64,
     /// Period of the encoders' cyclic error, mm.
@@ -22,4 +25,6 @@ pub struct Model {
     pub slip_time_s: f64,
     /// Moment at which joints slip, s.
     pub joint_slip_time_s: f64,
+    /// Moment at which the sensors slip, s.
+    pub sensor_slip_time_s: f64,
 }

@@ -2,6 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+/// How far the columns of a turn may be from a right angle or one.
+pub const SQUARE: f64 = 1e-6;
+
 /// `x ↦ R x + t`. The turn is taken to be a rotation; nothing here checks it. Lengths are mm. NaN passes through.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rigid {
@@ -19,6 +22,14 @@ impl Rigid {
             rotation: Matrix3::identity(),
             translation: Vector3::zeros(),
         }
+    }
+
+    /// Whether its turn is a rotation: right angles, lengths of one, no mirror.
+    #[must_use]
+    pub fn is_proper(&self) -> bool {
+        let r = &self.rotation;
+        let off = r.transpose() * r - Matrix3::identity();
+        off.amax() < SQUARE && r.determinant() > 0.0
     }
 
     /// Where a point goes.

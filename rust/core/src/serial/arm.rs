@@ -55,8 +55,8 @@ pub struct Model {
     pub centres_mm: [Vector3<f64>; CENTRES],
     /// The fixed planes from which distances are read.
     pub planes: [Flat; PLANES],
-    /// From the base frame to that of the tracker, mm.
-    pub tracker: Rigid,
+    /// From the base frame to that of the sensor, mm.
+    pub sensor: Rigid,
     /// Direction of the weight, base frame, of length one.
     pub gravity: Vector3<f64>,
     /// Period of the encoders' cyclic error, rad, or mm where every joint slides.
@@ -67,6 +67,6 @@ pub struct Model {
     pub slip_time_s: f64,
     /// Moment at which joints slip, s.
     pub joint_slip_time_s: f64,
-    /// Moment at which the tracker slips, s.
-    pub tracker_slip_time_s: f64,
+    /// Moment at which the sensor slips, s.
+    pub sensor_slip_time_s: f64,
 }

@@ -1,11 +1,11 @@
 //! The calibrated arm that a control loop runs. Nothing here allocates; an iteration is bounded.
 
 use super::arm::{JOINTS, Model};
-use super::effects::{AT, Values};
+use super::effects::{AT, PARAMETERS, Values};
 use super::model::{Chain, Covariates, Prediction};
 use super::structure::Structure;
 use crate::chain::effects::Wanted;
-use crate::chain::{Mechanism, Robot};
+use crate::chain::{Frame, Mechanism, Robot, Tracker};
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -31,12 +31,15 @@ pub struct Limits {
     pub high: [f64; JOINTS],
 }
 
-/// An identified arm: where its target really is, base frame.
+/// An identified arm: where its target really is, in the frame of its base, which its programs are written in, unless that of
+/// the sensor is asked for.
 ///
-/// What belongs to the measurement alone is left out: where the tracker stands, its slip, scale, straightness and delay.
+/// What else belongs to the measurement alone is left out: slip, scale, straightness and delay of the sensor.
 #[derive(Clone, Copy, Debug)]
 pub struct Calibrated {
     chain: Chain,
+    sensor: Rigid,
+    frame: Frame,
     limits: Limits,
     count: usize,
     /// What a unit of each joint weighs in a step of the inverse; nothing where there is none.
@@ -49,11 +52,12 @@ impl Calibrated {
     /// # Errors
     /// As [`Model::with`]; [`Error::InvalidGeometry`] for limits of which the lower is above the higher.
     pub fn new(model: &Model, values: &Values, limits: &Limits) -> Result<Self> {
+        let sensor = Tracker::new::<Model, PARAMETERS>(&model.sensor, 0.0, values);
         let mut values = *values;
-        let at = AT.tracker;
+        let (pose, at) = (AT.pose, AT.tracker);
         for measured in [
-            at.tracker_frame,
-            at.tracker_slip,
+            pose.sensor_pose,
+            pose.sensor_slip,
             at.sensor_scale,
             at.sensor_linearity,
             AT.joints.reading_delay,
@@ -67,7 +71,7 @@ impl Calibrated {
             }
         }
         let own = Model {
-            tracker: Rigid::identity(),
+            sensor: Rigid::identity(),
             ..*model
         };
         let chain = own.with(&values)?;
@@ -85,6 +89,8 @@ impl Calibrated {
         }
         Ok(Self {
             chain,
+            sensor: sensor.pose.first().frame,
+            frame: Frame::Base,
             limits: *limits,
             count: model.count,
             weights,
@@ -97,6 +103,18 @@ impl Calibrated {
         self.count.min(JOINTS)
     }
 
+    /// The same arm with places in a frame.
+    #[must_use]
+    pub fn in_frame(self, frame: Frame) -> Self {
+        Self { frame, ..self }
+    }
+
+    /// From the base frame to that of the sensor.
+    #[must_use]
+    pub fn sensor(&self) -> &Rigid {
+        &self.sensor
+    }
+
     /// Where the target is, mm, with its derivative by the joints.
     ///
     /// # Errors
@@ -106,11 +124,24 @@ impl Calibrated {
         joints: &SVector<f64, JOINTS>,
         now: &Covariates,
     ) -> Result<(Vector3<f64>, SMatrix<f64, 3, JOINTS>)> {
+        let (place, by_joints) = self.at_base(joints, now)?;
+        Ok(match self.frame {
+            Frame::Base => (place, by_joints),
+            Frame::Sensor => (self.sensor.apply(&place), self.sensor.rotation * by_joints),
+        })
+    }
+
+    /// [`Self::forward`] in the frame of the base.
+    fn at_base(
+        &self,
+        joints: &SVector<f64, JOINTS>,
+        now: &Covariates,
+    ) -> Result<(Vector3<f64>, SMatrix<f64, 3, JOINTS>)> {
         let found = self.predict(joints, now, Wanted::NONE)?;
         Ok((found.value, found.by_joints))
     }
 
-    /// The same with derivatives by wanted parameters, for the account of accuracy.
+    /// What it predicts in the frame of the base, with derivatives by wanted parameters, for the account of accuracy.
     ///
     /// # Errors
     /// As [`Chain::value`].
@@ -149,8 +180,12 @@ impl Calibrated {
         if let Some(index) = place.iter().chain(start).position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
         }
+        let place = &match self.frame {
+            Frame::Base => *place,
+            Frame::Sensor => self.sensor.apply_inverse(place),
+        };
         let mut joints = self.within(start);
-        let (mut reached, mut by_joints) = self.forward(&joints, now)?;
+        let (mut reached, mut by_joints) = self.at_base(&joints, now)?;
         let mut damping = DAMPING;
         for _ in 0..ITERATIONS {
             let missed = place - reached;
@@ -162,7 +197,7 @@ impl Calibrated {
                 return Err(Error::TargetOutOfReach { miss_mm });
             }
             let trial = self.within(&(joints + self.step(&joints, &by_joints, &missed, damping)));
-            let (there, slope) = self.forward(&trial, now)?;
+            let (there, slope) = self.at_base(&trial, now)?;
             if (place - there).norm() < miss_mm {
                 (joints, reached, by_joints) = (trial, there, slope);
                 damping *= 0.1;

@@ -20,9 +20,9 @@ places! { At:
 effects! { At;
     // where the tracker sees the base frame: a turn of its picture of the robot, and a shift, in its own axes; people put
     // trackers anywhere
-    tracker_frame: Sensor by tracker (base) {
-        frame_turn_x, frame_turn_y, frame_turn_z: "rad", 1.0, OWN_LEVER;
-        frame_x, frame_y, frame_z: "mm", 1000.0, 1.0;
+    sensor_pose: Sensor by pose (base) {
+        sensor_turn_x, sensor_turn_y, sensor_turn_z: "rad", 1.0, OWN_LEVER;
+        sensor_shift_x, sensor_shift_y, sensor_shift_z: "mm", 1000.0, 1.0;
     }
     // the zero of each joint
     joint_offset: Joints by joints (base) {
@@ -116,7 +116,7 @@ effects! { At;
         shift_x, shift_y, shift_z: "mm/°C", 0.02, 1.0;
     }
     // by how much the tracker's frame moved at the time of its slip
-    tracker_slip: Sensor by tracker needs "time_s" search "time_s" {
+    sensor_slip: Sensor by pose needs "time_s" search "time_s" {
         turn_x, turn_y, turn_z: "rad", 5e-4, LEVER;
         shift_x, shift_y, shift_z: "mm", 0.2, 1.0;
     }

@@ -6,15 +6,13 @@ use super::structure::Structure;
 use crate::chain::effects::Effect;
 use crate::chain::places::Places;
 use crate::chain::{self, Distances, Gauges, Robot, Settings, Table, Tracker};
-use crate::numbers::rigid::Rigid;
+use crate::numbers::rigid::SQUARE;
 use crate::{Error, Result};
 use core::f64::consts::TAU;
 use nalgebra::Vector3;
 
 /// Coordinates that the tracker shows.
 pub const READINGS: usize = 3;
-/// How far the columns of a turn may be from a right angle or one.
-const SQUARE: f64 = 1e-6;
 
 /// What a row of an arm brings besides its readings.
 pub type Covariates = chain::Covariates<JOINTS>;
@@ -29,12 +27,6 @@ impl Table for Model {
     type Own = At;
     const CATALOGUE: &'static [Effect] = CATALOGUE;
     const AT: Places<At> = AT;
-}
-
-fn is_square(rigid: &Rigid) -> bool {
-    let r = &rigid.rotation;
-    let off = r.transpose() * r - nalgebra::Matrix3::identity();
-    off.amax() < SQUARE && r.determinant() > 0.0
 }
 
 impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
@@ -67,7 +59,7 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
         for (limb, joint) in mine.iter().enumerate() {
             let numbers = joint.fixed.translation.iter().chain(&joint.centre_mm);
             let mut numbers = numbers.chain([&joint.follows, &joint.home, &joint.mass_kg]);
-            if numbers.any(|v| !v.is_finite()) || !is_square(&joint.fixed) {
+            if numbers.any(|v| !v.is_finite()) || !joint.fixed.is_proper() {
                 return refuse(
                     limb,
                     "the frame of a joint needs finite lengths and right angles",
@@ -81,18 +73,18 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
             self.time_origin_s,
             self.slip_time_s,
             self.joint_slip_time_s,
-            self.tracker_slip_time_s,
+            self.sensor_slip_time_s,
             self.encoder_period,
         ];
         let points = self.targets_mm.iter().chain(&self.centres_mm);
         let points = points.chain(self.planes.iter().map(|plane| &plane.at));
         let settings = times.iter().chain(points.flatten()).chain(&self.gravity);
-        let mut settings = settings.chain(&self.tracker.translation);
+        let mut settings = settings.chain(&self.sensor.translation);
         if let Some(index) = settings.position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
         }
-        if !is_square(&self.tracker) {
-            return refuse(0, "the frame of the tracker needs right angles");
+        if !self.sensor.is_proper() {
+            return refuse(0, "the pose of the sensor needs right angles");
         }
         if self.encoder_period <= 0.0 {
             return refuse(0, "the period of the encoders must be positive");
@@ -114,8 +106,8 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
 
     fn sensor(&self, values: &Values) -> Result<Tracker> {
         Ok(Tracker::new::<Self, PARAMETERS>(
-            &self.tracker,
-            self.tracker_slip_time_s,
+            &self.sensor,
+            self.sensor_slip_time_s,
             values,
         ))
     }

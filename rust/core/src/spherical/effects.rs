@@ -27,6 +27,11 @@ effects! { At;
     datum: Sensor by angles (base) {
         datum_phi "d_φ", datum_gamma "d_γ": "rad", 0.02, OWN_LEVER;
     }
+    // error of the camera's pose: turn about its own axes (the image of the centre stays), and shift
+    sensor_pose: Sensor by pose (base) {
+        sensor_turn_x, sensor_turn_y, sensor_turn_z: "rad", 0.02, OWN_LEVER;
+        sensor_shift_x, sensor_shift_y, sensor_shift_z: "mm", 5.0, 1.0;
+    }
     principal_point: Sensor by camera (base) {
         principal_point_u "δc_u", principal_point_v "δc_v": "px", 10.0, 1.0;
     }
@@ -88,13 +93,8 @@ effects! { At;
     thermal_shift: Sensor by body needs "temperature_c" search "lag_s" {
         shift_x, shift_y, shift_z: "mm/°C", 0.02, 1.0;
     }
-    // error of the camera's pose: turn about its own axes (the image of the centre stays), and translation
-    camera_pose: Sensor by camera {
-        turn_x, turn_y, turn_z: "rad", 0.02, LEVER;
-        shift_x, shift_y, shift_z: "mm", 5.0, 1.0;
-    }
-    // by how much the error of the camera's pose grew at the time of its slip
-    camera_slip: Sensor by camera needs "time_s" search "time_s" {
+    // by how much the camera's pose changed at the time of a slip
+    sensor_slip: Sensor by pose needs "time_s" search "time_s" {
         turn_x, turn_y, turn_z: "rad", 2e-3, LEVER;
         shift_x, shift_y, shift_z: "mm", 0.5, 1.0;
     }

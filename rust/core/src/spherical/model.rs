@@ -65,7 +65,7 @@ impl Model {
     /// # Errors
     /// As [`Camera::new`].
     pub fn camera(&self, values: &Values) -> Result<Camera> {
-        Ok(*Eye::new::<Self, PARAMETERS>(&self.camera, self.camera_slip_time_s, values)?.camera())
+        Ok(*Eye::new::<Self, PARAMETERS>(&self.camera, self.sensor_slip_time_s, values)?.camera())
     }
 }
 
@@ -95,7 +95,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
             self.time_origin_s,
             self.slip_time_s,
             self.joint_slip_time_s,
-            self.camera_slip_time_s,
+            self.sensor_slip_time_s,
             self.encoder_period,
         ];
         let mut settings = self.home.iter().chain(&self.gravity).chain(&times);
@@ -122,7 +122,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
         Ok(match self.readings {
             Readings::Pixels => {
                 let eye =
-                    Eye::new::<Self, PARAMETERS>(&self.camera, self.camera_slip_time_s, values)?;
+                    Eye::new::<Self, PARAMETERS>(&self.camera, self.sensor_slip_time_s, values)?;
                 Instrument::Camera(eye, self.face)
             }
             Readings::Angles => Instrument::Angles(Angles::new::<Self, PARAMETERS>(values)),

@@ -40,5 +40,5 @@ pub struct Model {
     /// Period of the encoders' cyclic error, rad.
     pub encoder_period: f64,
     /// Moment of the slip of the camera, s.
-    pub camera_slip_time_s: f64,
+    pub sensor_slip_time_s: f64,
 }

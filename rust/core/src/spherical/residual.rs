@@ -63,12 +63,12 @@ impl Chain {
             }
         };
         let radius = self.structure.radius();
-        let stand = eye.at(look)?;
-        let point = stand.camera.on_sphere(reading, radius, face)?;
+        let (camera, stand) = eye.at(look)?;
+        let point = camera.on_sphere(reading, radius, face)?;
         let angles = angles_of(&point, libm::atan2(point.y, point.x))?;
-        let projection = stand.camera.projection(&point)?;
+        let projection = camera.projection(&point)?;
         // the pixel is held and the point stays on the sphere: (∂π/∂X; Xᵀ) dX = (-∂π/∂p dp; R dR)
-        let by_point = stand.camera.by_point(&projection);
+        let by_point = camera.by_point(&projection);
         let mut held = Matrix3::zeros();
         held.fixed_rows_mut::<2>(0).copy_from(&by_point);
         held.set_row(2, &point.transpose());

@@ -161,12 +161,17 @@ pub fn model_of(robot: &Robot) -> Model {
     Model {
         geometry: robot.geometry,
         target_offset: Vector3::new(7.0, -11.0, -30.0),
+        sensor: Rigid {
+            rotation: rotation_matrix(&Vector3::new(0.9, -1.7, 0.6)),
+            translation: Vector3::new(210.0, -140.0, 35.0),
+        },
         rod_spacing: 40.0,
         pole_pitch: 16.0,
         home: [robot.joints.x, robot.joints.y - 40.0, robot.joints.z + 90.0],
         time_origin_s: 100.0,
         slip_time_s: 2000.0,
         joint_slip_time_s: 2100.0,
+        sensor_slip_time_s: 2200.0,
     }
 }
 

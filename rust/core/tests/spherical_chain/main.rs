@@ -121,7 +121,7 @@ fn robots() -> impl Strategy<Value = (Model, [f64; 2])> {
                     slip_time_s: 2000.0,
                     joint_slip_time_s: 2100.0,
                     encoder_period: 0.4,
-                    camera_slip_time_s: 2000.0,
+                    sensor_slip_time_s: 2000.0,
                 },
                 [mean + half, mean - half],
             ))

@@ -15,7 +15,7 @@ fn the_papers() -> Model {
         slip_time_s: 0.0,
         joint_slip_time_s: 0.0,
         encoder_period: 0.4,
-        camera_slip_time_s: 0.0,
+        sensor_slip_time_s: 0.0,
     }
 }
 

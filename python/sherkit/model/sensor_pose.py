@@ -1,0 +1,130 @@
+"""The sensor's pose: where an instrument stands, seen from the base of the robot (the *robot–world* transform).
+
+What the instrument sees of a point x of the base frame is ``R x + origin``: the base turned by roll, pitch and yaw, then
+shifted. Each of its six numbers is *free*, *known* within a standard deviation, or *held*: a deviation that is
+infinite, a number, or zero. A tracker may stand anywhere, so the rows themselves tell where to start: the rigid
+transform of predicted to measured points (Kabsch, 1976), rows that are wrong left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy
+
+from ..base import linalg
+from ..base.types import Bools, Floats
+from ..data.declared import key, keys_from, keys_of
+from ..data.toml import Table
+
+Triple = tuple[float, float, float]
+
+#: The parameters of every robot's table, in the order of the core: turns about the sensor's own axes, then shifts.
+TURNS = ("sensor_turn_x", "sensor_turn_y", "sensor_turn_z")
+SHIFTS = ("sensor_shift_x", "sensor_shift_y", "sensor_shift_z")
+POSE = (*TURNS, *SHIFTS)
+
+#: Rows that tell where a sensor stands; in so many rounds, in each of which rows count that are off by no more than
+#: this many times the median; and how thin a cloud of places is a line.
+_FEWEST, _ROUNDS, _FAR, _LINE = 4, 5, 5.0, 1e-3
+
+FREE: Triple = (np.inf, np.inf, np.inf)
+HELD: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class SensorPose:
+    """Where a sensor sees the base of its robot: the origin at ``origin_mm``, the axes turned by ``rpy_deg`` (URDF's roll,
+    pitch, yaw). ``shift_sd_mm`` and ``turn_sd_deg`` are how well that is known along and about each of its axes:
+    infinite where it is free, zero where it is held; None leaves it to the kind of robot.
+    """
+
+    origin_mm: Triple = (0.0, 0.0, 0.0)
+    rpy_deg: Triple = (0.0, 0.0, 0.0)
+    shift_sd_mm: Triple | None = None
+    turn_sd_deg: Triple | None = None
+
+    KEYS: ClassVar[dict[str, Any]] = {"origin_mm": key(Table.numbers, 3), "rpy_deg": key(Table.numbers, 3)}
+
+    @cached_property
+    def turn(self) -> Floats:
+        """From the axes of the base to those of the sensor (3, 3)."""
+        made: Floats = scipy.spatial.transform.Rotation.from_euler("xyz", self.rpy_deg, degrees=True).as_matrix()
+        return made
+
+    @cached_property
+    def numbers(self) -> Floats:
+        """As the core takes it (12,): the turn row by row, then the shift, mm."""
+        return np.array([*self.turn.ravel(), *self.origin_mm])
+
+    def sd(self, usual_shift_mm: Triple, usual_turn_deg: Triple) -> Floats:
+        """How well each of :data:`POSE` is known (6,), rad and mm, where the file leaves it to the kind of robot."""
+        shift = usual_shift_mm if self.shift_sd_mm is None else self.shift_sd_mm
+        turn = usual_turn_deg if self.turn_sd_deg is None else self.turn_sd_deg
+        return np.array([*np.deg2rad(turn), *shift])
+
+    @classmethod
+    def from_table(cls, table: Table) -> SensorPose:
+        """Reads the table ``[sensor_pose]``: ``origin_mm``, ``rpy_deg``; ``free = true`` or ``false`` for all six
+        numbers, ``shift_sd_mm`` and ``turn_sd_deg`` (a number for all three axes, or three) for those that are known."""
+        usual = {True: FREE, False: HELD, None: None}[table.choice("free")]
+        spread = {name: table.deviations(name, 3) or usual for name in ("shift_sd_mm", "turn_sd_deg")}
+        return cls(**keys_from(table, cls.KEYS, cls), **spread)
+
+    def to_table(self) -> dict[str, Any]:
+        """What :meth:`from_table` reads, without loss."""
+        out, spread = keys_of(self, self.KEYS), {"shift_sd_mm": self.shift_sd_mm, "turn_sd_deg": self.turn_sd_deg}
+        if FREE in spread.values():
+            out["free"] = True
+            spread = {name: None if sd == FREE else sd for name, sd in spread.items()}
+        return out | {name: list(sd) for name, sd in spread.items() if sd is not None}
+
+
+class KnownPose(SensorPose):
+    """How well the pose of a sensor is known whose place stands elsewhere in the file, as a camera's does with it."""
+
+    KEYS: ClassVar[dict[str, Any]] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """The rigid transform of points to where they were read: ``read = turn @ point + shift``; ``near`` are the rows that
+    tell it."""
+
+    turn: Floats
+    shift_mm: Floats
+    near: Bools
+
+    @property
+    def rotation_rad(self) -> Floats:
+        """The turn as a rotation vector (3,)."""
+        made: Floats = scipy.spatial.transform.Rotation.from_matrix(self.turn).as_rotvec()
+        return made
+
+
+def registered(points_mm: Floats, read_mm: Floats, *, mirrored: bool = False) -> Registered | None:
+    """The turn and shift that bring points (n, 3) to where they were read (n, 3); None where they are too few, or stand in
+    a line. Rows with an empty cell (NaN) and rows far off do not count. ``mirrored`` is the best turn with a mirror."""
+    whole: Bools = np.asarray(np.isfinite(points_mm).all(axis=1) & np.isfinite(read_mm).all(axis=1))
+    near, found = whole.copy(), None
+    hand = -1.0 if mirrored else 1.0
+    for _ in range(_ROUNDS):
+        if near.sum() < _FEWEST:
+            return found
+        middle, there = points_mm[near].mean(axis=0), read_mm[near].mean(axis=0)
+        a, b = points_mm[near] - middle, read_mm[near] - there
+        if linalg.matrix_rank(a, tol=_LINE * float(np.abs(a).max())) < 2:
+            return found
+        u, _, v = linalg.svd(b.T @ a)
+        turn = u @ np.diag([1.0, 1.0, hand * np.sign(np.linalg.det(u @ v))]) @ v
+        found = Registered(turn, there - turn @ middle, near)
+        missed = np.full(len(whole), np.inf)
+        missed[whole] = np.linalg.norm(read_mm[whole] - there - (points_mm[whole] - middle) @ turn.T, axis=1)
+        kept = missed <= max(_FAR * float(np.median(missed[whole])), 1e-300)
+        if np.array_equal(kept, near):
+            break
+        near = kept
+    return found

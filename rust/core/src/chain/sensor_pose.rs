@@ -1,0 +1,123 @@
+//! The sensor's pose: from the base of the robot to the instrument (the *robot–world* transform of hand–eye calibration;
+//! Shah, Eastman, Hong, "An overview of robot-sensor calibration methods", 2012).
+//!
+//! `seen = exp(turn) R₀ x + t₀ + shift`: the picture of the robot is turned about the instrument's own axes, then shifted;
+//! the place where the origin of the base is seen stays where it turns. It may change once, at a moment: a stand is knocked.
+
+use super::body::since;
+use super::effects::{Wanted, values_of};
+use super::sensor::Look;
+use super::table::Table;
+use crate::camera::{left_jacobian, rotation_matrix};
+use crate::numbers::rigid::Rigid;
+use crate::{Error, Result};
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+/// Where an instrument stands, with what a robot's table has of it.
+#[derive(Clone, Copy, Debug)]
+pub struct SensorPose {
+    first: Stand,
+    /// From the moment of the slip on, where it slips.
+    slipped: Option<Stand>,
+    slip_time_s: f64,
+}
+
+/// One place to stand: from the base frame to the instrument's, and the turn by which it is off the nominal one.
+#[derive(Clone, Copy, Debug)]
+pub struct Stand {
+    /// From the base frame to that of the instrument.
+    pub frame: Rigid,
+    by_turn: Matrix3<f64>,
+}
+
+impl Stand {
+    fn new(nominal: &Rigid, off: &[f64; 6]) -> Self {
+        let turn = Vector3::new(off[0], off[1], off[2]);
+        let shift = Vector3::new(off[3], off[4], off[5]);
+        Self {
+            frame: Rigid {
+                rotation: rotation_matrix(&turn) * nominal.rotation,
+                translation: nominal.translation + shift,
+            },
+            by_turn: left_jacobian(&turn),
+        }
+    }
+
+    /// By which vectors a small change of each component of the turn turns what is seen.
+    pub(crate) fn axes(&self) -> &Matrix3<f64> {
+        &self.by_turn
+    }
+}
+
+impl SensorPose {
+    /// The pose with the errors that a robot has; it slips at a moment, s.
+    pub(crate) fn new<T: Table, const P: usize>(
+        nominal: &Rigid,
+        slip_time_s: f64,
+        values: &[f64; P],
+    ) -> Self {
+        let at = T::AT.pose;
+        let mut off: [f64; 6] = values_of(at.sensor_pose, values);
+        let first = Stand::new(nominal, &off);
+        let slip: [f64; 6] = values_of(at.sensor_slip, values);
+        let slipped = (slip != [0.0; 6]).then(|| {
+            off.iter_mut().zip(slip).for_each(|(p, s)| *p += s);
+            Stand::new(nominal, &off)
+        });
+        Self {
+            first,
+            slipped,
+            slip_time_s,
+        }
+    }
+
+    /// Before it slips, if ever.
+    pub(crate) fn first(&self) -> &Stand {
+        &self.first
+    }
+
+    /// Whether it is the same at all times, and no derivative by a slip is wanted.
+    pub(crate) fn stays<T: Table>(&self, wanted: Wanted) -> bool {
+        self.slipped.is_none() && wanted.wants(T::AT.pose.sensor_slip).is_none()
+    }
+
+    /// Where it stands at the time of a reading.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`] where it slips and the time is not known.
+    pub(crate) fn at(&self, look: Look) -> Result<&Stand> {
+        match &self.slipped {
+            Some(_) if look.time_s.is_nan() => Err(Error::NotFinite { index: 0 }),
+            Some(slipped) if look.time_s >= self.slip_time_s => Ok(slipped),
+            _ => Ok(&self.first),
+        }
+    }
+
+    /// Writes the wanted columns: `turned` is the point turned and not shifted, `by_seen` what the instrument makes of a
+    /// change of what it sees.
+    #[inline]
+    pub(crate) fn columns<T: Table, const M: usize, const P: usize>(
+        &self,
+        stand: &Stand,
+        turned: &Vector3<f64>,
+        by_seen: &SMatrix<f64, M, 3>,
+        look: Look,
+        wanted: Wanted,
+        d: &mut SMatrix<f64, M, P>,
+    ) {
+        let at = T::AT.pose;
+        let (pose, slip) = (wanted.wants(at.sensor_pose), wanted.wants(at.sensor_slip));
+        if pose.is_none() && slip.is_none() {
+            return;
+        }
+        let by_turn = -(by_seen * turned.cross_matrix() * stand.by_turn);
+        for (place, share) in [(pose, 1.0), (slip, since(look.time_s, self.slip_time_s))] {
+            if let Some(place) = place {
+                d.fixed_columns_mut::<3>(place.start)
+                    .copy_from(&(by_turn * share));
+                d.fixed_columns_mut::<3>(place.start + 3)
+                    .copy_from(&(by_seen * share));
+            }
+        }
+    }
+}
