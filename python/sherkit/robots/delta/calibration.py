@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any, ClassVar, Self, cast
 
 import numpy as np
@@ -120,11 +121,24 @@ _ON_BORDER = 1.02
 class DeltaPart(Part):
     """One identified model of a delta: its residuals, mm², are those about the corrected model.
 
-    ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded.
+    ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded. The sensors saw a
+    point x of the base frame at ``sensor_turn`` x + ``sensor_origin_mm``; the correction is one of the base frame.
     """
 
     uncorrected_covariance: Floats
     correction: Correction | None
+    sensor_turn: Floats
+    sensor_origin_mm: Floats
+
+    def at_base(self, positions_mm: Floats) -> Floats:
+        """Positions (n, 3) as the sensors see them, mm, in the frame of the base."""
+        made: Floats = (positions_mm - self.sensor_origin_mm) @ self.sensor_turn
+        return made
+
+    def at_sensor(self, places_mm: Floats) -> Floats:
+        """Places (n, 3) of the base frame, mm, as the sensors see them."""
+        made: Floats = places_mm @ self.sensor_turn.T + self.sensor_origin_mm
+        return made
 
     @classmethod
     def of(cls, run: CalibrationRun) -> DeltaPart:
@@ -149,15 +163,25 @@ class DeltaPart(Part):
         where = fit.predicted[~fit.data.is_distance & ~fit.data.outlier, :3]
         found = cast(DeltaCorrected | None, run.correction)
         correction = found.choice.correction if found is not None else None
-        made = cls.identified(fit, 3, shrink=shrink, uncorrected_covariance=before, correction=correction)
+        turn, origin = fit.model.sensor_frame(fit.values)
+        made = cls.identified(
+            fit, 3, shrink=shrink, uncorrected_covariance=before, correction=correction, sensor_turn=turn,
+            sensor_origin_mm=origin,
+        )  # fmt: skip
         return made.leaving(left, scatter, where)
 
     def functions(self, coordinates: Floats) -> Floats:
         """Those of the polynomial."""
-        return np.zeros((len(coordinates), 0)) if self.correction is None else self.correction.functions(coordinates)
+        if self.correction is None:
+            return np.zeros((len(coordinates), 0))
+        return self.correction.functions(self.at_base(coordinates))
 
     def _own_table(self, unit: str) -> dict[str, Any]:
-        own: dict[str, Any] = {f"uncorrected_covariance_{unit}2": self.uncorrected_covariance.tolist()}
+        own: dict[str, Any] = {
+            f"uncorrected_covariance_{unit}2": self.uncorrected_covariance.tolist(),
+            "sensor_turn": self.sensor_turn.tolist(),
+            "sensor_origin_mm": self.sensor_origin_mm.tolist(),
+        }
         return own if self.correction is None else own | {"correction": self.correction.to_table()}
 
     @classmethod
@@ -167,12 +191,19 @@ class DeltaPart(Part):
             with table.table("correction") as c:
                 correction = Correction.from_table(c)
         uncorrected = table.covariance(f"uncorrected_covariance_{unit}2", size)
-        return {"uncorrected_covariance": uncorrected, "correction": correction}
+        turn, origin = table.array("sensor_turn", 3, 3), table.array("sensor_origin_mm", 3)
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
+            raise table.fail("sensor_turn", "a rotation (3 x 3)")
+        return {
+            "uncorrected_covariance": uncorrected, "correction": correction, "sensor_turn": turn,
+            "sensor_origin_mm": origin,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeltaCalibration(Calibration):
-    """A calibrated delta. Positions, mm, are readings of the measured point: the datum of the run is included."""
+    """A calibrated delta. Positions, mm, are those of the measured point in ``frame``: as the sensors saw it, where they stood
+    (``sensor``), unless the frame of the base is asked for. Places, planes and the region of interest are the drawing's."""
 
     coordinates: ClassVar = POSITION
     called: ClassVar = ("position", "positions")
@@ -223,7 +254,8 @@ class DeltaCalibration(Calibration):
         half = fit.model.robot.region_half_width_mm
         if half is None:
             return None
-        where = fit.predicted[:, :2]
+        turn, origin_mm = fit.model.sensor_frame(fit.values)
+        where = ((fit.predicted[:, :3] - origin_mm) @ turn)[:, :2]
         inside: Bools = (np.abs(where) <= half * _ON_BORDER).all(axis=1) & ~fit.data.is_distance
         return inside
 
@@ -273,7 +305,8 @@ class DeltaCalibration(Calibration):
             now = np.tile([*self._now(), 0.0, 0.0, 0.0, DRAWN_C], (len(rows), 1))
             block = (np.ascontiguousarray(joints[rows]), None, now, None)
             derivative = model.core.derivatives(model.full(part.values), block, model.indices)[0][:, :3]
-            shares = [part.correction.share(coordinates[row]) if part.correction else 1.0 for row in rows]
+            at = part.at_base(coordinates)
+            shares = [part.correction.share(at[row]) if part.correction else 1.0 for row in rows]
             share = np.array(shares)[:, None, None]
             left = share * part.residual_covariance + (1.0 - share) * part.uncorrected_covariance
             out[rows] = derivative @ part.covariance @ derivative.transpose(0, 2, 1) + left
@@ -282,7 +315,7 @@ class DeltaCalibration(Calibration):
     def part_at(self, coordinates: Floats) -> DeltaPart:
         """The local part inside the region of interest, where there is one, else the whole one."""
         inside = self.region_half_width_mm is not None and bool(
-            (np.abs(coordinates) <= self.region_half_width_mm).all()
+            (np.abs(self.whole.at_base(coordinates)) <= self.region_half_width_mm).all()
         )
         return self.local if inside and self.local is not None else self.whole
 
@@ -295,20 +328,23 @@ class DeltaCalibration(Calibration):
         if robot.workspace_radius_mm and robot.workspace_z_mm:
             rim = np.array([robot.workspace_radius_mm, 0.0, robot.workspace_z_mm[1]])
             out.append(("rim of the workspace", rim))
-        return out
+        return [(name, self.whole.at_sensor(place)) for name, place in out]
 
     def planes(self, per_side: int) -> Planes:
         """The highest, middle and lowest plane of the workspace, or of what was measured."""
         robot = self.robot
-        low, high = np.array(self.whole.low, dtype=float), np.array(self.whole.high, dtype=float)
+        corners = np.array(list(product(*zip(self.whole.low, self.whole.high, strict=True))))
+        seen = self.whole.at_base(corners)
+        low, high = seen.min(axis=0), seen.max(axis=0)
         if robot.workspace_radius_mm:
             low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
         if robot.workspace_z_mm:
             low[2], high[2] = robot.workspace_z_mm
         made = Planes.horizontal(low, high, per_side, ".3g")
+        from_axis = np.hypot(made.grid[:, 0], made.grid[:, 1])
+        made = replace(made, grid=np.ascontiguousarray(self.whole.at_sensor(made.grid)))
         if not robot.workspace_radius_mm:
             return made
-        from_axis = np.hypot(made.grid[:, 0], made.grid[:, 1])
         return replace(made, inside=from_axis <= robot.workspace_radius_mm - 0.25 * (made.x[1] - made.x[0]))
 
     def border_jump_mm(self) -> float | None:
@@ -321,7 +357,7 @@ class DeltaCalibration(Calibration):
             return None
         ticks = np.linspace(-1.0, 1.0, 5) * self.region_half_width_mm
         cube = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-        border = cube[np.isclose(np.abs(cube).max(axis=1), self.region_half_width_mm)]
+        border = self.whole.at_sensor(cube[np.isclose(np.abs(cube).max(axis=1), self.region_half_width_mm)])
         whole = DeltaCalibration(self.robot, self.whole)
         local = DeltaCalibration(self.robot, self.local)
         joints = whole.inverse_batch(border)

@@ -203,7 +203,8 @@ def fit_grid(axes: Sequence[Floats], errors_mm: Floats, orders: Orders, fade_mm:
 
 @dataclass(frozen=True, eq=False)
 class Leftover:
-    """What a fit leaves at each row with a full position: where (identified position) and how much, mm."""
+    """What a fit leaves at each row with a full position: where (identified position) and how much, mm, in the frame of the
+    base."""
 
     positions_mm: Floats
     errors_mm: Floats
@@ -218,7 +219,8 @@ def enough_rows(fit: Fit) -> bool:
 def leftover(fit: Fit) -> Leftover:
     """Rows with x, y and z, outliers of the user left out."""
     rows = np.flatnonzero(fit.data.taken[:, :3].all(axis=1) & ~fit.data.outlier)
-    return Leftover(fit.predicted[rows, :3], fit.residuals[rows, :3], rows)
+    turn, origin_mm = fit.model.sensor_frame(fit.values)
+    return Leftover((fit.predicted[rows, :3] - origin_mm) @ turn, fit.residuals[rows, :3] @ turn, rows)
 
 
 # -- blocked cross-validation --------------------------------------------------------------------------------

@@ -28,11 +28,17 @@ type Reached = (Vector3<f64>, Matrix3<f64>, bool);
 pub struct Branch<'a> {
     /// Identified robot.
     pub chain: Chain,
-    /// Correction by where the identified robot says the point is.
+    /// Correction by where the identified robot says the point is, both in the frame of the base.
     pub correction: Option<Correction<'a>>,
 }
 
 impl Branch<'_> {
+    /// From the base frame to that of the sensors.
+    #[must_use]
+    pub fn sensor(&self) -> &Rigid {
+        &self.chain.sensor.pose.first().frame
+    }
+
     /// Position and its derivative by the joints.
     ///
     /// # Errors
@@ -68,8 +74,13 @@ impl Branch<'_> {
         match &self.correction {
             None => (position, by_joints),
             Some(correction) => {
-                let (shift, by_position) = correction.at(&position);
-                (position + shift, by_joints + by_position * by_joints)
+                let sensor = self.sensor();
+                let (shift, by_place) = correction.at(&sensor.apply_inverse(&position));
+                let by_position = sensor.rotation * by_place * sensor.rotation.transpose();
+                (
+                    position + sensor.rotation * shift,
+                    by_joints + by_position * by_joints,
+                )
             }
         }
     }
@@ -80,7 +91,7 @@ impl Branch<'_> {
 pub struct Calibrated<'a> {
     /// Model of the whole workspace.
     pub whole: Branch<'a>,
-    /// Model of the region of interest, where it holds, and the width of the blend around it.
+    /// Model of the region of interest, where in the frame of the base it holds, and the width of the blend around it.
     pub local: Option<(Branch<'a>, Domain)>,
     /// The frame of positions.
     pub frame: Frame,
@@ -96,7 +107,7 @@ impl Calibrated<'_> {
     /// From the base frame to that of the sensors, by the model of the whole workspace.
     #[must_use]
     pub fn sensor(&self) -> &Rigid {
-        &self.whole.chain.sensor.pose.first().frame
+        self.whole.sensor()
     }
 
     /// Position for joint readings, and its derivative by them.
@@ -142,7 +153,8 @@ impl Calibrated<'_> {
         let Some((local, region)) = &self.local else {
             return Ok((position, by_joints, settled));
         };
-        let (share, gradient) = region.share(&position);
+        let sensor = self.sensor();
+        let (share, gradient) = region.share(&sensor.apply_inverse(&position));
         if share == 0.0 {
             return Ok((position, by_joints, settled));
         }
@@ -152,7 +164,7 @@ impl Calibrated<'_> {
             position + difference * share,
             by_joints
                 + (inner_by_joints - by_joints) * share
-                + difference * (gradient.transpose() * by_joints),
+                + difference * ((sensor.rotation * gradient).transpose() * by_joints),
             settled && also,
         ))
     }
