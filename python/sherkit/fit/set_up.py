@@ -61,7 +61,7 @@ def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator
     if not len(still):
         return
     try:
-        moves = np.ptp(model.predict(data, np.zeros(len(model.parameters))), axis=0)
+        moves = np.ptp(model.predict(data, model.start(data)), axis=0)
     except SherkitError:
         return
     most = moves[: data.coordinates].max()

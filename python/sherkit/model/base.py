@@ -110,8 +110,9 @@ class ModelWithEffects(Saved, ABC):
         """What the residuals may depend on besides the place, (n,) each."""
 
     @abstractmethod
-    def place(self, data: Measurements, predicted: Floats) -> dict[str, Floats]:
-        """Where the machine was at each row, (n,) by name; ``predicted`` (n, m) are the readings of the model."""
+    def place(self, data: Measurements, predicted: Floats, values: Floats | None = None) -> dict[str, Floats]:
+        """Where the machine was at each row, (n,) by name; ``predicted`` (n, m) are the readings of the model with these
+        ``values`` (p,), by which places are seen from the base where a sensor stands elsewhere."""
 
     @abstractmethod
     def axes_of(self, effect: Effect, data: Measurements) -> int:

@@ -351,9 +351,13 @@ class ChainModel(ModelWithEffects):
         out = {} if data.time_s is None else {"time_s": data.time_s}
         return out | dict(data.covariates)
 
-    def place(self, data: Measurements, predicted: Floats) -> dict[str, Floats]:
-        """The coordinates that the model gives; where a distance was read, those that the drawing does."""
+    def place(self, data: Measurements, predicted: Floats, values: Floats | None = None) -> dict[str, Floats]:
+        """The coordinates that the model gives, seen from the base; where a distance was read, those that the drawing
+        does."""
         places, far = predicted[:, : data.coordinates], data.is_distance
+        if values is not None and data.layout.coordinates == _SPACE:
+            turn, origin_mm = self.sensor_frame(values)
+            places = (places - origin_mm) @ turn
         if far.any():
             joints, _, covariates, push = self.block(data.select(far))
             core = self.core_for(data)
