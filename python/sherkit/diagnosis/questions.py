@@ -40,6 +40,7 @@ from .search import SearchResult
 from .shapes import Shape
 from .stage import Candidate, Stage
 from .template import what_parts
+from .sensor_pose import taken_by_pose
 from .where import confounded_with, neighbour_correlation, slow_drift_of, smallest_found, where
 
 LEVEL = 0.01
@@ -215,6 +216,7 @@ def diagnose(
         confirmed=max((one.p for one in found.gains), default=None),
         signature=signature,
         confounded_with=confounded_with(base_stage),
+        taken_by_pose={} if run.is_exact else taken_by_pose(run.fit, run.catalogue),
         outliers=outliers,
         next_poses=proposal.poses,
         advice=proposal.advice,
