@@ -130,9 +130,9 @@ class Finding:
     """One answer to one of the :data:`QUESTIONS`.
 
     ``about`` says what of: cause, brings, verdict; missing, noise, note, left_out; where; step, shape; tie, confounded,
-    sensor_pose, untestable, nothing; next. ``answer`` is a sentence or a part of one; ``numbers`` are by name with their unit;
-    ``sure`` says how sure it is; ``rows`` are the lines of the rows it speaks of; ``to_do`` what a person can do;
-    ``command`` is what does that, with :data:`FILES` where the files stand that were given.
+    sensor_pose, untestable, nothing; next. ``answer`` is a sentence or a part of one; ``numbers`` are by name with
+    their unit; ``sure`` says how sure it is; ``rows`` are the lines of the rows it speaks of; ``to_do`` what a person
+    can do; ``command`` is what does that, with :data:`FILES` where the files stand that were given.
     """
 
     question: str
@@ -264,11 +264,11 @@ class Diagnosis(Shown):
     which size is implausible. ``indistinguishable`` are groups of effects that these rows cannot tell apart, the
     leading one first; ``confirmed`` is the largest p with which a named effect earns its place on rows held out.
     ``taken_by_pose`` says of each effect how many of its directions, of how many, only
-    the free pose of the sensor takes up. ``next_poses`` are joints to drive to and the coordinates that these are, in the order to measure them, each with
-    the separation in standard deviations that run and poses up to it reach; ``advice`` says what no reachable pose
-    tells, and what would. ``fit`` is the model with the named effects on all rows. Errors are those of rows, in 3-D for
-    what is read in space (:class:`~sherkit.fit.error.ErrorSize`), in ``unit``: µm for a delta; ``noise`` is that of
-    single readings.
+    the free pose of the sensor takes up. ``next_poses`` are joints to drive to and the coordinates that these are, in
+    the order to measure them, each with the separation in standard deviations that run and poses up to it reach;
+    ``advice`` says what no reachable pose tells, and what would. ``fit`` is the model with the named effects on all
+    rows. Errors are those of rows, in 3-D for what is read in space (:class:`~sherkit.fit.error.ErrorSize`), in
+    ``unit``: µm for a delta; ``noise`` is that of single readings.
     """
 
     verdict: str

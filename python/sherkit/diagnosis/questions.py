@@ -37,10 +37,10 @@ from .outliers import is_first_by_side, sentences, without_outliers
 from .repeats import by_repeats, in_repeats, same_within_poses, with_the_way
 from .rounded import steps_in
 from .search import SearchResult
+from .sensor_pose import taken_by_pose
 from .shapes import Shape
 from .stage import Candidate, Stage
 from .template import what_parts
-from .sensor_pose import taken_by_pose
 from .where import confounded_with, neighbour_correlation, slow_drift_of, smallest_found, where
 
 LEVEL = 0.01

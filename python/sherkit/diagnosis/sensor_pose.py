@@ -1,6 +1,6 @@
-"""What the free pose of a sensor takes up: directions of effects and of the geometry that these readings cannot tell from
-where the instrument stands. A lean common to all rails is a tilt of the tracker, a turn common to all base angles its
-turn; a target fixed to the base would tell them apart, no reading of the tool does."""
+"""What the free pose of a sensor takes up: directions of effects and of the geometry that these readings cannot tell
+from where the instrument stands. A lean common to all rails is a tilt of the tracker, a turn common to all base angles
+its turn; a target fixed to the base would tell them apart, no reading of the tool does."""
 
 from __future__ import annotations
 

@@ -121,8 +121,8 @@ _ON_BORDER = 1.02
 class DeltaPart(Part):
     """One identified model of a delta: its residuals, mm², are those about the corrected model.
 
-    ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded. The sensors saw a
-    point x of the base frame at ``sensor_turn`` x + ``sensor_origin_mm``; the correction is one of the base frame.
+    ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded. The sensors saw
+    a point x of the base frame at ``sensor_turn`` x + ``sensor_origin_mm``; the correction is one of the base frame.
     """
 
     uncorrected_covariance: Floats
@@ -202,8 +202,9 @@ class DeltaPart(Part):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeltaCalibration(Calibration):
-    """A calibrated delta. Positions, mm, are those of the measured point in ``frame``: as the sensors saw it, where they stood
-    (``sensor``), unless the frame of the base is asked for. Places, planes and the region of interest are the drawing's."""
+    """A calibrated delta. Positions, mm, are those of the measured point in ``frame``: as the sensors saw it, where
+    they stood (``sensor``), unless the frame of the base is asked for. Places, planes and the region of interest are
+    the drawing's."""
 
     coordinates: ClassVar = POSITION
     called: ClassVar = ("position", "positions")
