@@ -229,6 +229,12 @@ class ModelWithEffects(Saved, ABC):
         """The same model with another setting for an effect that it may get."""
         return replace(self, **dict.fromkeys(self._held_as(effect), at))  # type: ignore[type-var]
 
+    @property
+    def stands_anywhere(self) -> tuple[str, ...]:
+        """Names of the parameters of the sensor's pose, where all of it is free: then any turn of the readings is where
+        the sensor stands. None where a part of it is known or held."""
+        return ()
+
     def for_run(self, data: Measurements) -> Self:
         """The same model for a run: its time counted from the begin, unless it has an origin of time, since what moves on
         from one row to the next must not hang on the year."""

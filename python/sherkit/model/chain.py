@@ -144,11 +144,17 @@ class ChainModel(ModelWithEffects):
         held."""
         return self.sensor_pose.sd(*self.usual_pose_sd)
 
+    @property
+    def stands_anywhere(self) -> tuple[str, ...]:
+        """As of any model."""
+        whole = set(POSE) <= {p.name for p in self.parameters} and not np.isfinite(self.pose_sd).any()
+        return POSE if whole else ()
+
     def start(self, data: Measurements) -> Floats:
         """The drawing, seen from where the sensor must stand for most of these rows to be as they are: it may stand
         anywhere where all of its pose is free, and a turn of half a circle is too far for steps from none."""
         out, names = super().start(data), [p.name for p in self.parameters]
-        if data.layout.coordinates != _SPACE or not set(POSE) <= set(names) or np.isfinite(self.pose_sd).any():
+        if data.layout.coordinates != _SPACE or not self.stands_anywhere:
             return out
         self.require_own(data)
         rows = np.flatnonzero(data.taken[:, : data.coordinates].all(axis=1) & ~data.outlier)

@@ -47,7 +47,7 @@ class SensorPose:
     shift_sd_mm: Triple | None = None
     turn_sd_deg: Triple | None = None
 
-    KEYS: ClassVar[dict[str, Any]] = {"origin_mm": key(Table.numbers, 3), "rpy_deg": key(Table.numbers, 3)}
+    KEYS: ClassVar[dict[str, Any]] = {"origin_mm": key(Table.numbers, 3).quiet, "rpy_deg": key(Table.numbers, 3).quiet}
 
     @cached_property
     def turn(self) -> Floats:
