@@ -61,7 +61,7 @@ def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator
     if not len(still):
         return
     try:
-        moves = np.ptp(model.predict(data, np.zeros(len(model.parameters))), axis=0)
+        moves = np.ptp(model.predict(data, model.start(data)), axis=0)
     except SherkitError:
         return
     most = moves[: data.coordinates].max()
@@ -262,8 +262,8 @@ def _much_better(
 def _handed(
     as_good: list[tuple[SetUp, Plausible]], model: ModelWithEffects, data: Measurements
 ) -> list[tuple[SetUp, Plausible]]:
-    """Two columns exchanged, or one of the wrong sign, are one thing to a sensor that may stand anywhere: those are said
-    with which it stands as the robot does, or else that the readings are left-handed."""
+    """Two columns exchanged, or one of the wrong sign, are one thing to a sensor that may stand anywhere: those are
+    said with which it stands as the robot does, or else that the readings are left-handed."""
     mirrors = [pair for pair in as_good if _is_columns(pair[0], model, data)]
     if len(mirrors) < 2:
         return as_good

@@ -46,8 +46,8 @@ SLACK = 0.05
 class ChainModel(ModelWithEffects):
     """A nominal robot with named errors and effects to identify.
 
-    ``free`` names the geometric errors and numbers of the sensor's pose to identify; left out, those of :attr:`default`. All parameters of
-    ``effects`` are free. Readings have the columns of the rows' layout.
+    ``free`` names the geometric errors and numbers of the sensor's pose to identify; left out, those of
+    :attr:`default`. All parameters of ``effects`` are free. Readings have the columns of the rows' layout.
     """
 
     robot: Any
@@ -56,7 +56,8 @@ class ChainModel(ModelWithEffects):
 
     inputs_known: ClassVar[bool] = True
     within: ClassVar = frozenset({"datum", "sensor_pose"})
-    #: How well the sensor's pose is known where the robot's file leaves it open: along its axes, mm, and about them, degrees.
+    #: How well the sensor's pose is known where the robot's file leaves it open: along its axes, mm, and about them,
+    #: degrees.
     usual_pose_sd: ClassVar[tuple[Triple, Triple]] = (FREE, FREE)
     #: The built-in effects of this kind of robot by name, in the order of the chain.
     catalogue: ClassVar[Mapping[str, Effect]]
@@ -359,9 +360,13 @@ class ChainModel(ModelWithEffects):
         out = {} if data.time_s is None else {"time_s": data.time_s}
         return out | dict(data.covariates)
 
-    def place(self, data: Measurements, predicted: Floats) -> dict[str, Floats]:
-        """The coordinates that the model gives; where a distance was read, those that the drawing does."""
+    def place(self, data: Measurements, predicted: Floats, values: Floats | None = None) -> dict[str, Floats]:
+        """The coordinates that the model gives, seen from the base; where a distance was read, those that the drawing
+        does."""
         places, far = predicted[:, : data.coordinates], data.is_distance
+        if values is not None and data.layout.coordinates == _SPACE:
+            turn, origin_mm = self.sensor_frame(values)
+            places = (places - origin_mm) @ turn
         if far.any():
             joints, _, covariates, push = self.block(data.select(far))
             core = self.core_for(data)

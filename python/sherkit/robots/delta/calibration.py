@@ -123,8 +123,8 @@ _ON_BORDER = 1.02
 class DeltaPart(Part):
     """One identified model of a delta: its residuals, mm², are those about the corrected model.
 
-    ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded. The sensors saw a
-    point x of the base frame at ``sensor_turn`` x + ``sensor_origin_mm``; the correction is one of the base frame.
+    ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded. The sensors saw
+    a point x of the base frame at ``sensor_turn`` x + ``sensor_origin_mm``; the correction is one of the base frame.
     """
 
     uncorrected_covariance: Floats
