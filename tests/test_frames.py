@@ -101,7 +101,9 @@ def test_a_sphere_points_about_its_own_base_alone() -> None:
 # -- how accurate it is in each --------------------------------------------------------------------------------
 
 
-def delta(seed: int, errors: Mapping[str, float], hidden: Mapping[str, Floats], poses: int = 40) -> tuple[Any, Any, Any]:
+def delta(
+    seed: int, errors: Mapping[str, float], hidden: Mapping[str, Floats], poses: int = 40
+) -> tuple[Any, Any, Any]:
     """A robot with these errors, read from anywhere: its file, its run, and where it really is, seen from the base and
     by the instrument, at joints (n, 3) just after the run."""
     rng = np.random.default_rng([seed, 53])
@@ -138,7 +140,12 @@ def arm_held(seed: int) -> dict[str, float]:
     with TemporaryDirectory() as folder:
         robot = arm_in(Path(folder))
     k, rng = len(robot.joints), np.random.default_rng([seed, 55])
-    drawn: dict[str, Floats] = {"offset": np.zeros(k), "shift": np.zeros((k, 2)), "tilt": np.zeros((k, 2)), "tool": np.zeros(3)}
+    drawn: dict[str, Floats] = {
+        "offset": np.zeros(k),
+        "shift": np.zeros((k, 2)),
+        "tilt": np.zeros((k, 2)),
+        "tool": np.zeros(3),
+    }
     for p in model_of(robot).parameters:
         what, *where = p.name.split("_")
         if what in drawn:

@@ -75,7 +75,9 @@ class Deployed(Saved, ABC):
                 f"frame '{frame}': the places of this {self.robot.kind} robot are those of the frame '{self.frame}' alone: "
                 f"{self.no_other}"
             )
-        raise CalibrationError(f"frame: expected '{BASE}' or '{SENSOR}', found '{frame}'{nearest(str(frame), (BASE, SENSOR))}")
+        raise CalibrationError(
+            f"frame: expected '{BASE}' or '{SENSOR}', found '{frame}'{nearest(str(frame), (BASE, SENSOR))}"
+        )
 
     def core_in(self, frame: str | None = None) -> Any:
         """:attr:`core` with places in a frame. Raises as :meth:`frame_of`."""

@@ -144,7 +144,9 @@ class MachineCalibration(Calibration):
     def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
         """Of its readings (n, m, p)."""
         del part
-        made: Floats = self.core.chain.derivatives(self.core.values, self.core.block(joints, now), self.model.indices)[0]
+        made: Floats = self.core.chain.derivatives(self.core.values, self.core.block(joints, now), self.model.indices)[
+            0
+        ]
         return made
 
     def places(self) -> list[tuple[str, Floats]]:
