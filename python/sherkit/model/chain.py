@@ -26,7 +26,7 @@ from ..errors import EffectError, FitError, ShapeError
 from .base import Derivatives, ModelWithEffects, OfEffects, OfModel, Reachable, Tried, beside_one_another, carry
 from .effect import Effect, Parameter, freeing, parameters_of_core
 from .rows import Rows
-from .sensor_pose import FREE, POSE, SensorPose, Triple, registered
+from .sensor_pose import FREE, IN_PLANE, OWN_AXES, POSE, SensorPose, Triple, registered
 
 #: Joints (n, k), other ends of distances, covariates (n, 3 + 2 k), displacements of the measured point (n, 3).
 Block = tuple[Floats, Floats | None, Floats | None, Floats | None]
@@ -134,8 +134,8 @@ class ChainModel(ModelWithEffects):
 
     @property
     def sensor_pose(self) -> SensorPose:
-        """Where the sensor stands by the robot's file."""
-        pose: SensorPose = self.robot.sensor_pose
+        """Where the sensor stands by the robot's file; a robot that says nothing of it is read in its own axes."""
+        pose: SensorPose = getattr(self.robot, "sensor_pose", OWN_AXES)
         return pose
 
     @property
@@ -144,30 +144,53 @@ class ChainModel(ModelWithEffects):
         held."""
         return self.sensor_pose.sd(*self.usual_pose_sd)
 
+    def pose_shown(self, data: Measurements) -> tuple[str, ...]:
+        """The numbers of the sensor's pose that readings such as these show: of places in space or in a plane."""
+        return {_SPACE: POSE, _SPACE[:2]: IN_PLANE}.get(data.layout.coordinates, ())
+
     def start(self, data: Measurements) -> Floats:
         """The drawing, seen from where the sensor must stand for most of these rows to be as they are: it may stand
         anywhere where all of its pose is free, and a turn of half a circle is too far for steps from none."""
-        out, names = super().start(data), [p.name for p in self.parameters]
-        if data.layout.coordinates != _SPACE or not set(POSE) <= set(names) or np.isfinite(self.pose_sd).any():
+        out, names, shown = super().start(data), [p.name for p in self.parameters], self.pose_shown(data)
+        held = [not np.isinf(sd) for name, sd in zip(POSE, self.pose_sd, strict=True) if name in shown]
+        if not shown or not set(shown) <= set(names) or any(held):
             return out
+        found = self.registration(data)
+        if found is not None:
+            off = dict(zip(POSE, found, strict=True))
+            out[[names.index(name) for name in shown]] = [off[name] for name in shown]
+        return out
+
+    def registration(self, data: Measurements) -> Floats | None:
+        """By how much the sensor's pose (6,) is off that of the robot's file for most of these rows to be where the
+        drawing has them, rad and mm; None where too few tell it."""
         self.require_own(data)
-        rows = np.flatnonzero(data.taken[:, : data.coordinates].all(axis=1) & ~data.outlier)
+        size = data.coordinates
+        rows = np.flatnonzero(data.taken[:, :size].all(axis=1) & ~data.outlier)
         seen, pose = data.select(rows), self.sensor_pose
         shown, reached = self.core_for(data).predict(np.zeros(len(self.core_parameters)), self.block(seen))
-        shown = np.where(reached[:, None], shown, np.nan)[:, :3]
-        drawn = (shown - pose.origin_mm) @ pose.turn
-        found = registered(drawn, seen.readings[:, :3])
-        if found is not None:
-            off = replace(found, turn=found.turn @ pose.turn.T).rotation_rad
-            out[[names.index(name) for name in POSE]] = [*off, *(found.shift_mm - pose.origin_mm)]
-        return out
+        shown = np.where(reached[:, None], shown, np.nan)[:, :size]
+        drawn = (_in_space(shown) - pose.origin_mm) @ pose.turn
+        found = registered(drawn, _in_space(seen.readings[:, :size]))
+        if found is None:
+            return None
+        off = replace(found, turn=found.turn @ pose.turn.T).rotation_rad
+        return np.array([*off, *(found.shift_mm - pose.origin_mm)])
 
     def sensor_frame(self, values: Floats) -> tuple[Floats, Floats]:
         """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm."""
         known = dict(zip((p.name for p in self.core_parameters), self.full(values).tolist(), strict=True))
-        turn, shift = (np.array([known[name] for name in names]) for names in (POSE[:3], POSE[3:]))
+        turn, shift = (np.array([known.get(name, 0.0) for name in names]) for names in (POSE[:3], POSE[3:]))
         by = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
         return by @ self.sensor_pose.turn, np.array(self.sensor_pose.origin_mm) + shift
+
+    def at_base(self, places_mm: Floats, values: Floats) -> Floats:
+        """What the sensor shows (n, c) as coordinates of the base, by where it was identified to stand; what is read in
+        the robot's own axes stays as it is."""
+        turn, shift = self.sensor_frame(values)
+        if (turn == np.eye(3)).all() and not shift.any():
+            return places_mm
+        return ((_in_space(places_mm) - shift) @ turn)[:, : places_mm.shape[1]]
 
     # -- where it can be sent ------------------------------------------------------------------------------
 
@@ -182,8 +205,7 @@ class ChainModel(ModelWithEffects):
         By default the readings, seen from the base.
         """
         found, reached = self.core_for(rows).predict(self.full(values), self.block(rows))
-        turn, shift = self.sensor_frame(values)
-        return (found[:, : len(self.targets)] - shift) @ turn, reached
+        return self.at_base(found[:, : rows.coordinates], values)[:, : len(self.targets)], reached
 
     def allowed(self, coordinates: Floats, slack: float = SLACK) -> Bools:
         """Which coordinates (k, c) lie in the workspace, give or take what a robot is off by, a part ``slack`` of its
@@ -472,3 +494,10 @@ class ChainModel(ModelWithEffects):
             "Check units and joint order, correct the geometry, or mark the rows as outliers "
             "(column 'outlier' = 1)."
         )
+
+
+def _in_space(places: Floats) -> Floats:
+    """Places (n, 3); of those in a plane (n, 2) the third coordinate is zero."""
+    out = np.zeros((len(places), 3))
+    out[:, : places.shape[1]] = places
+    return out
