@@ -103,7 +103,7 @@ def _worlds() -> Iterator[tuple[str, Ask]]:
     for name, row in worlds.ROWS.items():
         yield f"contradiction, {name}", partial(_asked, row, 0)
     for name in (*CATALOGUE, *OUTSIDE_CATALOGUE):
-        if name not in ("datum", "sensor_tilt"):
+        if name not in ("sensor_pose", "sensor_tilt"):
             scaled = {name: 4 * worlds.NOISE_UM}
             yield f"delta, {name}", partial(_asked, worlds.delta_world, 1, scaled)
     for name in CATALOGUE[::3]:

@@ -164,10 +164,6 @@ def in_radians(g: dict[str, Any]) -> dict[str, Any]:
     return {name: np.deg2rad(g[name]).tolist() for name in names}
 
 
-def radii_exchanged(g: dict[str, Any]) -> dict[str, Any]:
-    return {"base_radius_mm": g["platform_radius_mm"], "platform_radius_mm": g["base_radius_mm"]}
-
-
 def rolled(degrees: float) -> Callable[[World], World]:
     """The camera turned about its axis."""
 
@@ -209,13 +205,11 @@ def _delta() -> list[Mistake]:
         Mistake("x and y swapped", (("x_mm",), ("y_mm",), SWAPPED), moved("x_mm", "y_mm")),
         Mistake("x and z swapped", (("x_mm",), ("z_mm",), SWAPPED), moved("x_mm", "z_mm")),
         Mistake("y and z swapped", (("y_mm",), ("z_mm",), SWAPPED), moved("y_mm", "z_mm")),
-        Mistake("axes moved round", (("x_mm",), ("y_mm",), ("z_mm",), SWAPPED), moved(*x)),
     ]
     for name in x:
         out.append(Mistake(f"{name[0]} mirrored", ((name,), MIRRORED), times(-1.0, name)))
     out += [
-        Mistake("all axes negated", (("x_mm",), ("y_mm",), ("z_mm",), MIRRORED), times(-1.0, *x)),
-        Mistake("x and y negated", (("x_mm",), ("y_mm",), MIRRORED), times(-1.0, "x_mm", "y_mm")),
+        Mistake("all axes negated", (("x_mm",), ("y_mm",), ("z_mm",), ("left-handed",)), times(-1.0, *x)),
     ]
     for k, name in enumerate(q):
         out.append(Mistake(f"joint {k + 1} counted downwards", ((name[:2],), MIRRORED), times(-1.0, name)))
@@ -227,7 +221,6 @@ def _delta() -> list[Mistake]:
         Mistake("assembly mode", (("assembly",), ("above", "below")), geometry(lambda g: {"assembly_mode": "above"})),
         Mistake("clockwise limbs", (("clockwise", "mirror", "base_angle"),), geometry(clockwise)),
         Mistake("base angles in radians", (("base_angle",), ("radian", "rad")), geometry(in_radians)),
-        Mistake("radii exchanged", (("base_radius",), ("platform_radius",), SWAPPED), geometry(radii_exchanged)),
         Mistake("time in milliseconds", time, times(1e3, "time_s")),
     ]
     for by in (-2, -1, 1, 2):

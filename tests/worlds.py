@@ -24,6 +24,7 @@ from second_simulator import (
     Noise,
     Robot,
     draw_geometric_errors,
+    draw_pose,
     grid,
     local_grid,
     make_plan,
@@ -153,20 +154,22 @@ def delta_world(
     period_mm: float | None = None,
     steps: tuple[str, ...] = (),
     order: Order = "shuffled",
+    own_axes: bool = False,
 ) -> World:
     """A run over ``points`` in this order. Of each ``scaled_um`` effect a geometric fit leaves that RMS.
 
     ``settings`` is the file that the person writes; the real robot is ``config`` with errors of its own, and its
-    encoders have ``period_mm``.
+    encoders have ``period_mm``. The instrument stands anywhere, unless it reads along the robot's ``own_axes``.
     """
+    stands = {"sensor_pose": np.zeros(6) if own_axes else draw_pose(np.random.default_rng([seed, 8]))}
     robot = Robot.from_dict(config | ({"joints": {"pole_pitch_mm": period_mm}} if period_mm else {}))
     plan = make_plan(robot, points, repeats, order, seed)
     errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
     planted: dict[str, Any] = dict(effects or {})
     for k, (name, rms_um) in enumerate((scaled_um or {}).items()):
         rng = np.random.default_rng([seed, 2, k])
-        planted |= scaled_effect(robot, plan, name, rng, 1e-3 * rms_um, errors=errors)
-    columns = simulate(robot, plan, errors, planted, Noise(sigma_mm=1e-3 * noise_um), seed=1000 + seed)
+        planted |= scaled_effect(robot, plan, name, rng, 1e-3 * rms_um, errors=errors, beside=stands)
+    columns = simulate(robot, plan, errors, planted | stands, Noise(sigma_mm=1e-3 * noise_um), seed=1000 + seed)
     return World(settings or deepcopy(dict(config)), columns, noise_um, planted, steps)
 
 

@@ -3,7 +3,7 @@
 It shares nothing with the calibration tool whose tests use it; agreement is then evidence.
 """
 
-from .effects import CATALOGUE, EFFECTS, OUTSIDE_CATALOGUE, draw_effect
+from .effects import CATALOGUE, EFFECTS, OUTSIDE_CATALOGUE, draw_effect, draw_pose
 from .geometry import (
     FITTED_SIZES,
     NOMINAL_CONFIG,

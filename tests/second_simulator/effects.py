@@ -25,8 +25,8 @@ Measured point, all evaluated at the point p the mechanism reaches:
   humidity (3) *           mm per %: v (humidity - 45)
   periodic_z (4) *         amplitude x y z in mm, then phase: amplitude sin(2 pi p_z / 7.3 + phase)
 Sensor, whose scale says r where the point is at x after the effects above:
-  beam_alignment (9)       M by rows: r = (I + M) x + datum
-  datum (3)                constant, mm
+  sensor_pose (6)          rotation vector w, rad, and shift t, mm: the sensor sees the point x at s = exp(w) x + t
+  beam_alignment (9)       M by rows: r = (I + M) s
   sensor_linearity (3)     a_k, mm: a_k (r_k / 20 mm)^3 more is shown than r_k
 Effects marked * are outside the catalogue a calibration is expected to know.
 """
@@ -40,6 +40,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from .geometry import Array, Robot, radial, tangential
 
@@ -48,6 +49,7 @@ Effects = Mapping[str, ArrayLike]
 
 SPAN_MM = 20.0
 PERIOD_Z_MM = 7.3
+SHIFTED_MM = 300.0
 STEPS_IN_TIME = 2**17
 STILL_MM = 1e-9  # commanded heights that agree to rounding are no motion
 PAIRS = (np.array([0, 0, 1, 1, 2, 2]), np.array([1, 2, 0, 2, 0, 1]))  # (driven, driving) joint
@@ -82,7 +84,7 @@ EFFECTS: dict[str, Effect] = {
     "thermal_shift": Effect(3, 0.01, fixed=1),
     "beam_alignment": Effect(9, 1e-3),
     "sensor_linearity": Effect(3, 0.01),
-    "datum": Effect(3, 0.1),
+    "sensor_pose": Effect(6, 0.1),
     "humidity": Effect(3, 1e-3, catalogued=False),
     "joint_coupling": Effect(6, 0.01, catalogued=False),
     "joint_crosstalk": Effect(6, 0.01, catalogued=False),
@@ -104,6 +106,11 @@ def complete(effects: Effects | None) -> dict[str, Array]:
     for name, value in given.items():
         full[name] = np.asarray(value, float).reshape(EFFECTS[name].size)
     return full
+
+
+def draw_pose(rng: np.random.Generator) -> Array:
+    """Where somebody has put an instrument (6,): any turn, rad, and within ± 300 mm along each axis."""
+    return np.concatenate([Rotation.random(random_state=rng).as_rotvec(), rng.uniform(-SHIFTED_MM, SHIFTED_MM, 3)])
 
 
 def draw_effect(name: str, rng: np.random.Generator, duration_s: float) -> Array:
@@ -217,5 +224,6 @@ def disturbed_point(point: Array, columns: Columns, effects: Mapping[str, Array]
 def sensor_reading(x: Array, effects: Mapping[str, Array]) -> Array:
     """What the sensor makes of the point x, (n, 3), mm."""
     beams = np.eye(3) + effects["beam_alignment"].reshape(3, 3)
-    straight = x @ beams.T + effects["datum"]
+    turn, shift = Rotation.from_rotvec(effects["sensor_pose"][:3]), effects["sensor_pose"][3:]
+    straight = (turn.apply(x) + shift) @ beams.T
     return straight + effects["sensor_linearity"] * (straight / SPAN_MM) ** 3

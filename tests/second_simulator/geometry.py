@@ -136,9 +136,9 @@ def inverse_kinematics(robot: Robot, points: Array) -> Array:
     return centre[:, 2:] + np.sqrt(drop_squared) - robot.joint_offset
 
 
-def draw_zeros(rng: np.random.Generator, robot: Robot, points: Array) -> tuple[Robot, Array, Array]:
+def draw_zeros(rng: np.random.Generator, robot: Robot, points: Array) -> tuple[Robot, Array]:
     """Where things are counted from, mm, each within 50 mm at random: the robot with another measured point, the
-    points (n, 3) at which that is when the platform is where ``points`` had it, and the datum (3,) of the readings."""
+    points (n, 3) at which that is when the platform is where ``points`` had it."""
     while True:
         target_offset = rng.uniform(-ZEROS_MM, ZEROS_MM, 3)
         try:
@@ -148,7 +148,7 @@ def draw_zeros(rng: np.random.Generator, robot: Robot, points: Array) -> tuple[R
         except ValueError:
             continue
     moved = points + target_offset - robot.target_offset
-    return replace(robot, target_offset=target_offset), moved, rng.uniform(-ZEROS_MM, ZEROS_MM, 3)
+    return replace(robot, target_offset=target_offset), moved
 
 
 def write_robot_toml(path: str | Path, config: Mapping[str, Any] = NOMINAL_CONFIG) -> None:
@@ -156,7 +156,8 @@ def write_robot_toml(path: str | Path, config: Mapping[str, Any] = NOMINAL_CONFI
 
     def lines(table: Mapping[str, Any]) -> list[str]:
         # The repr of a number, a list of numbers or a plain word is valid TOML as it stands.
-        return [f"{k} = {v!r}" for k, v in table.items() if not isinstance(v, Mapping)]
+        plain = {k: str(v).lower() if isinstance(v, bool) else repr(v) for k, v in table.items()}
+        return [f"{k} = {plain[k]}" for k, v in table.items() if not isinstance(v, Mapping)]
 
     text = lines(config)
     for name, table in config.items():

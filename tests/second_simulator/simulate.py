@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .effects import (
     EFFECTS,
+    SPAN_MM,
     Columns,
     Effects,
     carriage_points,
@@ -105,11 +106,13 @@ def simulate(
     return {name: columns[name] for name in COLUMN_NAMES}
 
 
-def fitted_directions(robot: Robot, columns: Columns, errors: Errors | None = None) -> Array:
-    """Orthonormal basis (3 n, rank) of what 12 geometric parameters and 3 datum shifts can do.
+def fitted_directions(
+    robot: Robot, columns: Columns, errors: Errors | None = None, beside: Effects | None = None
+) -> Array:
+    """Orthonormal basis (3 n, rank) of what 12 geometric parameters and the pose of the sensor can do.
 
-    Derivatives are central differences of this simulator at ``errors``. A datum shift along z
-    equals a common joint offset, so the rank is below 15.
+    Derivatives are central differences of this simulator at ``errors`` and where the sensor of ``beside`` stands. A shift
+    along z equals a common joint offset, a turn about z common base angles, so the rank is below 18.
     """
     distinct, row = np.unique(joint_readings(columns), axis=0, return_inverse=True)
     still = {name: np.zeros(len(distinct)) for name in ("time_s", "temperature_c", "humidity_pct")}
@@ -118,9 +121,16 @@ def fitted_directions(robot: Robot, columns: Columns, errors: Errors | None = No
     derivatives = []
     for name in (f"{group}_{i}" for group in FITTED_SIZES for i in (1, 2, 3)):
         step = STEP / robot.base_radius[0] if "angle" in name else STEP
-        ahead, behind = (truth(robot, poses, base | {name: base.get(name, 0.0) + change}) for change in (step, -step))
+        ahead, behind = (
+            truth(robot, poses, base | {name: base.get(name, 0.0) + change}, beside) for change in (step, -step)
+        )
         derivatives.append(((ahead - behind) / (2 * step))[row].ravel())
-    derivatives += [np.tile(axis, len(row)) for axis in np.eye(3)]
+    stands = complete(beside)["sensor_pose"]
+    for axis in np.eye(6) * ([STEP / SPAN_MM] * 3 + [STEP] * 3):
+        ahead, behind = (
+            truth(robot, poses, base, {**(beside or {}), "sensor_pose": stands + change}) for change in (axis, -axis)
+        )
+        derivatives.append(((ahead - behind) / (2 * axis.sum()))[row].ravel())
     jacobian = np.stack(derivatives, axis=1)
     jacobian /= np.linalg.norm(jacobian, axis=0)
     basis, size, _ = np.linalg.svd(jacobian, full_matrices=False)
@@ -139,7 +149,7 @@ def scaled_effect(
 ) -> dict[str, Array]:
     """Random parameters of one effect, ``{name: parameters}``, sized by what a fit leaves of it.
 
-    ``beside`` is what the robot and its instruments have anyway, such as the zeros of the readings.
+    ``beside`` is what the robot and its instruments have anyway, such as where the sensor stands.
 
     The RMS over all rows and axes (mm) of the noise-free change of the readings, less its linear
     least-squares fit by ``fitted_directions`` (or whole, with "none"), equals ``target_rms``.
@@ -148,7 +158,7 @@ def scaled_effect(
     """
     basis = np.zeros((3 * len(plan["time_s"]), 0))
     if fitted == "geometric":
-        basis = fitted_directions(robot, plan, errors)
+        basis = fitted_directions(robot, plan, errors, beside)
     without = truth(robot, plan, errors, beside)
     parameters = draw_effect(name, rng, float(plan["time_s"].max()))
     rms, factor, power = 0.0, 1.0, 1.0

@@ -14,7 +14,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from .effects import draw_pose
 from .geometry import NOMINAL_CONFIG, Array, Robot, draw_geometric_errors
 from .plans import COLUMN_NAMES, grid, make_plan, room_temperature
 from .simulate import fitted_directions, truth
@@ -352,8 +354,9 @@ def delta_unnamed(kind: Kind, ratio: float, order: Ordered, seed: int) -> Unname
     visited: Literal["planes", "shuffled"] = "planes" if order == "raster" else "shuffled"
     plan = make_plan(robot, points, repeats, visited, seed, dwell_s=float(rng.uniform(1, 8)))
     plan["temperature_c"] = room_temperature(rng, plan["time_s"])
-    zero = {"datum": rng.uniform(-50, 50, 3)}
-    exact = truth(robot, plan, errors, zero)
+    stands = {"sensor_pose": draw_pose(rng)}
+    exact = truth(robot, plan, errors, stands)
+    turn, shift = Rotation.from_rotvec(stands["sensor_pose"][:3]), stands["sensor_pose"][3:]
     joints = np.stack([plan[f"q{i}_mm"] for i in (1, 2, 3)], axis=1)
 
     def by(changed: Callable[[int, float], Array]) -> Array:
@@ -362,14 +365,14 @@ def delta_unnamed(kind: Kind, ratio: float, order: Ordered, seed: int) -> Unname
 
     def radius(i: int, step: float) -> Array:
         name = f"base_radius_{i + 1}"
-        return truth(robot, plan, errors | {name: errors[name] + step})
+        return truth(robot, plan, errors | {name: errors[name] + step}, stands)
 
     scene = Scene(
-        rng, plan["time_s"], plan["temperature_c"], plan["humidity_pct"], joints, exact - zero["datum"], exact,
-        by(lambda i, step: truth(robot, plan | {f"q{i + 1}_mm": plan[f"q{i + 1}_mm"] + step}, errors)),
-        np.broadcast_to(np.eye(3), (len(joints), 3, 3)), by(radius),
+        rng, plan["time_s"], plan["temperature_c"], plan["humidity_pct"], joints, turn.inv().apply(exact - shift), exact,
+        by(lambda i, step: truth(robot, plan | {f"q{i + 1}_mm": plan[f"q{i + 1}_mm"] + step}, errors, stands)),
+        np.broadcast_to(turn.as_matrix(), (len(joints), 3, 3)), by(radius),
     )  # fmt: skip
-    change = _sized(kind, scene, fitted_directions(robot, plan, errors), 1e-3 * noise_um * ratio)
+    change = _sized(kind, scene, fitted_directions(robot, plan, errors, stands), 1e-3 * noise_um * ratio)
     measured = exact + change + 1e-3 * noise_um * rng.normal(size=exact.shape)
     columns = plan | {f"{a}_mm": measured[:, k] for k, a in enumerate("xyz")}
     left_out = {"humidity_pct"} if kind is not humidity and (kind is humidity_unrecorded or rng.uniform() < 0.5) else {}

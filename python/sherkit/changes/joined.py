@@ -39,7 +39,7 @@ LASTS = "in all runs"
 #: A part of a column that is rounding.
 _ROUNDING = 1e-5
 #: Parameters that say where the sensor stands, by how their names begin.
-_OF_STAND = ("datum", "frame_", "camera", "tracker")
+_OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,11 +282,11 @@ class Joined:
 
     def places(self, run: SeenRun) -> dict[str, Floats]:
         """Where the machine stood in the rows of a run, by name (n,)."""
-        return dict(self.model.place(run.data, self.model.predict(run.data, self.fit.values)))
+        return dict(self.model.place(run.data, self.model.predict(run.data, self.fit.values), self.fit.values))
 
     @property
     def _places(self) -> tuple[str, ...]:
-        return tuple(self.model.place(self.runs[0].data, self.model.predict(self.runs[0].data, self.fit.values)))
+        return tuple(self.model.place(self.runs[0].data, self.model.predict(self.runs[0].data, self.fit.values), self.fit.values))
 
     def _rows(self, run: SeenRun) -> Rows:
         """The rows of a run as shapes see them, on the scale of all runs."""
@@ -297,7 +297,7 @@ class Joined:
             return np.asarray((values - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-300))
 
         def place(one: SeenRun) -> Floats:
-            found = self.model.place(one.data, self.model.predict(one.data, self.fit.values))
+            found = self.model.place(one.data, self.model.predict(one.data, self.fit.values), self.fit.values)
             return np.column_stack([found[name] for name in self._places])
 
         inputs = self.model.linearised(run.data, self.fit.values).inputs

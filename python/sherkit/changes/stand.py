@@ -18,12 +18,12 @@ from ..data import Measurements
 from ..data.columns import bare, unit_in
 from ..errors import FitError, SherkitError
 from ..model.base import ModelWithEffects
+from ..model.sensor_pose import POSE
 
 #: Rounds in which rows that are wrong are left out of the turn, and from which multiple of the median.
 _ROUNDS, _FAR = 4, 5.0
 #: Steps to where a camera stands, and how often one that leads astray is halved.
 _STEPS, _HALVES = 12, 12
-CAMERA = "camera_pose"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,9 @@ def stand_of(model: ModelWithEffects, data: Measurements, values: Floats, axes: 
         if whole.sum() < 4:
             raise FitError(f"{data.source}: expected four rows or more with all of {', '.join(names)}")
         return _rigid(predicted, seen, whole)
-    if CAMERA in model.known_effects and CAMERA not in {e.name for e in model.effects}:
-        return _camera(model, data, values, chosen, seen, used)
+    at = [k for k, p in enumerate(model.parameters) if p.name in POSE]
+    if at:
+        return _camera(model, data, values, chosen, seen, used, at)
     zero = np.array(
         [np.median((seen - predicted)[used[:, k], k]) if used[:, k].any() else 0.0 for k in range(len(axes))]
     )
@@ -92,24 +93,22 @@ def _vector(turn: Floats) -> Floats:
 
 
 def _camera(
-    model: ModelWithEffects, data: Measurements, values: Floats, axes: list[int], seen: Floats, used: Bools
-) -> Stand:
+    model: ModelWithEffects, data: Measurements, values: Floats, axes: list[int], seen: Floats, used: Bools,
+    at: list[int],
+) -> Stand:  # fmt: skip
     """The pose of the camera alone, by damped steps of Gauss and Newton from where it stood."""
-    effect = model.known_effects[CAMERA]
-    moved_model: Any = model.with_effect(effect)
-    at = moved_model.owns(effect)
-    now = np.insert(np.asarray(values, dtype=float), at.start, np.zeros(at.stop - at.start))
-    size = np.array([p.size for p in effect.parameters])
-    left = _missed(moved_model, data, now, axes, seen, used)
+    now, before = np.array(values, dtype=float), np.asarray(values, dtype=float)[at]
+    size = np.array([model.parameters[k].size for k in at])
+    left = _missed(model, data, now, axes, seen, used)
     for _ in range(_STEPS):
-        by = moved_model.derivatives(data, now)[:, axes, at][used] * size
+        by = model.derivatives(data, now)[:, axes][:, :, at][used] * size
         gram = by.T @ by
         step = size * (linalg.inv(gram + 1e-12 * np.trace(gram) * np.eye(len(size))) @ (by.T @ left[used]))
         for _ in range(_HALVES):
             then = now.copy()
             then[at] += step
             try:
-                closer = _missed(moved_model, data, then, axes, seen, used)
+                closer = _missed(model, data, then, axes, seen, used)
             except SherkitError:
                 # the camera would not see the marker from there
                 closer = np.full_like(left, np.inf)
@@ -119,10 +118,11 @@ def _camera(
             step = 0.5 * step
         if (np.abs(step) <= 1e-9 * size).all():
             break
-    columns = moved_model.derivatives(data, now)[:, axes, at]
-    names = [p.name for p in effect.parameters]
-    units = [p.unit for p in effect.parameters]
-    moved = {f"{name}_{unit}": float(v) for name, unit, v in zip(names, units, now[at], strict=True)}
+    columns = model.derivatives(data, now)[:, axes][:, :, at]
+    told = [model.parameters[k] for k in at]
+    moved = {
+        f"{p.name.removeprefix('sensor_')}_{p.unit}": float(v) for p, v in zip(told, now[at] - before, strict=True)
+    }
     return Stand(left, columns, moved)
 
 

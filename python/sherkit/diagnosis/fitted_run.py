@@ -210,7 +210,7 @@ class FittedRun(Saved):
     def variables(self, rows: Ints) -> tuple[dict[str, Floats], tuple[str, ...]]:
         """What the residuals of these rows may depend on (rows,), and the names of those that say where it was."""
         part = self.data.select(rows)
-        place = self.model.place(part, self.fit.predicted[rows])
+        place = self.model.place(part, self.fit.predicted[rows], self.fit.values)
         out = {name: part.joints[:, k] for k, name in enumerate(part.layout.joints)}
         out = {k: v for k, v in (out | place | self.model.covariates(part)).items() if np.ptp(v) > 0}
         return out, tuple(name for name in place if name in out)

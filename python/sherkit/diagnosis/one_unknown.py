@@ -129,7 +129,7 @@ def _at_the_rim(unknown: FittedRun, named: FittedRun, sigma: Floats) -> tuple[tu
 
 def _outermost(run: FittedRun) -> Bools:
     """Rows (n,) of the poses farthest from the middle of those measured."""
-    place = np.stack(list(run.model.place(run.data, run.fit.predicted).values()), axis=1)
+    place = np.stack(list(run.model.place(run.data, run.fit.predicted, run.fit.values).values()), axis=1)
     spread = np.where(np.ptp(place, axis=0) > 0, place.std(axis=0), 1.0)
     away = np.sqrt((((place - np.median(place, axis=0)) / spread) ** 2).sum(axis=1))
     return away > np.quantile(away[run.whole], 1.0 - _RIM)

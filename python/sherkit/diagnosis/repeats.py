@@ -129,7 +129,7 @@ def _way(run: FittedRun, rows: Ints) -> dict[str, Floats]:
     part = run.data.select(rows)
     out = {f"before_{name}": part.joints[np.maximum(np.arange(len(rows)) - 1, 0), k]
            for k, name in enumerate(part.layout.joints)}  # fmt: skip
-    place = run.model.place(part, run.fit.predicted[rows])
+    place = run.model.place(part, run.fit.predicted[rows], run.fit.values)
     if place:
         # the place of the pose, not of the reading: what is predicted moves with time and direction as well
         group = np.unique(part.groups, return_inverse=True)[1].ravel()
@@ -164,6 +164,6 @@ def _beside(run: FittedRun, rows: Ints) -> list[Floats]:
         # of several targets of one pose its turn makes errors in proportion to the place, of noise alone as well
         return []
     columns = {name: v for name, v in run.model.covariates(part).items() if name != "time_s"}
-    known = [*run.model.place(part, run.fit.predicted[rows]).values(), *columns.values()]
+    known = [*run.model.place(part, run.fit.predicted[rows], run.fit.values).values(), *columns.values()]
     spans = [(np.asarray(v, dtype=float), float(np.ptp(v))) for v in known if np.isfinite(v).all()]
     return [2.0 * (v - v.min()) / span - 1.0 for v, span in spans if span > 0]

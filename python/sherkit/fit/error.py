@@ -135,7 +135,7 @@ def of_residuals(data: Measurements, residuals: Floats, *, held_out: bool) -> Er
 
 def repeated_folds_of(fit: Fitted, seed: int) -> list[Ints]:
     """Folds (n,) of all rows of a fit, of each repetition."""
-    data, place = fit.data, fit.model.place(fit.data, fit.predicted)
+    data, place = fit.data, fit.model.place(fit.data, fit.predicted, fit.values)
     return [blocks_of(data, place, _FOLDS, _REPETITIONS * seed + k) for k in range(_REPETITIONS)]
 
 

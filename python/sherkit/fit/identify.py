@@ -152,8 +152,9 @@ class Fit(Identified, Shown):
 
     @cached_property
     def nominal_residuals(self) -> Floats:
-        """Measured minus the nominal robot's prediction (n, m) (delta: Eq. 14)."""
-        return residuals(self.model, self.data, np.zeros(len(self.values)))
+        """Measured minus the nominal robot's prediction (n, m) (delta: Eq. 14), seen from where the sensor must stand where
+        that is free."""
+        return residuals(self.model, self.data, self.model.start(self.data))
 
     @cached_property
     def supported(self) -> int:
@@ -373,8 +374,8 @@ def hold_out(
     ``start`` (p,), the fit of all rows where it is known, is so near that two looks at the rows are enough.
     """
     model = model_of(robot)
-    nominal = model.predict(data, np.zeros(len(model.parameters)))
-    block = blocks_of(data, model.place(data, nominal), folds, seed)
+    drawn = model.start(data)
+    block = blocks_of(data, model.place(data, model.predict(data, drawn), drawn), folds, seed)
     out = np.full(data.readings.shape, np.nan)
     for fold in np.unique(block):
         inside = block == fold

@@ -34,6 +34,8 @@ _EVALUATIONS = 6
 _WORTH = 0.2
 #: Residuals are not looked at below this part of the readings' spread.
 _SMALLEST = 1e-6
+#: A turn of a sensor may be any.
+_ANY_TURN = 10.0
 #: Rows whose joints are compared with those that the robot's file gives for the same place.
 _COMPARED = 12
 #: What joints that the file never gives cost, so that no fit makes up for them.
@@ -81,14 +83,18 @@ class Plausible:
 def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rounds: int = _ROUNDS) -> Plausible | None:
     """The fit with plausible parameters; None where the model cannot compute the rows.
 
-    ``datum`` (p,) tells the parameters that only shift readings: they may be anything. One of the ``rounds`` is enough
+    ``datum`` (p,) tells the parameters that may be anything (:func:`may_be_anything`). One of the ``rounds`` is enough
     to see what is hopeless.
     """
     data = thinned(data)
     used = data.used
     spread = spread_of(data)
     sizes = sizes_of(model)
-    freed = np.where(datum, 1e3 * (np.nanmax(spread) + np.abs(data.readings).max()), sizes)
+    far = [
+        _ANY_TURN if p.unit == "rad" else 1e3 * (np.nanmax(spread) + np.abs(data.readings).max())
+        for p in model.parameters
+    ]
+    freed = np.where(datum, far, sizes)
     counted = np.sqrt(min(1.0, COUNTED / max(int(used.sum()), 1)))
     problem = LeastSquares(model, data, counted * freed)
     values = model.start(data)
@@ -114,10 +120,11 @@ def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rou
 
 
 def as_fitted(model: ModelWithEffects, data: Measurements, values: Floats) -> Plausible:
-    """Any fit, judged in the same way, as if its zeros had to be plausible too. Raises as the model's ``predict``."""
+    """Any fit, judged in the same way, as if its zeros had to be plausible too, but for where a sensor stands that may
+    stand anywhere. Raises as the model's ``predict``."""
     data = thinned(data)
     rms = robust_rms(data.readings - model.predict(data, values), data.used)
-    datum = np.zeros(len(values), dtype=bool)
+    datum = of_pose(model)
     return Plausible(
         values, rms, spread_of(data), moved_by(values, sizes_of(model), datum), part_elsewhere(model, data)
     )
@@ -133,8 +140,15 @@ def moved_by(values: Floats, sizes: Floats, datum: Bools) -> float:
     return 0.5 * float(((values / sizes)[~datum] ** 2).sum())
 
 
-def only_shift(model: ModelWithEffects, data: Measurements) -> Bools:
-    """Parameters (p,) whose derivative is the same in every row: zeros of an instrument, which may be anything.
+def of_pose(model: ModelWithEffects) -> Bools:
+    """Parameters (p,) of the pose of a sensor that may stand anywhere."""
+    anywhere = model.stands_anywhere
+    return np.array([p.name in anywhere for p in model.parameters], dtype=bool)
+
+
+def may_be_anything(model: ModelWithEffects, data: Measurements) -> Bools:
+    """Parameters (p,) that may be anything: where a sensor stands that is free, and those whose derivative is the same in
+    every row, zeros of an instrument.
 
     Raises as the model's ``derivatives``.
     """
@@ -146,7 +160,7 @@ def only_shift(model: ModelWithEffects, data: Measurements) -> Bools:
     taken = used.any(axis=0)
     with np.errstate(invalid="ignore"):
         same = (high - low <= 1e-9 * np.abs(high)) | ~taken
-    return np.asarray(same.all(axis=0) & (taken & (np.abs(high) > 0)).any(axis=0))
+    return of_pose(model) | np.asarray(same.all(axis=0) & (taken & (np.abs(high) > 0)).any(axis=0))
 
 
 def thinned(data: Measurements) -> Measurements:

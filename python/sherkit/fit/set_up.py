@@ -14,7 +14,7 @@ from ..data.doubts import angles, commanded, doubts
 from ..data.noise import noise_of
 from ..errors import SherkitError
 from ..model.base import ModelWithEffects
-from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, only_shift, plausible_fit, thinned
+from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, may_be_anything, plausible_fit, thinned
 from .set_up_hypotheses import SetUp, hypotheses, turned_frame
 
 # -- Readings that are the same in every row, and such as no row holds ----------------------------------------------
@@ -61,7 +61,7 @@ def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator
     if not len(still):
         return
     try:
-        moves = np.ptp(model.predict(data, np.zeros(len(model.parameters))), axis=0)
+        moves = np.ptp(model.predict(data, model.start(data)), axis=0)
     except SherkitError:
         return
     most = moves[: data.coordinates].max()
@@ -96,6 +96,8 @@ _MOVED = 15.0
 _MOST_MISTAKES = 3
 #: Of how far readings lie from their middle, the part by which two frames may differ and be said as one: 3°.
 _NEARLY = 0.05
+#: A sensor whose axes are turned by less against the base, rad, stands as the robot does.
+_SQUARE = 0.1
 #: How often a turned frame is registered anew to what the model predicts.
 _TURNS = 4
 #: So many set-ups that look best at first are fitted to their end.
@@ -228,7 +230,8 @@ def _much_better(
     first = [plausible_fit(one.model, one.data, datum, rounds=1) for one in every]
     likely = sorted((found.misfit, k) for k, found in enumerate(first) if found is not None)[:_LOOKED_AT]
     fitted = [(every[k], plausible_fit(every[k].model, every[k].data, datum)) for _, k in likely]
-    fitted += [_turned(model, data, datum, mirrored=mirrored) for mirrored in (False, True)]
+    if not model.stands_anywhere:
+        fitted += [_turned(model, data, datum, mirrored=mirrored) for mirrored in (False, True)]
     better = []
     for one, found in fitted:
         if found is None or found.misfit + one.farther >= stands - _MUCH or found.relative >= _NOT_RIGHT:
@@ -251,7 +254,28 @@ def _much_better(
     if any(pair in as_good for pair in columns):
         # a turn by which axes come to lie on axes is said by their columns
         as_good = [(one, found) for one, found in as_good if not one.farther]
+    if model.stands_anywhere:
+        as_good = _handed(as_good, model, data)
     return sorted(as_good, key=lambda pair: pair[1].misfit + pair[0].farther)
+
+
+def _handed(
+    as_good: list[tuple[SetUp, Plausible]], model: ModelWithEffects, data: Measurements
+) -> list[tuple[SetUp, Plausible]]:
+    """Two columns exchanged, or one of the wrong sign, are one thing to a sensor that may stand anywhere: those are said
+    with which it stands as the robot does, or else that the readings are left-handed."""
+    mirrors = [pair for pair in as_good if _is_columns(pair[0], model, data)]
+    if len(mirrors) < 2:
+        return as_good
+    names = [p.name for p in model.parameters]
+    turns = [names.index(name) for name in model.stands_anywhere if "turn" in name]
+    square = [pair for pair in mirrors if np.linalg.norm(pair[1].values[turns]) < _SQUARE]
+    others = [pair for pair in as_good if pair not in mirrors]
+    if square:
+        return [*others, *square]
+    one, found = min(mirrors, key=lambda pair: pair[1].misfit)
+    looks = f"{', '.join(data.layout.coordinates)} look left-handed: two of them exchanged, or one with the wrong sign"
+    return [*others, (replace(one, looks=looks, advice="swap two of these columns, or change the sign of one"), found)]
 
 
 def _nowhere_worse(one: SetUp, found: Plausible, now: Plausible, data: Measurements) -> bool:
@@ -308,7 +332,7 @@ def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:
     """Parameters that only shift readings; by the first set-up that can be computed."""
     for one in (SetUp("", "", model, data), *hypotheses(model, data)):
         try:
-            return only_shift(one.model, one.data)
+            return may_be_anything(one.model, one.data)
         except NOT_COMPUTED:
             continue
     return None

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
 from typing import Any
 
 import numpy as np
@@ -157,10 +157,12 @@ def _of_columns(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[s
     coordinates = [k for k in taken if k < data.coordinates]
     ranges = model.ranges(data)
     for block, columns in ((joints, range(len(layout.joints))), (readings, coordinates)):
+        # of readings in space what leaves them right-handed is a turn of the sensor, where that may stand anywhere
+        anywhere = bool(model.stands_anywhere) and block is readings
         for unit, same in block.of_one_unit(list(columns)):
-            yield from _exchanged(block, same)
-            yield from _other_way(block, same, ranges)
-            if block is readings and len(same) == 2:
+            yield from (one for one in _exchanged(block, same) if not anywhere or one[0].endswith("swapped"))
+            yield from islice(_other_way(block, same, ranges), len(same) if anywhere else None)
+            if block is readings and len(same) == 2 and not anywhere:
                 yield from _quarter_turned(block, same, ranges)
             if unit == "rad":
                 yield from _counted_from_elsewhere(block, same)

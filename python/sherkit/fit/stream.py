@@ -40,7 +40,12 @@ def identify_stream(
     Readings weigh by their declared sigma, or all the same. Raises as :func:`~sherkit.fit.identify.identify`.
     """
     model = extended_by(model_of(robot, free), effects)
-    solver = _core.Solver(np.zeros(len(model.parameters)), np.array([p.size for p in model.parameters]))
+    first = next(iter(stream.blocks()), None)
+    if first is None:
+        raise FitError(f"{stream.source}: the stream holds no row")
+    solver = _core.Solver(
+        model.start(first), np.array([p.size for p in model.parameters]), known=[p.known for p in model.parameters]
+    )
     rows = 0
 
     def feed(values: Floats) -> None:
@@ -54,6 +59,7 @@ def identify_stream(
                 model.accumulate(solver, block, weights)
             else:
                 push(solver, model, block, weights, values)
+        solver.push_priors()
         if rows == 0:
             raise FitError(f"{stream.source}: the stream holds no row")
 

@@ -96,7 +96,7 @@ class Extended(ModelWithEffects):
         """Those of the model."""
         return self.plain.covariates(data)
 
-    def place(self, data: Measurements, predicted: Floats) -> dict[str, Floats]:
+    def place(self, data: Measurements, predicted: Floats, values: Floats | None = None) -> dict[str, Floats]:
         """The inputs: what the readings say of the place is not known."""
         del predicted
         return {name: data.joints[:, k] for k, name in enumerate(data.layout.joints)}

@@ -110,8 +110,9 @@ class ModelWithEffects(Saved, ABC):
         """What the residuals may depend on besides the place, (n,) each."""
 
     @abstractmethod
-    def place(self, data: Measurements, predicted: Floats) -> dict[str, Floats]:
-        """Where the machine was at each row, (n,) by name; ``predicted`` (n, m) are the readings of the model."""
+    def place(self, data: Measurements, predicted: Floats, values: Floats | None = None) -> dict[str, Floats]:
+        """Where the machine was at each row, (n,) by name; ``predicted`` (n, m) are the readings of the model with these
+        ``values`` (p,), by which places are seen from the base where a sensor stands elsewhere."""
 
     @abstractmethod
     def axes_of(self, effect: Effect, data: Measurements) -> int:
@@ -228,6 +229,12 @@ class ModelWithEffects(Saved, ABC):
     def with_settings(self, effect: Effect, at: float) -> Self:
         """The same model with another setting for an effect that it may get."""
         return replace(self, **dict.fromkeys(self._held_as(effect), at))  # type: ignore[type-var]
+
+    @property
+    def stands_anywhere(self) -> tuple[str, ...]:
+        """Names of the parameters of the sensor's pose, where all of it is free: then any turn of the readings is where
+        the sensor stands. None where a part of it is known or held."""
+        return ()
 
     def for_run(self, data: Measurements) -> Self:
         """The same model for a run: its time counted from the begin, unless it has an origin of time, since what moves on

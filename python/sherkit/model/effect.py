@@ -318,8 +318,8 @@ def effects_by_name(
             raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
     out = []
     for name in names:
-        if name == "datum":
-            raise EffectError("'datum' is in the model already: it belongs to the default model")
+        if name in ("datum", "sensor_pose"):
+            raise EffectError(f"'{name}' is in the model already: it belongs to the default model")
         if name not in known:
             raise EffectError(f"'{name}' is not a known effect{nearest(name, known)}; known: {listed(known, 30)}")
         out.append(known[name])

@@ -27,7 +27,9 @@ Triple = tuple[float, float, float]
 TURNS = ("sensor_turn_x", "sensor_turn_y", "sensor_turn_z")
 SHIFTS = ("sensor_shift_x", "sensor_shift_y", "sensor_shift_z")
 POSE = (*TURNS, *SHIFTS)
-#: Those that readings x and y of a plane show.
+#: The coordinates of an instrument that reads places in space; of one in a plane the first two.
+SPACE = ("x_mm", "y_mm", "z_mm")
+#: The numbers that readings of a plane show.
 IN_PLANE = ("sensor_turn_z", "sensor_shift_x", "sensor_shift_y")
 
 #: Rows that tell where a sensor stands; in so many rounds, in each of which rows count that are off by no more than
@@ -52,7 +54,7 @@ class SensorPose:
     shift_sd_mm: Triple | None = None
     turn_sd_deg: Triple | None = None
 
-    KEYS: ClassVar[dict[str, Any]] = {"origin_mm": key(Table.numbers, 3), "rpy_deg": key(Table.numbers, 3)}
+    KEYS: ClassVar[dict[str, Any]] = {"origin_mm": key(Table.numbers, 3).quiet, "rpy_deg": key(Table.numbers, 3).quiet}
 
     def __post_init__(self) -> None:
         for name in ("shift_sd_mm", "turn_sd_deg"):
@@ -99,10 +101,6 @@ class SensorPose:
         return out | {name: list(sd) for name, sd in spread.items() if sd is not None}
 
 
-#: Read in the robot's own axes, exactly.
-OWN_AXES = SensorPose(shift_sd_mm=HELD, turn_sd_deg=HELD)
-
-
 def _deviations(name: str, given: Any) -> Triple:
     try:
         x, y, z = np.broadcast_to(np.asarray(given, dtype=float), 3).tolist()
@@ -114,6 +112,10 @@ def _deviations(name: str, given: Any) -> Triple:
             f"it), got {given!r}"
         )
     return (x, y, z)
+
+
+#: Read in the robot's own axes, exactly.
+OWN_AXES = SensorPose(shift_sd_mm=HELD, turn_sd_deg=HELD)
 
 
 class KnownPose(SensorPose):

@@ -129,13 +129,20 @@ class SerialCalibration(Calibration):
         del coordinates
         columns, _ = self.core.by_parameters_batch(joints, self._now(), self.model.indices)
         # what the tracker's frame is off by moves no target: it only hides in the others
-        columns[:, :, [p.name.startswith("sensor_turn") or p.name.startswith("sensor_shift") for p in self.model.parameters[: len(self.model.indices)]]] = 0.0
+        columns[
+            :,
+            :,
+            [
+                p.name.startswith("sensor_turn") or p.name.startswith("sensor_shift")
+                for p in self.model.parameters[: len(self.model.indices)]
+            ],
+        ] = 0.0
         return self.whole.spread(columns)
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """In the axes of the base."""
         del joints, by_joints
-        return self.tracker_turn.T @ missed[:, : len(self.coordinates)]
+        return self.sensor_frame[0].T @ missed[:, : len(self.coordinates)]
 
     def places(self) -> list[tuple[str, Floats]]:
         """Where the target is at home, the middle of the run and its far corner: positions (3,), mm."""

@@ -267,6 +267,9 @@ class Serial(Declared, Saved, Shown):
             made["plane"] = [{"at_mm": list(p.at_mm), "normal": list(p.normal)} for p in self.planes]
         if not self.has_tracker:
             made.pop("sensor_pose", None)
+        elif self.centres_mm or self.planes:
+            # that it is there says that a tracker reads places too
+            made.setdefault("sensor_pose", {"origin_mm": list(self.sensor_pose.origin_mm)})
         return made
 
     # -- what runs and experiments ask ---------------------------------------------------------------------
@@ -349,7 +352,12 @@ class Serial(Declared, Saved, Shown):
         centres = np.array(self.centres_mm, dtype=float).reshape(-1, 3)
         planes = np.array([plane.numbers for plane in self.planes], dtype=float).reshape(-1, 6)
         return _core.SerialModel(
-            np.array(rows, dtype=float), self.targets.copy(), centres, planes, self.sensor_pose.numbers, np.array([*pull, *settings])
+            np.array(rows, dtype=float),
+            self.targets.copy(),
+            centres,
+            planes,
+            self.sensor_pose.numbers,
+            np.array([*pull, *settings]),
         )
 
     @cached_property

@@ -220,7 +220,7 @@ class Spherical(Declared, Saved, Shown):
     gamma_deg: Pair | None = None
     joint_limits_deg: Pair | None = None
     required_um: float | None = None
-    sensor_pose: SensorPose = SensorPose()
+    sensor_pose: SensorPose = KnownPose()
     kind: str = field(default="spherical", init=False)
 
     TABLES: ClassVar = {
