@@ -298,9 +298,8 @@ class ChainModel(SeenModel):
         """The coordinates that the model gives, seen from the base; where a distance was read, those that the drawing
         does."""
         places, far = predicted[:, : data.coordinates], data.is_distance
-        if values is not None and data.layout.coordinates == _SPACE:
-            turn, origin_mm = self.sensor_frame(values)
-            places = (places - origin_mm) @ turn
+        if values is not None and self.reads_places(data):
+            places = self.at_base(places, values)
         if far.any():
             joints, _, covariates, push = self.block(data.select(far))
             core = self.core_for(data)
