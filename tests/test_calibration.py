@@ -13,7 +13,7 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import comb
 
 from second_simulator import Robot, truth
@@ -21,6 +21,7 @@ from sherkit import SherkitError, SherkitWarning, calibrate
 from sherkit.calibration import Result
 from sherkit.errors import CalibrationError, NotFinite, OutOfReach, ShapeError
 from sherkit.model.effect import effects_by_name
+from sherkit.model.sensor_pose import POSE
 from sherkit.robots.delta import (
     CATALOGUE,
     Correction,
@@ -65,11 +66,16 @@ def sizes(effects: tuple[str, ...] = ()) -> Floats:
 
 
 SIZES = sizes()
+#: Where the numbers of the sensor's pose stand among them.
+STANDS = [k for k, name in enumerate(MODEL.free) if name in POSE]
 
 
 def part(
     rng: np.random.Generator, values: Floats, box_mm: float, *, corrected: bool = True, effects: tuple[str, ...] = ()
 ) -> DeltaPart:
+    """A part of a robot whose sensor stands where the values have it, with a box about where that sees the base."""
+    model = DeltaModel(EXAMPLE, MODEL.free, effects_by_name(CATALOGUE, effects))
+    turn, origin = model.sensor_frame(values)
     return DeltaPart(
         free=MODEL.free,
         effects=effects,
@@ -80,8 +86,10 @@ def part(
         covariance=spread(rng, 1e-3 * sizes(effects)),
         residual_covariance=spread(rng, np.full(3, 0.005)),
         uncorrected_covariance=spread(rng, np.full(3, 0.05)),
-        low=np.full(3, -box_mm),
-        high=np.full(3, box_mm),
+        low=origin - box_mm,
+        high=origin + box_mm,
+        sensor_turn=turn,
+        sensor_origin_mm=origin,
         correction=correction(rng, box_mm) if corrected else None,
         made_from="a test",
         rows=int(rng.integers(1, 10_000)),
@@ -104,8 +112,17 @@ def made(
     size = sizes(effects)
     values = 0.3 * size * rng.normal(size=len(size))
     whole = part(rng, values, 24.0, effects=effects)
-    inner = part(rng, values + apart * size * rng.normal(size=len(size)), 14.0, effects=effects) if local else None
+    # it is the same instrument
+    moved = apart * size * rng.normal(size=len(size))
+    moved[STANDS] = 0.0
+    inner = part(rng, values + moved, 14.0, effects=effects) if local else None
     return DeltaCalibration(EXAMPLE, whole, inner, HALF if local else None, blend_mm)
+
+
+def seen(c: DeltaCalibration, x: ArrayLike) -> Floats:
+    """A place (3,), or places (n, 3), of the base as the sensor sees them, mm."""
+    at = np.asarray(x, dtype=float)
+    return c.to_sensor(at.reshape(-1, 3)).reshape(at.shape)
 
 
 @cache
@@ -138,7 +155,9 @@ def test_forward_undoes_inverse_to_a_nanometre(
 ) -> None:
     """Catches an inverse that forgets datum, effects, correction or blend, or stops early: 1 nm everywhere."""
     c = made(seed, local=local, effects=effects)
-    assert np.abs(c.forward(c.inverse(x)) - x).max() < 1e-6
+    for frame, place in (("base", np.array(x)), ("sensor", seen(c, x))):
+        joints = c.inverse(place, frame=frame)
+        assert np.abs(c.forward(joints, frame=frame) - place).max() < 1e-6
 
 
 @given(SEEDS, triples(-22.0, 22.0), SOME_EFFECTS)
@@ -167,7 +186,7 @@ def test_forward_is_the_sum_of_its_parts(seed: int) -> None:
     assert c.local is not None
     q = EXAMPLE.inverse_batch(np.random.default_rng(seed).uniform(-16.0, 16.0, (200, 3))).require()
     whole, local = _branch(c.whole, q), _branch(c.local, q)
-    beyond = np.maximum(np.abs(whole) - HALF, 0.0) / BLEND
+    beyond = np.maximum(np.abs(c.from_sensor(whole)) - HALF, 0.0) / BLEND
     share = np.where(beyond < 1, 1 - beyond**2 * (3 - 2 * beyond), 0.0).prod(axis=1)
     expected = whole + share[:, None] * (local - whole)
     np.testing.assert_allclose(c.forward_batch(q).require(), expected, rtol=0, atol=1e-9)
@@ -184,12 +203,13 @@ def test_jacobian_against_differences(seed: int, effects: tuple[str, ...]) -> No
     step = 1e-3
     x = rng.choice((-1.0, 1.0), (30, 3)) * rng.choice((5.0, 9.0, 11.0, 12.0, 13.0, 18.0), (30, 3))
     x += rng.uniform(-0.9, 0.9, x.shape)
-    q = c.inverse_batch(x).require()
+    q = c.inverse_batch(x, frame="base").require()
     assert c.local is not None
     # the second derivative jumps where a blend or fade begins and ends, the first where a correction is held
     kinks = np.array([HALF, HALF + BLEND, 14.0, 14.0 * 1.3, 24.0, 24.0 * 1.3])
     bare = [DeltaCalibration(EXAMPLE, replace(p, correction=None, now=c.whole.now)) for p in (c.whole, c.local)]
     own = [m.forward_batch(q).require() for m in (DeltaCalibration(EXAMPLE, c.whole), *bare)]
+    own = [c.from_sensor(one) for one in own]
     smooth = np.min([np.abs(np.abs(p)[:, :, None] - kinks).min(axis=(1, 2)) for p in own], axis=0) > 0.02
     assert smooth.sum() > 5
     for row in q[smooth]:
@@ -215,7 +235,7 @@ def test_batches_equal_single_calls_bit_for_bit(seed: int, count: int, effects: 
     for batch, single, rows in (
         (c.forward_batch, c.forward, q),
         (c.jacobian_batch, c.jacobian, q),
-        (c.inverse_batch, c.inverse, x),
+        (c.inverse_batch, c.inverse, seen(c, x)),
     ):
         result = batch(rows)
         np.testing.assert_array_equal(result.reached, ~bad)
@@ -239,7 +259,7 @@ def test_effects_run_in_the_loop_as_in_the_second_simulator(
     c = DeltaCalibration(EXAMPLE, one)
     q = EXAMPLE.inverse(x)
     errors = dict(zip(one.free, one.values.tolist(), strict=False))
-    effects: dict[str, Floats] = {"datum": np.array([errors.pop(f"datum_{a}") for a in "xyz"])}
+    effects: dict[str, Floats] = {"sensor_pose": np.array([errors.pop(name) for name in POSE])}
     rest = one.values[len(one.free) :]
     for name, count in (("joint_scale", 3), ("backlash", 3), ("rail_lean", 6), ("thermal_growth", 1),
                         ("beam_alignment", 9)):  # fmt: skip
@@ -316,6 +336,7 @@ def test_border_jump_is_the_largest_difference_there() -> None:
         assert c.local is not None
         faces = np.random.default_rng(seed).uniform(-HALF, HALF, (2000, 3))
         faces[np.arange(2000), np.arange(2000) % 3] = np.resize([HALF, -HALF], 2000)
+        faces = seen(c, faces)
         q = DeltaCalibration(EXAMPLE, c.whole).inverse_batch(faces).require()
         there = DeltaCalibration(EXAMPLE, c.local).forward_batch(q).require()
         assert jump == pytest.approx(np.linalg.norm(there - faces, axis=1).max(), rel=0.1)

@@ -88,12 +88,12 @@ def test_accuracy_is_the_quantile_of_its_covariances() -> None:
     rng = np.random.default_rng(5)
     for place, own in (([2.0, -3.0, 4.0], c.local), ([18.0, -15.0, 12.0], c.whole)):
         q = c.inverse(place)
-        values = own.values + rng.multivariate_normal(np.zeros(15), own.covariance, 20_000)
+        values = own.values + rng.multivariate_normal(np.zeros(len(SIZES)), own.covariance, 20_000)
         here = _branch(replace(own, correction=None), q[None, :])
-        jacobian = np.empty((3, 15))
+        jacobian = np.empty((3, len(SIZES)))
         for k, h in enumerate(1e-3 * SIZES):
             ahead, behind = (
-                _branch(replace(own, values=own.values + d * h * np.eye(15)[k], correction=None), q[None, :])[0]
+                _branch(replace(own, values=own.values + d * h * np.eye(len(SIZES))[k], correction=None), q[None, :])[0]
                 for d in (1.0, -1.0)
             )
             jacobian[:, k] = (ahead - behind) / (2 * h)
@@ -115,7 +115,7 @@ def test_accuracy_gets_worse_where_the_correction_fades(shape: tuple[float, ...]
 
     95 % of a Gaussian in three, two and one dimensions: √χ²(0.95) deviations, from the tables.
     """
-    base = part(np.random.default_rng(6), np.zeros(15), 24.0)
+    base = part(np.random.default_rng(6), np.zeros(len(SIZES)), 24.0)
     c = DeltaCalibration(
         EXAMPLE,
         replace(
@@ -123,7 +123,7 @@ def test_accuracy_gets_worse_where_the_correction_fades(shape: tuple[float, ...]
             correction=Correction((1, 1, 1), np.full(3, -15.0), np.full(3, 15.0), 5.0, np.zeros((8, 3))),
             residual_covariance=np.diag(shape) * 0.005**2,
             uncorrected_covariance=np.diag(shape) * 0.1**2,
-            covariance=np.zeros((15, 15)),
+            covariance=np.zeros((len(SIZES),) * 2),
         ),
     )
     inside, fading, beyond = (c.accuracy([x, 0.0, 0.0]) for x in (14.0, 17.5, 21.0))

@@ -69,14 +69,14 @@ def test_standard_deviations_in_the_file_are_those_of_the_covariance(tmp_path: P
         table = tomllib.loads((tmp_path / "c.toml").read_text())[name]
         for k, p in enumerate(table["parameters"]):
             assert p["std"] ** 2 == pytest.approx(table["covariance"][k][k], rel=1e-12)
-            assert p["unit"] == ("rad" if "angle" in p["name"] else "mm")
+            assert p["unit"] == ("rad" if "angle" in p["name"] or "turn" in p["name"] else "mm")
 
 
 @pytest.fixture
 def tables(tmp_path: Path) -> dict[str, Any]:
     """A calibration file's tables: two parts, one of them corrected."""
     rng = np.random.default_rng(0)
-    values = 0.1 * SIZES * rng.normal(size=15)
+    values = 0.1 * SIZES * rng.normal(size=len(SIZES))
     whole, local = (part(rng, values, box, corrected=False) for box in (24.0, 14.0))
     side = np.array([14.0, 14.0, np.inf])
     local = replace(local, correction=Correction((1, 1, 0), -side, side, 4.0, np.eye(4)[:, :3]))
@@ -113,7 +113,7 @@ CORRECTION = ("orders", "low_mm", "high_mm", "fade_mm", "coefficients_mm")
 @pytest.mark.parametrize(
     "key",
     [
-        "calibration", "calibration.format", "robot", "robot.kind", "robot.geometry", "robot.geometry.rod_length_mm",
+        "calibration", "calibration.format", "calibration.frame", "robot", "robot.kind", "robot.geometry", "robot.geometry.rod_length_mm",
         "whole", *(f"whole.{k}" for k in PART), *(f"local.{k}" for k in PART),
         *(f"local.correction.{k}" for k in CORRECTION),
     ],
@@ -132,7 +132,8 @@ def test_half_a_local_model_is_refused(tables: dict[str, Any], key: str, tmp_pat
 _NAN, _INF = float("nan"), float("inf")
 #: Wrong counts, types and robots, by their key, which is named.
 WRONG: dict[str, tuple[Any, ...]] = {
-    "calibration.format": (5, "1"),
+    "calibration.format": (6, "1"),
+    "calibration.frame": ("base", "bed", 1),
     "calibration.region_half_width_mm": ("x",),
     "calibration.blend_mm": ("x",),
     "robot": (3,),
@@ -142,7 +143,7 @@ WRONG: dict[str, tuple[Any, ...]] = {
     "whole": (3, []),
     "whole.rows": ("x",),
     "whole.parameters": (3, [1.0]),
-    "whole.covariance": ([], [[0.0] * 15] * 14, [[_NAN] * 15] * 15, "x"),
+    "whole.covariance": ([], [[0.0] * 18] * 17, [[_NAN] * 18] * 18, "x"),
     "whole.high_mm": ([0.0, _INF, 0.0],),
     "local.low_mm": ([0.0, 0.0], {"x": 1}),
     "local.residual_covariance_mm2": ([[1.0]],),
@@ -196,7 +197,7 @@ def test_wrong_parameters_are_named(tables: dict[str, Any], tmp_path: Path) -> N
     """Catches a parameter that is misspelt, given twice, or without its value."""
     for change, words in (
         ({"name": "rod_lenght_1"}, "'rod_lenght_1' is not a parameter of this robot; did you mean 'rod_length_1'"),
-        ({"name": "datum_x"}, "freed twice"),
+        ({"name": "sensor_shift_x"}, "freed twice"),
         ({"value": _NAN}, "parameters"),
     ):
         parameters = copy.deepcopy(tables["whole"]["parameters"])

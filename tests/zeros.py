@@ -1,4 +1,5 @@
-"""Runs of a delta whose measured point is counted from anywhere, within 50 mm, seen from anywhere, in any room: all drawn."""
+"""Runs of a delta whose measured point is counted from anywhere, within 50 mm, seen from anywhere, in any room: all
+drawn."""
 
 from __future__ import annotations
 

@@ -96,11 +96,11 @@ class PlanarCalibration(Calibration):
         arms = np.array([not p.name.startswith("datum") for p in self.model.core_parameters])
         return PlanarCalibrated(self.model.core, np.where(arms, self.model.full(self.whole.values), 0.0), self.robot)
 
-    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
-        """Covariance (n, 2, 2), mm²."""
-        del coordinates
-        block = self.core.block(joints, self._now())
-        return self.whole.spread(self.core.chain.derivatives(self.core.values, block, self.model.indices)[0][:, :2])
+    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+        """Of x and y (n, 2, p)."""
+        del part
+        block = self.core.block(joints, now)
+        return self.core.chain.derivatives(self.core.values, block, self.model.indices)[0][:, :2]
 
     def places(self) -> list[tuple[str, Floats]]:
         """The middle of the run and its far side, x and y, mm."""

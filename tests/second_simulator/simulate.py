@@ -111,8 +111,8 @@ def fitted_directions(
 ) -> Array:
     """Orthonormal basis (3 n, rank) of what 12 geometric parameters and the pose of the sensor can do.
 
-    Derivatives are central differences of this simulator at ``errors`` and where the sensor of ``beside`` stands. A shift
-    along z equals a common joint offset, a turn about z common base angles, so the rank is below 18.
+    Derivatives are central differences of this simulator at ``errors`` and where the sensor of ``beside`` stands. A
+    shift along z equals a common joint offset, a turn about z common base angles, so the rank is below 18.
     """
     distinct, row = np.unique(joint_readings(columns), axis=0, return_inverse=True)
     still = {name: np.zeros(len(distinct)) for name in ("time_s", "temperature_c", "humidity_pct")}

@@ -368,8 +368,8 @@ def delta_unnamed(kind: Kind, ratio: float, order: Ordered, seed: int) -> Unname
         return truth(robot, plan, errors | {name: errors[name] + step}, stands)
 
     scene = Scene(
-        rng, plan["time_s"], plan["temperature_c"], plan["humidity_pct"], joints, turn.inv().apply(exact - shift), exact,
-        by(lambda i, step: truth(robot, plan | {f"q{i + 1}_mm": plan[f"q{i + 1}_mm"] + step}, errors, stands)),
+        rng, plan["time_s"], plan["temperature_c"], plan["humidity_pct"], joints, turn.inv().apply(exact - shift),
+        exact, by(lambda i, step: truth(robot, plan | {f"q{i + 1}_mm": plan[f"q{i + 1}_mm"] + step}, errors, stands)),
         np.broadcast_to(turn.as_matrix(), (len(joints), 3, 3)), by(radius),
     )  # fmt: skip
     change = _sized(kind, scene, fitted_directions(robot, plan, errors, stands), 1e-3 * noise_um * ratio)

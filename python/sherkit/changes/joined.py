@@ -286,7 +286,9 @@ class Joined:
 
     @property
     def _places(self) -> tuple[str, ...]:
-        return tuple(self.model.place(self.runs[0].data, self.model.predict(self.runs[0].data, self.fit.values), self.fit.values))
+        return tuple(
+            self.model.place(self.runs[0].data, self.model.predict(self.runs[0].data, self.fit.values), self.fit.values)
+        )
 
     def _rows(self, run: SeenRun) -> Rows:
         """The rows of a run as shapes see them, on the scale of all runs."""

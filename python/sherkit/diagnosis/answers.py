@@ -130,9 +130,9 @@ class Finding:
     """One answer to one of the :data:`QUESTIONS`.
 
     ``about`` says what of: cause, brings, verdict; missing, noise, note, left_out; where; step, shape; tie, confounded,
-    untestable, nothing; next. ``answer`` is a sentence or a part of one; ``numbers`` are by name with their unit;
-    ``sure`` says how sure it is; ``rows`` are the lines of the rows it speaks of; ``to_do`` what a person can do;
-    ``command`` is what does that, with :data:`FILES` where the files stand that were given.
+    sensor_pose, untestable, nothing; next. ``answer`` is a sentence or a part of one; ``numbers`` are by name with
+    their unit; ``sure`` says how sure it is; ``rows`` are the lines of the rows it speaks of; ``to_do`` what a person
+    can do; ``command`` is what does that, with :data:`FILES` where the files stand that were given.
     """
 
     question: str
@@ -263,11 +263,12 @@ class Diagnosis(Shown):
     in the model that bring nothing; ``caveat`` says what one unknown would look like where many numbers explain, and
     which size is implausible. ``indistinguishable`` are groups of effects that these rows cannot tell apart, the
     leading one first; ``confirmed`` is the largest p with which a named effect earns its place on rows held out.
-    ``next_poses`` are joints to drive to and the coordinates that these are, in the order to measure them, each with
-    the separation in standard deviations that run and poses up to it reach; ``advice`` says what no reachable pose
-    tells, and what would. ``fit`` is the model with the named effects on all rows. Errors are those of rows, in 3-D for
-    what is read in space (:class:`~sherkit.fit.error.ErrorSize`), in ``unit``: µm for a delta; ``noise`` is that of
-    single readings.
+    ``taken_by_pose`` says of each effect how many of its directions, of how many, only
+    the free pose of the sensor takes up. ``next_poses`` are joints to drive to and the coordinates that these are, in
+    the order to measure them, each with the separation in standard deviations that run and poses up to it reach;
+    ``advice`` says what no reachable pose tells, and what would. ``fit`` is the model with the named effects on all
+    rows. Errors are those of rows, in 3-D for what is read in space (:class:`~sherkit.fit.error.ErrorSize`), in
+    ``unit``: µm for a delta; ``noise`` is that of single readings.
     """
 
     verdict: str
@@ -291,6 +292,7 @@ class Diagnosis(Shown):
     confirmed: float | None
     signature: dict[str, Any] | None
     confounded_with: dict[str, tuple[str, ...]]
+    taken_by_pose: dict[str, tuple[int, int]]
     outliers: Ints
     next_poses: tuple[dict[str, float], ...]
     advice: str
@@ -414,6 +416,7 @@ class Diagnosis(Shown):
             "confirmed_p_value": self.confirmed,
             "signature": self.signature,
             "confounded_with": {k: list(v) for k, v in self.confounded_with.items()},
+            "taken_by_pose": {k: list(v) for k, v in self.taken_by_pose.items()},
             "outliers": self.fit.data.line[self.outliers].tolist(),
             "next_poses": list(self.next_poses),
             "advice": self.advice,

@@ -11,6 +11,7 @@ from ..model.effect import Effect
 from ..model.kinds import required_um
 from .answers import APART, FILES, MISSING, NEXT, WHERE, WHICH, WRONG, CandidateReport, Diagnosis, Finding
 from .outliers import sentences
+from .sensor_pose import pose_in_words
 from .template import indistinguishable, sentence
 
 _AGAIN = f"sherkit diagnose {FILES} MORE"
@@ -202,9 +203,11 @@ def _apart(d: Diagnosis) -> Iterator[Finding]:
         yield Finding(APART, "tie", f"{' or '.join(tie)}: these poses cannot tell")
     for name, parameters in d.confounded_with.items():
         yield Finding(APART, "confounded", f"{name}, if there is any, is confounded with {listed(parameters)}")
+    if said := pose_in_words(d.base, d.taken_by_pose):
+        yield Finding(APART, "sensor_pose", said)
     for name, reason in d.untestable.items():
         yield Finding(APART, "untestable", f"{name} could not be tried: {reason}")
-    if not d.indistinguishable and not d.confounded_with and not d.untestable:
+    if not (d.indistinguishable or d.confounded_with or d.untestable or said):
         yield Finding(APART, "nothing", "nothing of what was tried")
 
 

@@ -37,6 +37,7 @@ from .outliers import is_first_by_side, sentences, without_outliers
 from .repeats import by_repeats, in_repeats, same_within_poses, with_the_way
 from .rounded import steps_in
 from .search import SearchResult
+from .sensor_pose import taken_by_pose
 from .shapes import Shape
 from .stage import Candidate, Stage
 from .template import what_parts
@@ -215,6 +216,7 @@ def diagnose(
         confirmed=max((one.p for one in found.gains), default=None),
         signature=signature,
         confounded_with=confounded_with(base_stage),
+        taken_by_pose={} if run.is_exact else taken_by_pose(run.fit, run.catalogue),
         outliers=outliers,
         next_poses=proposal.poses,
         advice=proposal.advice,

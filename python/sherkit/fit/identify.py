@@ -152,8 +152,8 @@ class Fit(Identified, Shown):
 
     @cached_property
     def nominal_residuals(self) -> Floats:
-        """Measured minus the nominal robot's prediction (n, m) (delta: Eq. 14), seen from where the sensor must stand where
-        that is free."""
+        """Measured minus the nominal robot's prediction (n, m) (delta: Eq. 14), seen from where the sensor must stand
+        where that is free."""
         return residuals(self.model, self.data, self.model.start(self.data))
 
     @cached_property

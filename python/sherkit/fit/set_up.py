@@ -262,8 +262,8 @@ def _much_better(
 def _handed(
     as_good: list[tuple[SetUp, Plausible]], model: ModelWithEffects, data: Measurements
 ) -> list[tuple[SetUp, Plausible]]:
-    """Two columns exchanged, or one of the wrong sign, are one thing to a sensor that may stand anywhere: those are said
-    with which it stands as the robot does, or else that the readings are left-handed."""
+    """Two columns exchanged, or one of the wrong sign, are one thing to a sensor that may stand anywhere: those are
+    said with which it stands as the robot does, or else that the readings are left-handed."""
     mirrors = [pair for pair in as_good if _is_columns(pair[0], model, data)]
     if len(mirrors) < 2:
         return as_good

@@ -111,8 +111,8 @@ class ModelWithEffects(Saved, ABC):
 
     @abstractmethod
     def place(self, data: Measurements, predicted: Floats, values: Floats | None = None) -> dict[str, Floats]:
-        """Where the machine was at each row, (n,) by name; ``predicted`` (n, m) are the readings of the model with these
-        ``values`` (p,), by which places are seen from the base where a sensor stands elsewhere."""
+        """Where the machine was at each row, (n,) by name; ``predicted`` (n, m) are the readings of the model with
+        these ``values`` (p,), by which places are seen from the base where a sensor stands elsewhere."""
 
     @abstractmethod
     def axes_of(self, effect: Effect, data: Measurements) -> int:
@@ -237,8 +237,8 @@ class ModelWithEffects(Saved, ABC):
         return ()
 
     def for_run(self, data: Measurements) -> Self:
-        """The same model for a run: its time counted from the begin, unless it has an origin of time, since what moves on
-        from one row to the next must not hang on the year."""
+        """The same model for a run: its time counted from the begin, unless it has an origin of time, since what moves
+        on from one row to the next must not hang on the year."""
         counts = self.settings().get("time_origin_s") == 0.0
         return replace(self, time_origin_s=data.begins_s) if counts else self  # type: ignore[type-var]
 

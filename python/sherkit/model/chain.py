@@ -209,6 +209,14 @@ class ChainModel(SeenModel):
         return tuple(out)
 
     @cached_property
+    def of_sensor(self) -> frozenset[str]:
+        """Names of those of :attr:`core_parameters` that are the instrument's: where it stands, and what it shows."""
+        rows = [row for row in self.table if row["link"] == "sensor"]
+        return frozenset(
+            p["name"] if row["base"] else f"{row['name']}.{p['name']}" for row in rows for p in row["parameters"]
+        )
+
+    @cached_property
     def bare(self) -> tuple[Parameter, ...]:
         """Those that ``free`` names."""
         by_name = {p.name: p for p in self.base}

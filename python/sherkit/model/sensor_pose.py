@@ -1,7 +1,7 @@
 """The sensor's pose: where an instrument stands, seen from the base of the robot (the *robot–world* transform).
 
-What the instrument sees of a point x of the base frame is ``R x + origin``: the base turned by roll, pitch and yaw, then
-shifted. Each of its six numbers is *free*, *known* within a standard deviation, or *held*: a deviation that is
+What the instrument sees of a point x of the base frame is ``R x + origin``: the base turned by roll, pitch and yaw,
+then shifted. Each of its six numbers is *free*, *known* within a standard deviation, or *held*: a deviation that is
 infinite, a number, or zero. A tracker may stand anywhere, so the rows themselves tell where to start: the rigid
 transform of predicted to measured points (Kabsch, 1976), rows that are wrong left out.
 """
@@ -87,7 +87,8 @@ class SensorPose:
     @classmethod
     def from_table(cls, table: Table) -> SensorPose:
         """Reads the table ``[sensor_pose]``: ``origin_mm``, ``rpy_deg``; ``free = true`` or ``false`` for all six
-        numbers, ``shift_sd_mm`` and ``turn_sd_deg`` (a number for all three axes, or three) for those that are known."""
+        numbers, ``shift_sd_mm`` and ``turn_sd_deg`` (a number for all three axes, or three) for those that are
+        known."""
         usual = {True: FREE, False: HELD, None: None}[table.choice("free")]
         spread = {name: table.deviations(name, 3) or usual for name in ("shift_sd_mm", "turn_sd_deg")}
         return cls(**keys_from(table, cls.KEYS, cls), **spread)
@@ -124,10 +125,14 @@ class KnownPose(SensorPose):
     KEYS: ClassVar[dict[str, Any]] = {}
 
 
+#: One of which nothing is said, and one of which nothing is said but where it stands.
+ANYWHERE, WITH_ITS_FILE = SensorPose(), KnownPose()
+
+
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """The rigid transform of points to where they were read: ``read = turn @ point + shift``; ``near`` are the rows that
-    tell it."""
+    """The rigid transform of points to where they were read: ``read = turn @ point + shift``; ``near`` are the rows
+    that tell it."""
 
     turn: Floats
     shift_mm: Floats
@@ -141,8 +146,9 @@ class Registered:
 
 
 def registered(points_mm: Floats, read_mm: Floats, *, mirrored: bool = False) -> Registered | None:
-    """The turn and shift that bring points (n, 3) to where they were read (n, 3); None where they are too few, or stand in
-    a line. Rows with an empty cell (NaN) and rows far off do not count. ``mirrored`` is the best turn with a mirror."""
+    """The turn and shift that bring points (n, 3) to where they were read (n, 3); None where they are too few, or stand
+    in a line. Rows with an empty cell (NaN) and rows far off do not count. ``mirrored`` is the best turn with a
+    mirror."""
     whole: Bools = np.asarray(np.isfinite(points_mm).all(axis=1) & np.isfinite(read_mm).all(axis=1))
     near, found = whole.copy(), None
     hand = -1.0 if mirrored else 1.0

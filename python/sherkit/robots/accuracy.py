@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import polars as pl
 from numpy.typing import ArrayLike
 
 from ..base.types import Bools, Floats
-from ..data.columns import bare, unit_in
+from ..data.columns import TEMPERATURE, TIME, bare, unit_in
 from ..fit.error import radius_95
 from ..model.batch import Batch
-from .deployed import Deployed
+from ..model.effect import Effect
+from .deployed import BASE, SENSOR, Deployed
 from .part import Part, UnobservedEffect, at_rest, by_effect
-from .unobserved_effects import Asked
+from .unobserved_effects import Asked, Counted
 
 # -- What is promised of a place ----------------------------------------------------------------------------------
 
@@ -34,7 +36,8 @@ class PredictedAccuracy:
     ``radius_mm`` holds for effects that the poses of the run can show; ``addition_mm`` is what effects of the catalogue
     at plausible size could do there besides, unseen between the poses; ``effect`` is the one that does most of it and
     ``advice`` the measurement that would narrow it, both empty where there is none. ``visit_mm`` holds 95 of 100 single
-    readings there, scatter and all. NaN for a place out of reach.
+    readings there, scatter and all. NaN for a place out of reach. All holds at ``temperature_c`` and at ``time_s`` on the
+    run's clock; NaN where nothing that is known of the robot depends on it.
     """
 
     radius_mm: float
@@ -42,6 +45,8 @@ class PredictedAccuracy:
     visit_mm: float = float("nan")
     effect: str = ""
     advice: str = ""
+    temperature_c: float = float("nan")
+    time_s: float = float("nan")
 
     @property
     def total_mm(self) -> float:
@@ -59,10 +64,17 @@ class PredictedAccuracy:
         within, shown = f"within {1e3 * self.total_mm:.1f} µm in 95 of 100 cases", f"{1e3 * self.radius_mm:.1f} µm"
         if self.visit_mm > self.total_mm:
             within = f"the mean of many visits {within}, single readings within {1e3 * self.visit_mm:.1f} µm"
+        within += self._when
         if not self.effect:
             return f"{within}; the poses leave no room for an effect between them"
         text = f"{within}: {shown} by what the poses show, the rest by what they could not, mostly {self.effect}"
-        return f"{text}. {self.advice}" if self.matters else text
+        return f"{text}. {self.advice}" if self.matters and self.advice else text
+
+    @property
+    def _when(self) -> str:
+        """For which temperature and moment it holds, where that matters."""
+        out = "" if math.isnan(self.temperature_c) else f", at {self.temperature_c:.1f} °C"
+        return out if math.isnan(self.time_s) else f"{out}, {self.time_s / 60.0:.0f} min after the run's clock began"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +90,7 @@ class Hiding:
 @dataclass(frozen=True, eq=False)
 class PredictedAccuracies:
     """:class:`PredictedAccuracy` of many places: ``radius_mm``, ``addition_mm`` and ``visit_mm`` (n,), NaN where not
-    ``reached`` (n,); ``worst`` says what hides most at each."""
+    ``reached`` (n,); ``worst`` says what hides most at each; all at one ``temperature_c`` and ``time_s``."""
 
     radius_mm: Floats
     addition_mm: Floats
@@ -87,6 +99,8 @@ class PredictedAccuracies:
     reached: Bools
     why: tuple[str, ...]
     coordinates: tuple[str, ...]
+    temperature_c: float = float("nan")
+    time_s: float = float("nan")
 
     @property
     def total_mm(self) -> Floats:
@@ -99,9 +113,8 @@ class PredictedAccuracies:
     def __getitem__(self, row: int) -> PredictedAccuracy:
         one = self.worst[row]
         sizes = (float(self.radius_mm[row]), float(self.addition_mm[row]), float(self.visit_mm[row]))
-        if one is None:
-            return PredictedAccuracy(*sizes)
-        return PredictedAccuracy(*sizes, one.name, self._advice(one))
+        said = ("", "") if one is None else (one.name, self._advice(one))
+        return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s)
 
     def _advice(self, one: Hiding) -> str:
         """Where to measure, and what it would bring."""
@@ -164,12 +177,39 @@ class Accurate(Deployed):
     """A deployed robot of which it is known how far off it may be."""
 
     @abstractmethod
-    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
-        """Covariance (n, d, d) of where the robot really is when sent to ``coordinates`` (n, k) by ``joints`` (n, j).
-
-        Parameter covariance carried there, plus that of what the model leaves. In units of which one makes
-        :attr:`reach_mm` at the tool.
+    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+        """Derivatives (n, d, p) by the identified values of a part of where the robot is with ``joints`` (n, j) at the
+        covariates ``now`` of a loop, as :attr:`frame` sees it. In units of which one makes :attr:`reach_mm` at the tool.
         """
+
+    def counted(self, part: Part, frame: str) -> Bools:
+        """Which identified values (p,) of a part move places in a frame: in that of the base none of the instrument's,
+        where there are two."""
+        model = part.model(self.robot)
+        others = model.of_sensor if frame == BASE and len(self.frames) > 1 else ()
+        return np.array([p.name not in others for p in model.parameters[: len(part.values)]], dtype=bool)
+
+    def left_at(self, part: Part, coordinates: Floats) -> Floats:
+        """Covariance (n, d, d) of what a part leaves at ``coordinates`` (n, k) of :attr:`frame`; by default the same
+        everywhere."""
+        return np.broadcast_to(part.residual_covariance, (len(coordinates), *part.residual_covariance.shape))
+
+    def spread(
+        self, coordinates: Floats, joints: Floats, *, frame: str | None = None, temperature_c: float | None = None
+    ) -> Floats:
+        """Covariance (n, d, d) of where the robot really is when sent to ``coordinates`` (n, k) of :attr:`frame` by
+        ``joints`` (n, j), as ``frame`` counts it.
+
+        Parameter covariance carried there, that of what no reading tells with it, plus that of what the model leaves. In
+        the axes of :attr:`frame`, and in units of which one makes :attr:`reach_mm` at the tool.
+        """
+        where, now = self.frame_of(frame), self._now(temperature_c)
+        out = np.empty((len(coordinates), *self.whole.residual_covariance.shape))
+        for part, here in self._ruled(coordinates):
+            columns = np.where(self.counted(part, where), self.by_values(part, joints[here], now), 0.0)
+            left = self.left_at(part, coordinates[here])
+            out[here] = columns @ part.covariance @ columns.transpose(0, 2, 1) + left
+        return out
 
     @abstractmethod
     def places(self) -> list[tuple[str, Floats]]:
@@ -192,15 +232,20 @@ class Accurate(Deployed):
         del joints, by_joints
         return missed[:, : len(self.coordinates)]
 
-    def accuracy(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> float:
-        """Radius, mm, within which the mean of many visits to ``coordinates`` (k,) is predicted to lie in 95 of 100
-        cases: pose accuracy (ISO 9283). How single visits scatter about it is :meth:`repeatability`.
+    def accuracy(
+        self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> float:  # fmt: skip
+        """Radius, mm, within which the mean of many visits to ``coordinates`` (k,) of a ``frame`` is predicted to lie in 95
+        of 100 cases: pose accuracy (ISO 9283). How single visits scatter about it is :meth:`repeatability`.
 
         The whole of :meth:`predicted_accuracy`: what the poses of the run show, and what they could not have shown.
-        Where no pose was measured (:meth:`measured`) this is extrapolation and holds only as far as the model does.
-        Raises as :meth:`inverse`.
+        In the frame of the base what no reading tells of where the instrument stood is part of it. At ``temperature_c``, by
+        default the mean of the run, and at its end. Where no pose was measured (:meth:`measured`) this is extrapolation and
+        holds only as far as the model does. Raises as :meth:`inverse`.
         """
-        return self.predicted_accuracy(coordinates, direction=direction).total_mm
+        said = self.predicted_accuracy(coordinates, frame=frame, temperature_c=temperature_c, direction=direction)
+        return said.total_mm
 
     def repeatability(self, coordinates: ArrayLike) -> float:
         """Radius, mm, about the mean of many visits to ``coordinates`` (k,) that holds 95 of 100 readings there, the
@@ -209,22 +254,32 @@ class Accurate(Deployed):
         known = scatter is not None and bool(scatter.any())
         return self.reach_mm * float(radius_95(scatter[None])[0]) if scatter is not None and known else float("nan")
 
-    def accuracy_batch(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Batch:
+    def accuracy_batch(
+        self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> Batch:  # fmt: skip
         """:meth:`accuracy` at every one of ``coordinates`` (n, k): values (n,), mm; those out of reach are marked."""
-        made = self.predicted_accuracies(coordinates, direction=direction)
+        made = self.predicted_accuracies(
+            coordinates, frame=frame, temperature_c=temperature_c, direction=direction
+        )  # fmt: skip
         return Batch(made.total_mm, made.reached, made.why)
 
-    def predicted_accuracy(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> PredictedAccuracy:
+    def predicted_accuracy(
+        self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> PredictedAccuracy:  # fmt: skip
         """How far off the robot may be at ``coordinates`` (k,), and why. Arguments and errors as :meth:`inverse`."""
         x = self._place(coordinates)
-        self.inverse(x, direction=direction)  # says why where it cannot be reached
-        return self.predicted_accuracies(x[None, :], direction=direction)[0]
+        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction}
+        self.inverse(x, **now)  # says why where it cannot be reached
+        return self.predicted_accuracies(x[None, :], **now)[0]
 
     def predicted_accuracies(
-        self, coordinates: ArrayLike, *, direction: ArrayLike | None = None
-    ) -> PredictedAccuracies:
-        """:meth:`predicted_accuracy` at every one of ``coordinates`` (n, k), all reached in one ``direction`` (j,) if
-        given.
+        self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> PredictedAccuracies:  # fmt: skip
+        """:meth:`predicted_accuracy` at every one of ``coordinates`` (n, k) of a ``frame``, all reached in one
+        ``direction`` (j,) if given.
 
         The radius: parameter covariance carried to the place, plus the covariance of what the model leaves on poses
         held out (all of it where the noise is not known), plus half of the lost motion that is in the model where no
@@ -233,20 +288,21 @@ class Accurate(Deployed):
         do there and did not show at the poses (:mod:`~sherkit.robots.part`): of all effects, the one that
         could do most.
         """
-        x = self._places(coordinates)
-        inverse = self.inverse_batch(x, direction=direction)
+        x, where = self._places(coordinates), self.frame_of(frame)
+        inverse = self.inverse_batch(x, frame=frame, temperature_c=temperature_c, direction=direction)
+        x = self._own(x, where)
         rows = np.flatnonzero(inverse.reached)
         joints = np.ascontiguousarray(inverse.values[rows])
-        radius, addition = np.full(len(x), np.nan), np.full(len(x), np.nan)
+        radius, addition, visit = (np.full(len(x), np.nan) for _ in range(3))
         worst: list[Hiding | None] = [None] * len(x)
-        known = self.spread(x[rows], joints)
-        parts = [self.part_at(one) for one in x[rows]]
-        ruled = [(p, np.array([one is p for one in parts])) for p in {id(one): one for one in parts}.values()]
+        known = self.spread(x[rows], joints, frame=where, temperature_c=temperature_c)
+        ruled, now = self._ruled(x[rows]), self._now(temperature_c)[:2]
         for part, here in ruled if direction is None else ():
-            known[here] += self._either_side(part, joints[here])
-        whole = known.copy()
+            known[here] += self._either_side(part, joints[here], now)
+        whole, scatter = known.copy(), np.empty_like(known)
         for part, here in ruled:
-            found = self._beyond(part, x[rows[here]], joints[here])
+            scatter[here] = part.scatter
+            found = self._beyond(part, x[rows[here]], joints[here], where, now)
             if found:
                 chosen = [which for which, _ in found.values()]
                 spreads = np.array([spread for _, spread in found.values()])
@@ -255,46 +311,68 @@ class Accurate(Deployed):
                 whole[here] += spreads[most, each]
                 for k, row in enumerate(rows[here]):
                     one = chosen[most[k]][k]
-                    worst[row] = Hiding(one.called(model), one.places, one.left)
+                    # readings narrow what the instrument's own frame sees of it
+                    advised = one.places if where == self.frame else one.places[:0]
+                    worst[row] = Hiding(one.called(model), advised, one.left)
         radius[rows] = self.reach_mm * radius_95(known)
         addition[rows] = self.reach_mm * radius_95(whole) - radius[rows]
-        visit = np.full(len(x), np.nan)
-        scatter = np.array([one.scatter for one in parts]).reshape(known.shape)
         visit[rows] = self.reach_mm * radius_95(whole + scatter)
+        when = self._when([part for part, _ in ruled], now)
         return PredictedAccuracies(
-            radius, addition, visit, tuple(worst), inverse.reached, inverse.why, self.coordinates
+            radius, addition, visit, tuple(worst), inverse.reached, inverse.why, self.coordinates, *when
         )
 
-    def _either_side(self, part: Part, joints: Floats) -> Floats:
+    def _ruled(self, coordinates: Floats) -> list[tuple[Any, Bools]]:
+        """The parts that rule at ``coordinates`` (n, k) of :attr:`frame`, each with the rows (n,) where it does."""
+        parts = [self.part_at(one) for one in coordinates]
+        return [(p, np.array([one is p for one in parts])) for p in {id(one): one for one in parts}.values()]
+
+    def _when(self, parts: Sequence[Part], now: Sequence[float]) -> tuple[float, float]:
+        """Temperature and time that a promise is for, NaN where nothing that is known of the parts depends on it."""
+        needs: set[str] = set()
+        for part in parts:
+            model = part.model(self.robot)
+            hidden = (model.known_effects[one.effect] for one in part.unobserved_effects)
+            needs |= {name for effect in (*model.effects, *hidden) for name in effect.needs}
+        return (
+            now[1] if TEMPERATURE in needs else float("nan"),
+            now[0] if TIME in needs else float("nan"),
+        )
+
+    def _either_side(self, part: Part, joints: Floats, now: Sequence[float]) -> Floats:
         """Covariance (n, d, d) of not knowing from which side ``joints`` (n, j) are reached: of lost motion that is in
         the model half the width, joint by joint."""
         d, model = len(self.coordinates), part.model(self.robot)
         out = np.zeros((len(joints), d, d))
         for effect in model.effects:
             if "direction" in effect.needs:
-                now = np.tile([*part.now[:2], *(1.0 for _ in part.now[2:])], (len(joints), 1))
+                known = np.tile([*now, *(1.0 for _ in part.now[2:])], (len(joints), 1))
                 own = model.owns(effect)
-                columns, by_joints, _ = at_rest(model, part.values, part.readings, joints, now)
+                columns, by_joints, _ = at_rest(model, part.values, part.readings, joints, known)
                 off = self.carried(joints, by_joints, columns[:, :, own] * part.values[own])
                 out += off @ off.transpose(0, 2, 1)
         return out
 
-    def _beyond(self, part: Part, x: Floats, joints: Floats) -> dict[str, tuple[list[UnobservedEffect], Floats]]:
+    def _beyond(
+        self, part: Part, x: Floats, joints: Floats, frame: str, now: Sequence[float]
+    ) -> dict[str, tuple[list[UnobservedEffect], Floats]]:
         """By effect what the poses could not show at each place: at which setting it is worst there, and its
-        covariance (n, d, d)."""
+        covariance (n, d, d). In the frame of the base what the sensor's pose took of it is missed too."""
         out: dict[str, tuple[list[UnobservedEffect], Floats]] = {}
-        model, functions = part.model(self.robot), part.functions(x)
+        model, functions, counted = part.model(self.robot), part.functions(x), self.counted(part, frame)
         for one in part.unobserved_effects:
             effect = model.known_effects[one.effect]
             # lost motion is asked for from both sides
             sides = (1.0, -1.0) if "direction" in effect.needs else (0.0,)
             spread = np.zeros((len(x), len(self.coordinates), len(self.coordinates)))
             for side in sides:
-                now = np.tile([*part.now[:2], *(side for _ in part.now[2:])], (len(x), 1))
+                known = np.tile([*now, *(side for _ in part.now[2:])], (len(x), 1))
                 by_values, by, by_joints = by_effect(
-                    model, part.values, effect, one.setting, part.readings, joints, now
+                    model, part.values, effect, one.setting, part.readings, joints, known
                 )
-                spread += one.beyond(self.carried(joints, by_joints, one.missed(by_values, by, functions))) / len(sides)
+                moves = by if self.moves(effect, frame) else np.zeros_like(by)
+                missed = one.missed(np.where(counted, by_values, 0.0), moves, functions)
+                spread += one.beyond(self.carried(joints, by_joints, missed)) / len(sides)
             if one.effect not in out:
                 out[one.effect] = ([one] * len(x), spread)
                 continue
@@ -302,6 +380,10 @@ class Accurate(Deployed):
             for k in np.flatnonzero(np.trace(spread - most, axis1=1, axis2=2) > 0):
                 which[k], most[k] = one, spread[k]
         return out
+
+    def moves(self, effect: Effect, frame: str) -> bool:
+        """Whether an effect moves places in a frame: the instrument's do not in that of the base, where there are two."""
+        return effect.link != SENSOR or frame == SENSOR or len(self.frames) == 1
 
     def asked(self, part: Part) -> Asked:
         """Where a part is asked how far off it could be: at random over the box that was measured, within reach."""
@@ -315,11 +397,19 @@ class Accurate(Deployed):
         x, joints = x[within], np.ascontiguousarray(inverse.values[within])
         sides = rng.choice([-1.0, 1.0], joints.shape)
         now = np.column_stack([np.tile(part.now[:2], (len(x), 1)), sides])
-        return Asked(x, joints, now, self.spread(x, joints) + part.scatter, self.carried)
+        counted = tuple(
+            Counted(
+                self.spread(x, joints, frame=frame) + part.scatter,
+                self.counted(part, frame),
+                lambda effect, frame=frame: self.moves(effect, frame),
+            )
+            for frame in self.frames
+        )
+        return Asked(x, joints, now, counted, self.carried)
 
-    def measured(self, coordinates: ArrayLike) -> bool:
-        """Whether ``coordinates`` (k,) lie in the box in which poses were measured, give or take a tenth."""
-        x = self._place(coordinates)
+    def measured(self, coordinates: ArrayLike, *, frame: str | None = None) -> bool:
+        """Whether ``coordinates`` (k,) of a ``frame`` lie in the box in which poses were measured, give or take a tenth."""
+        x = self._own(self._place(coordinates)[None, :], self.frame_of(frame))[0]
         part = self.part_at(x)
         margin = 0.1 * (part.high - part.low)
         return bool(((x >= part.low - margin) & (x <= part.high + margin)).all())

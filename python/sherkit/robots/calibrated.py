@@ -34,8 +34,9 @@ from .unobserved_effects import Search
 
 #: 2: what the poses of a run could not show is written beside what they did; before, accuracy left that out. 3: under
 #: the key ``unobserved_effects``, which was ``unshown``. 4: how single readings scatter is apart from what the model
-#: leaves; where it is not, as in earlier files, it is counted as that.
-FORMAT = 4
+#: leaves; where it is not, as in earlier files, it is counted as that. 5: which frame its places are in; before, where the
+#: instrument stood was not in it as the pose that it is.
+FORMAT = 5
 
 
 def write(path: Path, settings: Mapping[str, Any], robot: Robot, parts: Mapping[str, dict[str, Any]]) -> None:
@@ -65,15 +66,12 @@ def tables_of(path: Path, kind: str | None = None) -> dict[str, Any]:
     """
     tables = read_toml(path, "calibration", CalibrationError)
     settings = tables.get("calibration")
-    if isinstance(settings, dict) and settings.get("format") in (2, 3):
-        for part in tables.values():
-            if isinstance(part, dict) and "unshown" in part:
-                part["unobserved_effects"] = part.pop("unshown")
-        settings["format"] = FORMAT
-    if isinstance(settings, dict) and settings.get("format") == 1:
+    before = settings.get("format") if isinstance(settings, dict) else None
+    if isinstance(before, int) and not isinstance(before, bool) and 1 <= before < FORMAT:
         raise CalibrationError(
-            f"{path}: was written by an earlier version ([calibration] format = {settings['format']}, expected "
-            f"{FORMAT}) and does not say what its poses could not show; calibrate again from the run"
+            f"{path}: was written by an earlier version ([calibration] format = {before}, expected {FORMAT}) and does not "
+            f"say {'what its poses could not show' if before == 1 else 'where its instrument stood as the pose that it is'}; "
+            "calibrate again from the run"
         )
     if not isinstance(settings, dict) or settings.get("format") != FORMAT:
         raise CalibrationError(
@@ -186,7 +184,7 @@ class Calibration(Shown, Accurate):
         """Writes TOML that :meth:`load` reads back without loss."""
         parts = {name: getattr(self, name) for name in self.parts}
         written = {name: p.to_table(self.robot, self.coordinates) for name, p in parts.items() if p is not None}
-        write(Path(path), self._settings(), self.robot, written)
+        write(Path(path), {"frame": self.frame, **self._settings()}, self.robot, written)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -212,6 +210,7 @@ class Calibration(Shown, Accurate):
         with reading(path, tables) as table:
             with table.table("calibration") as c:
                 c.pass_over("format", "made_by")
+                c.text("frame", (cls.frame,))
                 settings = cls._settings_from(c)
             with table.table("robot") as r:
                 nominal = robot_from_table(r)

@@ -11,13 +11,17 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..base.names import nearest
 from ..base.saved import Saved
 from ..base.types import Bools, Floats
 from ..data.columns import unit_in
-from ..errors import SherkitWarning
+from ..errors import CalibrationError, SherkitWarning
 from ..model.batch import Batch, matrix, vector
 from ..model.kinds import Robot
 from .part import Part
+
+#: Where places are counted from: the base of the robot, as its drawing has it; or the instrument, where that stood.
+BASE, SENSOR = "base", "sensor"
 
 #: A place is far from the poses of a run from this many times their extent on.
 _FAR = 1.0
@@ -30,7 +34,14 @@ class Deployed(Saved, ABC):
     Coordinates are those of :attr:`coordinates`, joint readings those of the robot. Covariates of the control loop
     (``temperature_c``, and ``direction``: the sign of the last motion of each joint) matter only where the model holds
     an effect that needs them; left out, :attr:`Part.now` stands for them.
+
+    Places are given in :attr:`frame` unless another of :attr:`frames` is asked for by name: that of the robot's ``base``,
+    as its drawing has it, or that of the ``sensor``, where the instrument stood that measured it.
     """
+
+    #: The frame of places unless another is asked for, and why there is no other where there is none.
+    frame: ClassVar[str] = BASE
+    no_other: ClassVar[str] = "its kind knows no other frame"
 
     #: What :meth:`forward` gives, with units.
     coordinates: ClassVar[tuple[str, ...]]
@@ -48,6 +59,59 @@ class Deployed(Saved, ABC):
     def core(self) -> Any:
         """The compiled model: the same code that a control loop runs."""
 
+    # -- frames ------------------------------------------------------------------------------------------------------
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The frames in which places can be given, that of :attr:`frame` first."""
+        return (self.frame,)
+
+    def frame_of(self, frame: str | None) -> str:
+        """The frame of this name, by default :attr:`frame`. Raises :class:`~sherkit.errors.CalibrationError`."""
+        if frame is None or frame in self.frames:
+            return frame or self.frame
+        if frame in (BASE, SENSOR):
+            raise CalibrationError(
+                f"frame '{frame}': the places of this {self.robot.kind} robot are those of the frame '{self.frame}' alone: "
+                f"{self.no_other}"
+            )
+        raise CalibrationError(f"frame: expected '{BASE}' or '{SENSOR}', found '{frame}'{nearest(str(frame), (BASE, SENSOR))}")
+
+    def core_in(self, frame: str | None = None) -> Any:
+        """:attr:`core` with places in a frame. Raises as :meth:`frame_of`."""
+        return self.core if self.frame_of(frame) == self.frame else self._core_elsewhere
+
+    @cached_property
+    def _core_elsewhere(self) -> Any:
+        """The compiled model with places in the other frame, where there is one."""
+        raise CalibrationError(self.no_other)
+
+    @cached_property
+    def sensor_frame(self) -> tuple[Floats, Floats]:
+        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm."""
+        made: tuple[Floats, Floats] = self.model.sensor_frame(self.whole.values)
+        return made
+
+    def from_sensor(self, readings_mm: ArrayLike) -> Floats:
+        """What the sensor shows (n, 3), mm, in the frame of the base, from where it was found to stand."""
+        turn, shift = self.sensor_frame
+        made: Floats = (matrix(readings_mm, "readings") - shift) @ turn
+        return made
+
+    def to_sensor(self, places_mm: ArrayLike) -> Floats:
+        """Places (n, 3), mm, of the base's frame as the sensor sees them from where it was found to stand."""
+        turn, shift = self.sensor_frame
+        made: Floats = matrix(places_mm, "places") @ turn.T + shift
+        return made
+
+    def _own(self, places: Floats, frame: str) -> Floats:
+        """Places (n, k) of a frame in :attr:`frame`."""
+        if frame == self.frame:
+            return places
+        return np.ascontiguousarray(self.to_sensor(places) if frame == BASE else self.from_sensor(places))
+
+    # -- what a loop asks ----------------------------------------------------------------------------------------------
+
     @cached_property
     def model(self) -> Any:
         """The model that was identified over the workspace, a :class:`~sherkit.model.chain.ChainModel`."""
@@ -59,49 +123,63 @@ class Deployed(Saved, ABC):
         return dict(zip((p.name for p in self.model.parameters), self.whole.values.tolist(), strict=True))
 
     def forward(
-        self, joints: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None
-    ) -> Floats:
-        """Coordinates (k,) for joint readings (j,). Raises :class:`~sherkit.errors.OutOfReach` with what is wrong."""
-        return self._one(joints, temperature_c, direction)[0]
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> Floats:  # fmt: skip
+        """Coordinates (k,) in a ``frame`` for joint readings (j,). Raises :class:`~sherkit.errors.OutOfReach` with what is
+        wrong, :class:`~sherkit.errors.CalibrationError` for a frame that there is not."""
+        return self._one(joints, frame, temperature_c, direction)[0]
 
     def jacobian(
-        self, joints: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None
-    ) -> Floats:
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> Floats:  # fmt: skip
         """d coordinates / d joints (k, j) of the whole corrected model. Arguments and errors as :meth:`forward`."""
-        return self._one(joints, temperature_c, direction)[1]
+        return self._one(joints, frame, temperature_c, direction)[1]
 
     def inverse(
-        self, coordinates: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None
-    ) -> Floats:
+        self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> Floats:  # fmt: skip
         """Joint readings (j,) at which the corrected model gives ``coordinates`` (k,), to 1e-6 mm or 1e-12 rad.
 
-        Arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach`, or ``NotConverged`` where a
-        correction folds over. Warns once (:class:`~sherkit.errors.SherkitWarning`) of a place that is farther from the
-        poses of the run than these lie apart.
+        Arguments as :meth:`forward`. Raises as that, or :class:`~sherkit.errors.NotConverged` where a correction folds
+        over. Warns once (:class:`~sherkit.errors.SherkitWarning`) of a place that is farther from the poses of the run than
+        these lie apart.
         """
         x = self._place(coordinates)
-        made: Floats = self.core.inverse(x, self._now(temperature_c, direction))
-        self._went_to(x)
+        made: Floats = self.core_in(frame).inverse(x, self._now(temperature_c, direction))
+        self._went_to(x, frame)
         return made
 
-    def forward_batch(self, joints: ArrayLike) -> Batch:
-        """Coordinates (n, k) for joint readings (n, j); rows out of reach are marked."""
-        values, _, reached = self._rows(joints)
+    def forward_batch(
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
+    ) -> Batch:
+        """Coordinates (n, k) in a ``frame`` for joint readings (n, j); rows out of reach are marked."""
+        values, _, reached = self._rows(joints, frame, temperature_c)
         return Batch(values, reached)
 
-    def jacobian_batch(self, joints: ArrayLike) -> Batch:
+    def jacobian_batch(
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
+    ) -> Batch:
         """Jacobians (n, k, j) for joint readings (n, j); rows out of reach are marked."""
-        _, values, reached = self._rows(joints)
+        _, values, reached = self._rows(joints, frame, temperature_c)
         return Batch(values, reached)
 
-    def inverse_batch(self, coordinates: ArrayLike, *, direction: ArrayLike | None = None) -> Batch:
+    def inverse_batch(
+        self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> Batch:  # fmt: skip
         """Joint readings (n, j) for coordinates (n, k), all reached in one ``direction`` (j,) if given; rows out of
         reach are marked."""
-        values, reached = self.core.inverse_batch(self._places(coordinates), self._now(None, direction))
+        x, now = self._places(coordinates), self._now(temperature_c, direction)
+        values, reached = self.core_in(frame).inverse_batch(x, now)
         return Batch(values, reached)
 
-    def _went_to(self, x: Floats) -> None:
+    def _went_to(self, x: Floats, frame: str | None) -> None:
         """Says once that it is asked where nothing like the place was measured: quick, for control loops."""
+        if frame is not None and frame != self.frame:
+            x = self._own(x[None, :], frame)[0]
         for value, (low, high) in zip(x.tolist(), self._near, strict=True):
             if not low <= value <= high:
                 return self._say_far(x)
@@ -129,16 +207,18 @@ class Deployed(Saved, ABC):
         self.__dict__["_near"] = [(-np.inf, np.inf)] * len(x)
 
     def _one(
-        self, joints: ArrayLike, temperature_c: float | None, direction: ArrayLike | None
+        self, joints: ArrayLike, frame: str | None, temperature_c: float | None, direction: ArrayLike | None
     ) -> tuple[Floats, Floats]:
         q = vector(joints, "joint readings", self._joints)
-        made: tuple[Floats, Floats] = self.core.forward(q, self._now(temperature_c, direction))
+        made: tuple[Floats, Floats] = self.core_in(frame).forward(q, self._now(temperature_c, direction))
         return made
 
-    def _rows(self, joints: ArrayLike) -> tuple[Floats, Floats, Bools]:
+    def _rows(
+        self, joints: ArrayLike, frame: str | None = None, temperature_c: float | None = None
+    ) -> tuple[Floats, Floats, Bools]:
         """Coordinates, Jacobians, and which rows are within reach."""
         q = matrix(joints, "joint readings", self._joints)
-        made: tuple[Floats, Floats, Bools] = self.core.forward_batch(q, self._now())
+        made: tuple[Floats, Floats, Bools] = self.core_in(frame).forward_batch(q, self._now(temperature_c))
         return made
 
     def _now(self, temperature_c: float | None = None, direction: ArrayLike | None = None) -> list[float]:

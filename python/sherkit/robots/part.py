@@ -273,11 +273,6 @@ class Part:
         chosen = effects_by_name(catalogue_of(robot), self.effects)
         return kind_of(robot).model(robot, self.free, chosen, **self.settings)
 
-    def spread(self, by_values: Floats) -> Floats:
-        """Covariance (n, k, k) of places that depend on the values by these derivatives (n, k, p), with what is
-        left."""
-        return by_values @ self.covariance @ by_values.transpose(0, 2, 1) + self.residual_covariance
-
     def functions(self, coordinates: Floats) -> Floats:
         """Values (n, c) of the functions that a smooth correction is a sum of; it has none of them by default."""
         return np.zeros((len(coordinates), 0))

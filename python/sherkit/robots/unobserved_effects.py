@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from ..base import linalg
-from ..base.types import Floats, Ints
+from ..base.types import Bools, Floats, Ints
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect
@@ -36,14 +36,25 @@ Carry = Callable[[Floats, Floats, Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
+class Counted:
+    """What counts in one frame: the ``spread`` (q, d, d) that is known, which of the identified ``values`` (p,) move places
+    there, and which effects do."""
+
+    spread: Floats
+    values: Bools
+    moves: Callable[[Effect], bool]
+
+
+@dataclass(frozen=True, eq=False)
 class Asked:
     """Where a robot is asked how far off it could be: coordinates (q, d), joints (q, j), time, temperature and
-    directions (q, 2 + j), and the spread (q, d, d) that is known; ``carry`` turns readings into coordinates."""
+    directions (q, 2 + j), and what is ``counted`` in each of its frames, its own first; ``carry`` turns readings into
+    coordinates."""
 
     coordinates: Floats
     joints: Floats
     now: Floats
-    spread: Floats
+    counted: tuple[Counted, ...]
     carry: Carry
 
 
@@ -170,11 +181,8 @@ class LinearFit:
 
     # -- one effect ----------------------------------------------------------------------------------------
 
-    def assess(
-        self, effect: Effect, setting: float | None, rows: Floats, places: Floats
-    ) -> tuple[UnobservedEffect, Floats]:
-        """What the poses leave open of an effect with these columns, without advice; and what coordinates miss at the
-        asked places (q, d, k)."""
+    def assess(self, effect: Effect, setting: float | None, rows: Floats) -> UnobservedEffect:
+        """What the poses leave open of an effect with these columns, without advice."""
         k, d = rows.shape[2], self.asked.coordinates.shape[1]
         basis, change = self._moved
         whole = (rows * self._weights[:, :, None]).reshape(-1, k)
@@ -199,11 +207,17 @@ class LinearFit:
         by_joints = self._by_joints[self._full][:, : left.shape[1]]
         shown = self.asked.carry(self.joints[self._full], by_joints, left)
         seen = np.tensordot(shown @ moment, shown, ([0, 2], [0, 2])) / max(len(shown), 1)
-        made = UnobservedEffect(
+        return UnobservedEffect(
             effect.name, setting, absorbed[: len(self.part.values)], corrected, moment, seen, np.zeros((0, d)), 1.0
         )
-        missed = made.missed(self._there[0], places, self._functions_there)
-        return made, self.asked.carry(self.asked.joints, self._there[1], missed)
+
+    def missed(self, one: UnobservedEffect, effect: Effect, places: Floats, frame: Counted | None = None) -> Floats:
+        """What coordinates miss at the asked places (q, d, k) of an effect whose columns there are ``places`` (q, m, k): in
+        a frame, or as readings are."""
+        by_values = self._there[0] if frame is None else np.where(frame.values, self._there[0], 0.0)
+        moved = places if frame is None or frame.moves(effect) else np.zeros_like(places)
+        missed = one.missed(by_values, moved, self._functions_there)
+        return self.asked.carry(self.asked.joints, self._there[1], missed)
 
     def least_seen(self, rows: Floats) -> float:
         """Of columns (r, m, k) in like units, how much the poses show of the combination of which they show least."""
@@ -284,14 +298,16 @@ class Search:
         """Effects that could do something between the poses, those that hide most first."""
         if not len(self.asked.joints):
             return ()
-        least = _LEAST * float(np.trace(self.asked.spread.mean(axis=0)))
+        least = [_LEAST * float(np.trace(one.spread.mean(axis=0))) for one in self.asked.counted]
         out: list[tuple[float, UnobservedEffect]] = []
         # beside a wave in the model there may be another
         inside = [e for e in self._all.deployed.effects if e.is_periodic]
         for effect in (*self._choice[0], *inside):
             each = [self.told(effect, setting) for setting in self._settings(effect)]
-            worst = max((hides for hides, _ in each), default=0.0)
-            out += [one for one in each if one[0] >= max(least, _KEPT * worst)]
+            worst = np.max([hides for hides, _ in each], axis=0, initial=0.0)
+            # in whichever frame it matters
+            enough = np.maximum(least, _KEPT * worst)
+            out += [(float(hides[0]), one) for hides, one in each if (hides >= enough).any()]
         return tuple(one for _, one in sorted(out, key=lambda o: -o[0]))
 
     @property
@@ -313,23 +329,26 @@ class Search:
         """One row of each pose: enough to see which periods they show."""
         return replace(self._all, rows=rows_of(self.run.fit, one_each=True))
 
-    def told(self, effect: Effect, setting: float | None) -> tuple[float, UnobservedEffect]:
-        """How much is hidden (mean square at the asked places), and what of it."""
-        made, missed = self._all.assess(effect, setting, *self._all.columns(effect, setting))
-        places, left = self._advised(made.moment, missed)
-        return made.hides(missed), replace(made, places=places, left=left)
+    def told(self, effect: Effect, setting: float | None) -> tuple[Floats, UnobservedEffect]:
+        """How much is hidden in each frame (mean square at the asked places), and what of it."""
+        rows, there = self._all.columns(effect, setting)
+        made = self._all.assess(effect, setting, rows)
+        missed = [self._all.missed(made, effect, there, frame) for frame in self.asked.counted]
+        places, left = self._advised(made.moment, missed[0], self._all.missed(made, effect, there))
+        return np.array([made.hides(one) for one in missed]), replace(made, places=places, left=left)
 
-    def _advised(self, moment: Floats, missed: Floats) -> tuple[Floats, float]:
-        """Asked places (r, d) at which readings would tell most, one after the other, and the part that they leave."""
-        noise = self.asked.spread.mean(axis=0)
+    def _advised(self, moment: Floats, missed: Floats, read: Floats) -> tuple[Floats, float]:
+        """Asked places (r, d) at which readings, which miss ``read`` (q, d, k) by it, would tell most of what coordinates
+        miss (q, d, k), one after the other, and the part that they leave."""
+        noise = self.asked.counted[0].spread.mean(axis=0)
         over = np.tensordot(missed, missed, ([0, 1], [0, 1]))
         before = float(np.trace(over @ moment))
         chosen: list[int] = []
         left = 1.0
         while before > 0.0 and len(chosen) < _ADVISED and left > _LEFT:
-            there = missed @ moment
+            there = read @ moment
             # of readings without noise nothing is left in some directions
-            inverse = linalg.pinv(there @ missed.transpose(0, 2, 1) + noise, hermitian=True)
+            inverse = linalg.pinv(there @ read.transpose(0, 2, 1) + noise, hermitian=True)
             gains = np.trace(inverse @ (there @ over @ there.transpose(0, 2, 1)), axis1=1, axis2=2)
             gains[chosen] = -np.inf  # twice at one place would tell of the noise there
             best = int(np.argmax(gains))
@@ -363,8 +382,8 @@ class Search:
             tried = np.unique(np.round(tried * _TURN).clip(2.0)) / _TURN
 
         def hides(frequency: float, wave: _Wave) -> float:
-            made, missed = quick.assess(effect, 1.0 / frequency, *wave)
-            return made.hides(missed)
+            made = quick.assess(effect, 1.0 / frequency, wave[0])
+            return made.hides(quick.missed(made, effect, wave[1], self.asked.counted[0]))
 
         def unseen(_: float, wave: _Wave) -> float:
             return -quick.least_seen(wave[0])

@@ -23,9 +23,11 @@ from ...data.toml import Table
 from ...errors import CalibrationError, FitError
 from ...fit.identify import Fit
 from ...model.kinds import Robot
+from ...model.sensor_pose import POSE
 from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun, Cells, Corrected
+from ..deployed import BASE, SENSOR
 from ..part import Part
 from .correction import Choice, Correction, choose_correction, enough_rows, leftover
 from .paper import PaperProtocol, paper_protocol
@@ -121,8 +123,8 @@ _ON_BORDER = 1.02
 class DeltaPart(Part):
     """One identified model of a delta: its residuals, mm², are those about the corrected model.
 
-    ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded. The sensors saw a
-    point x of the base frame at ``sensor_turn`` x + ``sensor_origin_mm``; the correction is one of the base frame.
+    ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded. The sensors saw
+    a point x of the base frame at ``sensor_turn`` x + ``sensor_origin_mm``; the correction is one of the base frame.
     """
 
     uncorrected_covariance: Floats
@@ -202,9 +204,11 @@ class DeltaPart(Part):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeltaCalibration(Calibration):
-    """A calibrated delta. Positions, mm, are those of the measured point in ``frame``: as the sensors saw it, where they stood
-    (``sensor``), unless the frame of the base is asked for. Places, planes and the region of interest are the drawing's."""
+    """A calibrated delta. Positions, mm, are those of the measured point as the sensors saw it, where they stood, unless the
+    frame of the base is asked for: readings alone leave a shift of the base open, a tilt common to all rails and its turn,
+    so that what is promised of a delta is promised where it was seen. The region of interest is the base's."""
 
+    frame: ClassVar = SENSOR
     coordinates: ClassVar = POSITION
     called: ClassVar = ("position", "positions")
     part: ClassVar = DeltaPart
@@ -275,42 +279,60 @@ class DeltaCalibration(Calibration):
 
     # -- the model ---------------------------------------------------------------------------------------
 
-    def _core_part(self, part: DeltaPart) -> tuple[_core.DeltaModel, Floats, _core.Bernstein | None]:
+    def _core_part(self, part: DeltaPart, frame: str) -> tuple[_core.DeltaModel, Floats, _core.Bernstein | None]:
         model = part.model(self.robot)
-        return model.core, model.full(part.values), part.correction.core if part.correction else None
+        # in the frame of the base no error of the instrument moves anything; where it stood says which frame that is
+        names = [p.name for p in model.core_parameters]
+        none = [frame == BASE and name in model.of_sensor and name not in POSE for name in names]
+        full = np.where(none, 0.0, model.full(part.values))
+        return model.core, full, part.correction.core if part.correction else None
 
     @cached_property
     def core(self) -> _core.Calibrated:
         """The compiled model: the same code that a control loop runs."""
+        return self._made_in(SENSOR)
+
+    @cached_property
+    def _core_elsewhere(self) -> _core.Calibrated:
+        return self._made_in(BASE)
+
+    def _made_in(self, frame: str) -> _core.Calibrated:
         local = region = None
         if self.local is not None and self.region_half_width_mm is not None:
-            local = self._core_part(self.local)
+            local = self._core_part(self.local, frame)
             half = float(self.region_half_width_mm)
             blend = self.blend_mm if self.blend_mm is not None else _BLEND * half
             region = (np.full(3, -half), np.full(3, half), blend)
-        return _core.Calibrated(self._core_part(self.whole), local, region)
+        return _core.Calibrated(self._core_part(self.whole, frame), local, region, frame)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """That of the instrument, and that of the base."""
+        return (SENSOR, BASE)
+
+    @cached_property
+    def sensor_frame(self) -> tuple[Floats, Floats]:
+        """From the base to the sensors as identified: the turn (3, 3) and the shift (3,), mm."""
+        return self.whole.sensor_turn, self.whole.sensor_origin_mm
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
-    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
+    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+        """Of positions (n, 3, p)."""
+        model = part.model(self.robot)
+        # a commanded position is reached at rest
+        known = np.tile([*now, 0.0, 0.0, 0.0, DRAWN_C], (len(joints), 1))
+        block = (np.ascontiguousarray(joints), None, known, None)
+        made: Floats = model.core.derivatives(model.full(part.values), block, model.indices)[0][:, :3]
+        return made
+
+    def left_at(self, part: Part, coordinates: Floats) -> Floats:
         """Covariance (n, 3, 3), mm²; without the correction as far as it has faded."""
-        out = np.empty((len(coordinates), 3, 3))
-        inside = np.array([self.part_at(x) is self.local for x in coordinates], dtype=bool)
-        for part, here in ((self.whole, ~inside), (self.local, inside)):
-            rows = np.flatnonzero(here)
-            if part is None or not len(rows):
-                continue
-            model = part.model(self.robot)
-            # a commanded position is reached at rest
-            now = np.tile([*self._now(), 0.0, 0.0, 0.0, DRAWN_C], (len(rows), 1))
-            block = (np.ascontiguousarray(joints[rows]), None, now, None)
-            derivative = model.core.derivatives(model.full(part.values), block, model.indices)[0][:, :3]
-            at = part.at_base(coordinates)
-            shares = [part.correction.share(at[row]) if part.correction else 1.0 for row in rows]
-            share = np.array(shares)[:, None, None]
-            left = share * part.residual_covariance + (1.0 - share) * part.uncorrected_covariance
-            out[rows] = derivative @ part.covariance @ derivative.transpose(0, 2, 1) + left
-        return out
+        own = cast(DeltaPart, part)
+        if own.correction is None:
+            return super().left_at(part, coordinates)
+        share = np.array([own.correction.share(at) for at in own.at_base(coordinates)])[:, None, None]
+        return np.asarray(share * own.residual_covariance + (1.0 - share) * own.uncorrected_covariance)
 
     def part_at(self, coordinates: Floats) -> DeltaPart:
         """The local part inside the region of interest, where there is one, else the whole one."""
@@ -320,7 +342,7 @@ class DeltaCalibration(Calibration):
         return self.local if inside and self.local is not None else self.whole
 
     def places(self) -> list[tuple[str, Floats]]:
-        """The centre, the corner of the region of interest, the rim of the workspace: positions (3,), mm."""
+        """As the sensors see them: the centre, the corner of the region of interest, the rim of the workspace: positions (3,), mm."""
         robot = self.robot
         out = [("centre", np.zeros(3))]
         if robot.region_half_width_mm:

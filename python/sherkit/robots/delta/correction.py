@@ -203,8 +203,8 @@ def fit_grid(axes: Sequence[Floats], errors_mm: Floats, orders: Orders, fade_mm:
 
 @dataclass(frozen=True, eq=False)
 class Leftover:
-    """What a fit leaves at each row with a full position: where (identified position) and how much, mm, in the frame of the
-    base."""
+    """What a fit leaves at each row with a full position: where (identified position) and how much, mm, in the frame of
+    the base."""
 
     positions_mm: Floats
     errors_mm: Floats

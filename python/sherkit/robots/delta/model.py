@@ -33,7 +33,9 @@ _OWN = {
     ),
     "rail_lean": Sentences(
         physics="The rails are not parallel: each leans outwards (radial) or sideways (tangential).",
-        residuals="A shear that grows with height; the common tangential part twists the frame.",
+        residuals="A shear that grows with height; the common tangential part twists the frame. A lean common "
+        "to all rails 
+        "is a tilt of the instrument, where that may stand anywhere.",
         remedy="Square the rails to the base with a level or autocollimator; shim the feet.",
     ),
     "rod_mismatch": Sentences(
@@ -98,12 +100,13 @@ _GRID = (7, 7, 5)
 class DeltaModel(ChainModel):
     """A nominal delta with named errors and effects to identify.
 
-    ``free`` names what is identified: by default the paper's twelve geometric errors (Eq. 9) and the pose of the sensors
-    (``sensor_turn_x`` …, ``sensor_shift_x`` …), as far as the robot's file leaves that open. The platform's radii and angles can be freed as well; they are exactly dependent on the base's.
-    All parameters of ``effects`` are free. ``period_mm``, ``slip_time_s``, ``joint_slip_time_s``,
-    ``sensor_slip_time_s``, ``thermal_shift_lag_s`` and ``time_origin_s`` are the settings of the effects that have one; ``period_mm`` is the
-    robot's pole pitch unless another is given, and None where neither is: then a cyclic error is refused. Readings have
-    four columns: x, y, z, distance.
+    ``free`` names what is identified: by default the paper's twelve geometric errors (Eq. 9) and the pose of the
+    sensors (``sensor_turn_x`` …, ``sensor_shift_x`` …), as far as the robot's file leaves that open. The platform's
+    radii and angles can be freed as well; they are exactly dependent on the base's. All parameters of ``effects`` are
+    free. ``period_mm``, ``slip_time_s``, ``joint_slip_time_s``, ``sensor_slip_time_s``, ``thermal_shift_lag_s`` and
+    ``time_origin_s`` are the settings of the effects that have one; ``period_mm`` is the robot's pole pitch unless
+    another is given, and None where neither is: then a cyclic error is refused. Readings have four columns: x, y, z,
+    distance.
     """
 
     robot: Delta

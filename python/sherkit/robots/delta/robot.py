@@ -24,7 +24,7 @@ from ...data.toml import Table
 from ...errors import ShapeError, Singular
 from ...model.batch import Batch, matrix, vector, why
 from ...model.kinds import MOST_IN_LINE, MOST_PER_SIDE
-from ...model.sensor_pose import SensorPose
+from ...model.sensor_pose import ANYWHERE, SensorPose
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
 
@@ -80,7 +80,7 @@ class Delta(Declared, Saved, Shown):
     required_um: float | None = None
     joint_limits_mm: tuple[float, float] | None = None
     assembly_mode: str = "below"
-    sensor_pose: SensorPose = SensorPose()
+    sensor_pose: SensorPose = ANYWHERE
     kind: str = field(default="delta", init=False)
 
     TABLES: ClassVar = {

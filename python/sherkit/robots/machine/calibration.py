@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -17,22 +17,25 @@ from ...model.chain import Block
 from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
+from ..deployed import BASE, SENSOR
 from ..part import Part
 from .core import MachineCore
 from .described import Described
 from .function import settled, starts
 
 #: Effects of the instrument: where the machine goes, they are not.
-_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned", "thermal_shift")
+_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "sensor_slip", "instrument_turned", "thermal_shift")
 
 
 @dataclass(frozen=True, eq=False)
 class MachineCalibrated:
-    """The model of a control loop: the chain at ``values``, within the ``box`` (k, 2) of its joints."""
+    """The model of a control loop: the chain at ``values``, within the ``box`` (k, 2) of its joints. Its readings are those
+    of the instrument, or, where that is ``seen_from`` the base by a turn (3, 3) and a shift (3,), places of the base."""
 
     chain: MachineCore
     values: Floats
     box: Floats
+    seen_from: tuple[Floats, Floats] | None = None
 
     def block(self, joints: Floats, now: list[float]) -> Block:
         """Rows that all have the covariates of this moment, at rest."""
@@ -43,7 +46,11 @@ class MachineCalibrated:
         """Readings (n, m), their derivatives by the joints (n, m, k), and which rows could be computed."""
         block = self.block(joints, now)
         values, reached = self.chain.predict(self.values, block)
-        return values, self.chain.derivatives(self.values, block, [])[1], reached
+        by_joints = self.chain.derivatives(self.values, block, [])[1]
+        if self.seen_from is not None:
+            turn, shift = self.seen_from
+            values, by_joints = (values - shift) @ turn, turn.T @ by_joints
+        return values, by_joints, reached
 
     def forward(self, joints: Floats, now: list[float]) -> tuple[Floats, Floats]:
         """The same of one pose. Raises :class:`~sherkit.errors.OutOfReach`."""
@@ -62,23 +69,30 @@ class MachineCalibrated:
     def inverse_batch(self, readings: Floats, now: list[float]) -> tuple[Floats, Bools]:
         """Joints of rows (n, m); those that cannot be reached are marked."""
 
+        if self.seen_from is not None:
+            turn, shift = self.seen_from
+            readings = readings @ turn.T + shift
+
         def shown(joints: Floats) -> Floats:
             return self.chain.predict(self.values, self.block(joints, now))[0]
 
         def forward(joints: Floats) -> tuple[Floats, Floats]:
-            return self.forward_batch(joints, now)[:2]
+            return replace(self, seen_from=None).forward_batch(joints, now)[:2]
 
         return settled(forward, readings, starts(shown, readings, self.box), self.box)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MachineCalibration(Calibration):
-    """A calibrated machine. Its coordinates are its readings, without the errors of the instrument itself.
+    """A calibrated machine. Its coordinates are its readings, without the errors of the instrument itself: as its instrument
+    sees it, where that stood, unless the frame of the base is asked for of a machine whose sensor's pose is in the model.
 
     ``box`` (k, 2) is where its joints went, or may go.
     """
 
     called = ("readings", "readings")
+    frame: ClassVar = SENSOR
+    no_other: ClassVar = "where its instrument stands is not in its model"
 
     robot: Described
     whole: Part
@@ -104,6 +118,11 @@ class MachineCalibration(Calibration):
         made = cls(fit.model.robot, part, tuple(zip(low.tolist(), high.tolist(), strict=True)))
         return replace(made, whole=part.leaving(left, scatter, made._rows(went)[0]))
 
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """That of the instrument, and that of the base where the model says where it stands."""
+        return (SENSOR, BASE) if self.robot.pose is not None else (SENSOR,)
+
     @cached_property
     def core(self) -> MachineCalibrated:
         """The model of the control loop."""
@@ -112,11 +131,20 @@ class MachineCalibration(Calibration):
         values = np.where(ours, self.model.full(self.whole.values), 0.0)
         return MachineCalibrated(self.model.core, values, np.array(self.box))
 
-    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
-        """Covariance (n, m, m), squared units of the readings."""
-        del coordinates
-        block = self.core.block(joints, self._now())
-        return self.whole.spread(self.core.chain.derivatives(self.core.values, block, self.model.indices)[0])
+    @cached_property
+    def _core_elsewhere(self) -> MachineCalibrated:
+        return replace(self.core, seen_from=self.sensor_frame)
+
+    def counted(self, part: Part, frame: str) -> Bools:
+        """Nor is what was identified of the instrument alone in any frame."""
+        ours = [name.partition(".")[0] not in _OF_INSTRUMENT for name in (p.name for p in self.model.parameters)]
+        return super().counted(part, frame) & np.array(ours[: len(part.values)], dtype=bool)
+
+    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+        """Of its readings (n, m, p)."""
+        del part
+        made: Floats = self.core.chain.derivatives(self.core.values, self.core.block(joints, now), self.model.indices)[0]
+        return made
 
     def places(self) -> list[tuple[str, Floats]]:
         """The middle of the run and what its joints' corners show."""

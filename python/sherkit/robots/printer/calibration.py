@@ -44,9 +44,12 @@ class PrinterPart(DeltaPart):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PrinterCalibration(DeltaCalibration):
-    """A calibrated printer, as :class:`~sherkit.robots.delta.DeltaCalibration`. The plate is none of it."""
+    """A calibrated printer, as :class:`~sherkit.robots.delta.DeltaCalibration`. Positions are those that its firmware
+    counts, from the bed; the plate is none of it."""
 
     part: ClassVar = PrinterPart
+    frame: ClassVar = "bed"
+    no_other: ClassVar = "a probe that the printer carries has no other; leave the frame out"
 
     robot: Printer
 
@@ -61,10 +64,17 @@ class PrinterCalibration(DeltaCalibration):
         """:meth:`of` these runs: what a probe does not show of an effect a printer's owner cannot ask."""
         return cls.of(whole, local)
 
-    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """That of the bed."""
+        return (self.frame,)
+
+    def spread(
+        self, coordinates: Floats, joints: Floats, *, frame: str | None = None, temperature_c: float | None = None
+    ) -> Floats:
         """Covariance (n, 3, 3), mm², of the height alone: along the plate a probe sees nothing, and where on it a print
         stands is no error."""
-        out = super().spread(coordinates, joints)
+        out = super().spread(coordinates, joints, frame=frame, temperature_c=temperature_c)
         out[:, :2] = out[:, :, :2] = 0.0
         return out
 

@@ -12,24 +12,29 @@ from numpy.typing import ArrayLike
 import sherkit._core as _core
 
 from ...base.types import Floats
-from ...model.batch import Batch, matrix, vector
+from ...model.batch import Batch, vector
+from ...model.sensor_pose import POSE
 from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
-from ..part import Part
+from ..deployed import BASE, SENSOR
+from ..part import Part, at_rest
 from .robot import POSITION, Serial
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SerialCalibration(Calibration):
-    """A calibrated serial arm. Positions, mm, are those of the target in the base frame, which first axis and tracker
-    define together; what was identified of the tracker is left out.
+    """A calibrated serial arm. Positions, mm, are those of the target in the frame of the base, which first axis and tracker
+    define together: programs of an arm are written in it. As the sensor sees them they are where the frame of the sensor
+    is asked for. What else was identified of the tracker is left out.
 
     A place leaves open how the arm stands there: joints are those to which damped steps lead from a start.
     """
 
     coordinates: ClassVar = POSITION
     called: ClassVar = ("position", "positions")
+    frame: ClassVar = BASE
+    no_other: ClassVar = "distances alone do not tell where an instrument stands; leave the frame out"
 
     robot: Serial
     whole: Part
@@ -52,43 +57,47 @@ class SerialCalibration(Calibration):
             left, scatter = whole.left_alike(counted, held_out)
         return replace(made, whole=made.whole.leaving(left, scatter, where))
 
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """That of the base, and that of the tracker where one read."""
+        return (BASE, SENSOR) if self.robot.has_tracker else (BASE,)
+
     @cached_property
     def core(self) -> _core.SerialCalibrated:
         """The compiled model: the same code that a control loop runs."""
-        low, high = self.robot.ranges
-        return _core.SerialCalibrated(self.model.core, self.model.full(self.whole.values), low.copy(), high.copy())
+        return self._made_in(BASE)
 
     @cached_property
-    def sensor_frame(self) -> tuple[Floats, Floats]:
-        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm."""
-        return self.model.sensor_frame(self.whole.values)
+    def _core_elsewhere(self) -> _core.SerialCalibrated:
+        return self._made_in(SENSOR)
 
-    def from_sensor(self, readings_mm: ArrayLike) -> Floats:
-        """What the sensor shows (n, 3), mm, in the base frame, from where it was found to stand."""
-        turn, shift = self.sensor_frame
-        made: Floats = (matrix(readings_mm, "readings") - shift) @ turn
-        return made
+    def _made_in(self, frame: str) -> _core.SerialCalibrated:
+        low, high = self.robot.ranges
+        full = self.model.full(self.whole.values)
+        return _core.SerialCalibrated(self.model.core, full, low.copy(), high.copy(), frame)
 
     def forward(
-        self, joints: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,
-        payload_kg: float = 0.0,
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None, payload_kg: float = 0.0,
     ) -> Floats:  # fmt: skip
         """Position (3,), mm, of the target with ``payload_kg`` hanging there, nothing unless it is given. Other
         arguments and errors as :meth:`Deployed.forward`."""
-        return self._under(joints, temperature_c, direction, payload_kg)[0]
+        return self._under(joints, frame, temperature_c, direction, payload_kg)[0]
 
     def jacobian(
-        self, joints: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,
-        payload_kg: float = 0.0,
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None, payload_kg: float = 0.0,
     ) -> Floats:  # fmt: skip
         """d position / d joints (3, k) of the whole corrected model. Arguments and errors as :meth:`forward`."""
-        return self._under(joints, temperature_c, direction, payload_kg)[1]
+        return self._under(joints, frame, temperature_c, direction, payload_kg)[1]
 
     def _under(
-        self, joints: ArrayLike, temperature_c: float | None, direction: ArrayLike | None, payload_kg: float
-    ) -> tuple[Floats, Floats]:
+        self, joints: ArrayLike, frame: str | None, temperature_c: float | None, direction: ArrayLike | None,
+        payload_kg: float,
+    ) -> tuple[Floats, Floats]:  # fmt: skip
         q = vector(joints, "joint readings", self._joints)
-        made: tuple[Floats, Floats] = self.core.forward(q, self._now(temperature_c, direction, payload_kg))
+        now = self._now(temperature_c, direction, payload_kg)
+        made: tuple[Floats, Floats] = self.core_in(frame).forward(q, now)
         return made
 
     def _now(
@@ -98,46 +107,46 @@ class SerialCalibration(Calibration):
         return [*super()._now(temperature_c, direction), float(payload_kg)]
 
     def inverse(
-        self, coordinates: ArrayLike, *, temperature_c: float | None = None, direction: ArrayLike | None = None,
-        payload_kg: float = 0.0, start: ArrayLike | None = None,
+        self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None, payload_kg: float = 0.0, start: ArrayLike | None = None,
     ) -> Floats:  # fmt: skip
         """Joint readings (k,) within their limits at which the target is at ``coordinates`` (3,), to 1e-9 mm.
 
         Of many postures that to which damped steps lead from ``start`` (k,); left out, as :meth:`Serial.inverse`. Other
         arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach` with how near it comes.
         """
-        now, place = self._now(temperature_c, direction, payload_kg), self._place(coordinates)
+        now = self._now(temperature_c, direction, payload_kg)
+        # starts are looked for at places of the base
+        place = self._own(self._place(coordinates)[None, :], self.frame_of(frame))[0]
         made = self.robot.found_from(lambda x, q: self.core.inverse(x, now, q), place, start)
-        self._went_to(place)
+        self._went_to(place, None)
         return made
 
     def inverse_batch(
-        self, coordinates: ArrayLike, *, direction: ArrayLike | None = None, starts: ArrayLike | None = None
-    ) -> Batch:
+        self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None, starts: ArrayLike | None = None,
+    ) -> Batch:  # fmt: skip
         """Joint readings (n, k) for positions (n, 3), each from its own of ``starts`` (n, k); those out of reach are
         marked. ``direction`` (k,) as :meth:`forward`."""
-        now = self._now(None, direction)
-        found = self.robot.all_found_from(
-            lambda x, q: self.core.inverse_batch(x, now, q), self._places(coordinates), starts
-        )
+        now = self._now(temperature_c, direction)
+        places = self._own(self._places(coordinates), self.frame_of(frame))
+        found = self.robot.all_found_from(lambda x, q: self.core.inverse_batch(x, now, q), places, starts)
         return Batch(*found)
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
-    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
-        """Covariance (n, 3, 3), mm²."""
-        del coordinates
-        columns, _ = self.core.by_parameters_batch(joints, self._now(), self.model.indices)
-        # what the tracker's frame is off by moves no target: it only hides in the others
-        columns[
-            :,
-            :,
-            [
-                p.name.startswith("sensor_turn") or p.name.startswith("sensor_shift")
-                for p in self.model.parameters[: len(self.model.indices)]
-            ],
-        ] = 0.0
-        return self.whole.spread(columns)
+    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+        """Of positions (n, 3, p), in the axes of the base; of where the sensor stands as it sees them."""
+        del part
+        columns, _ = self.core.by_parameters_batch(joints, now, self.model.indices)
+        names = [self.model.core_parameters[k].name for k in self.model.indices]
+        pose = [k for k, name in enumerate(names) if name in POSE]
+        if pose:
+            turn, _ = self.sensor_frame
+            known = np.array([[*now[: 2 + self._joints]]] * len(joints))
+            seen, _, _ = at_rest(self.model, self.whole.values, self.whole.readings, joints, known)
+            columns[:, :, pose] = turn.T @ seen[:, : len(POSITION), pose]
+        return np.asarray(columns)
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """In the axes of the base."""

@@ -7,7 +7,6 @@ import numpy as np
 from ...base.types import Floats
 from ...data import Measurements
 from ...model.drawing import Drawing, Part, line, with_target
-from .frames import of_rpy
 from .model import SerialModel
 
 #: Half the length of a drawn axis, and of the axes of the base, by the reach of the arm.

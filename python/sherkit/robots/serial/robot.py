@@ -22,8 +22,8 @@ from ...data.columns import Layout, know
 from ...data.declared import Declared, Inner, key, keys_from, keys_of
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
-from ...model.sensor_pose import SensorPose
 from ...model.batch import Batch, matrix, vector, why
+from ...model.sensor_pose import ANYWHERE, SensorPose
 from .frames import Triple, frame, of_rpy, onto
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
@@ -187,15 +187,16 @@ class Serial(Declared, Saved, Shown):
     ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``. ``centres_mm`` are up to four
     fixed places in the base frame from which distances are read: numbers of the column ``centre``; ``planes`` likewise
     up to four above which heights are, numbers of the column ``plane``.
-    ``gravity`` is the direction of the weight in the base frame. ``sensor_pose`` is where the tracker stands, as far as that is known.
-    ``has_tracker`` is False where distances alone are read. ``required_um`` is the accuracy that the arm is for.
+    ``gravity`` is the direction of the weight in the base frame. ``sensor_pose`` is where the tracker stands, as far as
+    that is known. ``has_tracker`` is False where distances alone are read. ``required_um`` is the accuracy that the arm
+    is for.
     """
 
     joints: tuple[Joint, ...]
     target_mm: Triple = _ZERO
     tool_rpy_deg: Triple = _ZERO
     gravity: Triple = (0.0, 0.0, -1.0)
-    sensor_pose: SensorPose = SensorPose()
+    sensor_pose: SensorPose = ANYWHERE
     more_targets_mm: tuple[Triple, ...] = ()
     centres_mm: tuple[Triple, ...] = ()
     planes: tuple[Plane, ...] = ()

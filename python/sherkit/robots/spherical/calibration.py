@@ -18,6 +18,7 @@ from ...fit.identify import Fit, identify
 from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun
+from ..deployed import BASE
 from ..part import Part
 from .model import SphericalModel
 from .robot import SPHERICAL_ANGLES, Spherical
@@ -117,6 +118,8 @@ class SphericalCalibration(Calibration):
 
     coordinates: ClassVar = SPHERICAL_ANGLES.coordinates
     called: ClassVar = ("phi and gamma", "phi and gamma")
+    frame: ClassVar = BASE
+    no_other: ClassVar = "they are angles about its own centre, wherever a camera stands; leave the frame out"
 
     robot: Spherical
     whole: Part
@@ -165,12 +168,11 @@ class SphericalCalibration(Calibration):
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
-    def spread(self, coordinates: Floats, joints: Floats) -> Floats:
-        """Covariance (n, 2, 2) of angles across the tool, rad²."""
-        del coordinates
-        angles, by_values, _ = self.core.by_parameters_batch(joints, self._now(), self.model.indices)
-        across = np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)
-        return self.whole.spread(across)
+    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+        """Of angles across the tool (n, 2, p), rad."""
+        del part
+        angles, by_values, _ = self.core.by_parameters_batch(joints, now, self.model.indices)
+        return np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """Through the joints to angles across the tool."""

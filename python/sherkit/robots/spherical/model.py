@@ -92,8 +92,8 @@ class SphericalModel(ChainModel):
 
     ``free`` names geometric errors and datum: by default ``alpha``, ``beta`` and ``radius``, as in the paper; besides
     these ``datum_phi``, ``datum_gamma`` (where angles are read), ``principal_point_u`` and ``principal_point_v`` (where
-    pixels are). Where pixels are read, so is the pose of the camera (``sensor_turn_x`` …, ``sensor_shift_x`` …), which is
-    known to a millimetre and a tenth of a degree unless the robot's file says otherwise under ``[sensor_pose]``.
+    pixels are). Where pixels are read, so is the pose of the camera (``sensor_turn_x`` …, ``sensor_shift_x`` …), which
+    is known to a millimetre and a tenth of a degree unless the robot's file says otherwise under ``[sensor_pose]``.
     ``period_rad`` is that of the encoders' cyclic error, for which a file has no place. What else of the camera is free
     are effects: ``focal_length``, ``lens_distortion``. Readings have two columns: u, v
     in pixels, or φ, γ in rad. The radius shows in pixels alone, and α and β in γ alone.

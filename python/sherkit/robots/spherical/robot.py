@@ -24,8 +24,8 @@ from ...data.columns import Layout
 from ...data.declared import Declared, Inner, key
 from ...data.toml import Table
 from ...errors import RobotError, ShapeError, SherkitError
-from ...model.sensor_pose import KnownPose, SensorPose
 from ...model.batch import Batch, matrix, vector, why
+from ...model.sensor_pose import WITH_ITS_FILE, KnownPose, SensorPose
 
 # -- The camera: calibrated before, and placed by the robot's file ------------------------------------------------
 
@@ -204,8 +204,8 @@ class Spherical(Declared, Saved, Shown):
     ``working_mode`` tells on which side of the tool each elbow is (``"open"``: joint 1 ahead, joint 2 behind).
     ``gravity`` is the direction of the weight, ``home_deg`` the joint readings about which encoder scales are counted.
     ``phi_deg`` and ``gamma_deg`` are the limits of the workspace, ``joint_limits_deg`` (low, high) those that no motor
-    may leave, ``required_um`` the accuracy that it is for. ``sensor_pose`` says how well the pose of the camera is known,
-    which stands with it. Joint readings are angles about z.
+    may leave, ``required_um`` the accuracy that it is for. ``sensor_pose`` says how well the pose of the camera is
+    known, which stands with it. Joint readings are angles about z.
     """
 
     alpha_deg: float
@@ -220,7 +220,7 @@ class Spherical(Declared, Saved, Shown):
     gamma_deg: Pair | None = None
     joint_limits_deg: Pair | None = None
     required_um: float | None = None
-    sensor_pose: SensorPose = KnownPose()
+    sensor_pose: SensorPose = WITH_ITS_FILE
     kind: str = field(default="spherical", init=False)
 
     TABLES: ClassVar = {
