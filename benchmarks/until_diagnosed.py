@@ -148,10 +148,10 @@ def judged(case: Case, loop: sk.Adaptive, world: World, look_s: float) -> Outcom
         right = (loop.verdict == "explained" and alone == set(case.hidden)) or (name in tie and len(tie) <= 3)
     held = float("nan")
     if loop.accuracy_um is not None and loop.last is not None:
-        lead = loop.last.lead
-        fit = lead.fit if loop.verdict == "explained" and lead is not None else loop.last.fit
         places = loop.region.anywhere(100, np.random.default_rng([case.seed, 5]))
-        held = float(np.mean(1e3 * world.missed(fit, places.joints) <= loop.accuracy_um))
+        effects = loop.effects if loop.verdict == "explained" else ()
+        made = sk.calibrate(world.robot, loop.last.data, effects=effects, correction="none").calibration
+        held = float(np.mean(1e3 * world.off(made, places.joints) <= loop.accuracy_um))
     told = f"{loop.verdict} {loop.effects} {loop.indistinguishable} {loop.why}"
     wrong = loop.verdict in ("explained", "partly explained") and bool(alone - set(case.hidden))
     return Outcome(case, loop.verdict, right, wrong, loop.readings, world.clock_s / 60.0, look_s, held, told)

@@ -33,6 +33,9 @@ Rows = list[dict[str, Any]]
 
 #: Over which time what lives in it is sized, s, and how long a reading takes.
 SPAN_S, PACE_S = 1800.0, 4.0
+#: What of the spherical robot is its camera's or its marker's: where the tool points, it does not show.
+_SEEN = {"marker_offset", "thermal_growth", "drift", "slip", "thermal_shift", "camera_pose", "camera_slip", "focal_length",
+         "lens_distortion", "camera_delay"}  # fmt: skip
 #: How many times as much a hall warms as a room.
 _HALL = 5.0
 
@@ -97,6 +100,16 @@ class World(ABC):
         data = fit.model.as_declared(sk.from_frame(filled))
         return self.apart_mm(true, fit.model.predict(data, fit.values)[-n:, : true.shape[1]])
 
+    def off(self, calibration: Any, joints: Floats) -> Floats:
+        """How far (n,) places of a calibration are from where the robot really is at joints (n, j), mm: at the temperature
+        and the moment that its promise is for, and of stands as cold as the drawing."""
+        time_s, temperature_c = calibration.whole.now[:2]
+        return self.apart_at(calibration, joints, {"time_s": time_s, "temperature_c": temperature_c})
+
+    @abstractmethod
+    def apart_at(self, calibration: Any, joints: Floats, now: Mapping[str, float]) -> Floats:
+        """:meth:`off` at a moment and a temperature of the room."""
+
     def apart_mm(self, seen: Floats, told: Floats) -> Floats:
         """How far apart (n,) two sets of readings (n, m) are, mm."""
         return np.linalg.norm(seen - told, axis=1)
@@ -137,6 +150,14 @@ class DrivenDelta(World):
         out = truth(self.real, columns, self.errors, self.effects)
         return out if self.unknown is None else out + self.unknown(columns, out)
 
+    def apart_at(self, calibration: Any, joints: Floats, now: Mapping[str, float]) -> Floats:
+        """Where the instrument sees it; lost motion is in its middle for nobody, and counts."""
+        rows = {**dict(zip(self.joints, joints.T, strict=True)), **{n: np.full(len(joints), v) for n, v in now.items()}}
+        rows |= {"humidity_pct": np.full(len(joints), 45.0)}
+        stays = {name: value for name, value in self.effects.items() if name != "thermal_shift"}
+        really = truth(self.real, rows, self.errors, stays)
+        return self.apart_mm(really, calibration.forward_batch(joints, frame="sensor").require())
+
 
 class DrivenSpherical(World):
     """The spherical robot before its camera, of the second simulator; it stands while it is read."""
@@ -157,6 +178,15 @@ class DrivenSpherical(World):
     def exact(self, columns: Mapping[str, Floats]) -> Floats:
         """As :class:`World` has it."""
         return self.real.truth({**columns, **{f"theta{i}_rad_per_s": 0.0 * columns["time_s"] for i in (1, 2)}})
+
+    def apart_at(self, calibration: Any, joints: Floats, now: Mapping[str, float]) -> Floats:
+        """Where the tool points, whatever camera and marker make of it."""
+        rows = {n: np.full(len(joints), v) for n, v in now.items()}
+        points = self.real.changed(effects={n: v for n, v in self.real.effects.items() if n not in _SEEN})
+        points_at = points.angles(joints, direction=np.zeros_like(joints), velocity=np.zeros_like(joints), **rows)
+        (phi, gamma), (told, slope) = points_at.T, calibration.forward_batch(joints).require().T
+        turned = np.angle(np.exp(1j * (phi - told))) * np.sin(gamma)
+        return np.asarray(calibration.radius_mm * np.hypot(turned, gamma - slope))
 
     def apart_mm(self, seen: Floats, told: Floats) -> Floats:
         """On the sphere, as the drawing's camera sees pixels."""
@@ -220,6 +250,15 @@ class DrivenArm(World):
             point = point + np.asarray(hidden.step_mm) * late + np.asarray(hidden.stand_mm_per_c) * warm
             out.append(real.seen(point, late))
         return out
+
+    def apart_at(self, calibration: Any, joints: Floats, now: Mapping[str, float]) -> Floats:
+        """Where the target is in the frame of the base."""
+        warm, time_s = now["temperature_c"] - 20.0, now["time_s"]
+        late, still, hidden = time_s > SPAN_S / 2, np.zeros_like(joints[0]), self.real.effects
+        at = np.array([self.real.true_target(q, still, still, 0, warm, 0.0, late) for q in joints])
+        at = at * (1.0 + hidden.warmth_per_c * warm) + np.asarray(hidden.rate_mm_h) * time_s / 3600.0
+        at = at + np.asarray(hidden.step_mm) * late
+        return self.apart_mm(at, calibration.forward_batch(joints, frame="base").require())
 
     def exact(self, columns: Mapping[str, Floats]) -> Floats:
         """As :class:`World` has it; rows that were read once are remembered."""

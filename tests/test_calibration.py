@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 from scipy.special import comb
 
 from second_simulator import Robot, truth
@@ -323,7 +324,7 @@ def test_local_model_rules_inside_and_whole_model_beyond() -> None:
     assert c.local is not None
     for low, high, alone in ((0.0, 9.5, c.local), (13.0, 20.0, c.whole)):
         x = np.random.default_rng(3).uniform(low, high, (50, 3))
-        q = EXAMPLE.inverse_batch(x).require()
+        q = c.inverse_batch(x, frame="base").require()
         expected = DeltaCalibration(EXAMPLE, alone).forward_batch(q).require()
         np.testing.assert_allclose(c.forward_batch(q).require(), expected, rtol=0, atol=1e-12)
 
@@ -416,16 +417,18 @@ def test_half_width_may_be_a_whole_number() -> None:
 
 
 def _branch(one: DeltaPart, joints_mm: Floats) -> Floats:
-    """Readings (n, 3) of one part: nominal kinematics with its errors, offset, datum, and binomials on top."""
+    """Readings (n, 3) of one part: nominal kinematics with its errors, offset, binomials on top, and where its sensor
+    stands."""
     assert not one.effects
     errors = dict(zip(one.free, one.values.tolist(), strict=True))
-    datum = np.array([errors.pop(f"datum_{a}") for a in "xyz"])
+    pose = np.array([errors.pop(name) for name in POSE])
+    seen = Rotation.from_rotvec(pose[:3])
     x, reached = EXAMPLE.kinematics(errors).forward_batch(np.ascontiguousarray(joints_mm))
     assert reached.all()
-    x = x + np.array(EXAMPLE.target_offset_mm) + datum
+    x = x + np.array(EXAMPLE.target_offset_mm)
     c = one.correction
     if c is None:
-        return x
+        return np.asarray(seen.apply(x) + pose[3:])
     used = np.array(c.orders) > 0
     low, span = np.where(used, c.low_mm, 0.0), np.where(used, c.high_mm - c.low_mm, 1.0)
     t = np.where(used, np.clip((x - low) / span, 0.0, 1.0), 0.0)
@@ -433,4 +436,5 @@ def _branch(one: DeltaPart, joints_mm: Floats) -> Floats:
          for k, n in enumerate(c.orders)]  # fmt: skip
     value = np.einsum("ni,nj,nk,ijka->na", *b, c.coefficients_mm.reshape(*(n + 1 for n in c.orders), 3))
     far = np.maximum(np.maximum(x - c.high_mm, c.low_mm - x), 0.0) / c.fade_mm
-    return x + value * np.where(far < 1, 1 - far**2 * (3 - 2 * far), 0.0).prod(axis=1)[:, None]
+    x = x + value * np.where(far < 1, 1 - far**2 * (3 - 2 * far), 0.0).prod(axis=1)[:, None]
+    return np.asarray(seen.apply(x) + pose[3:])

@@ -34,7 +34,7 @@ _OWN = {
     "rail_lean": Sentences(
         physics="The rails are not parallel: each leans outwards (radial) or sideways (tangential).",
         residuals="A shear that grows with height; the common tangential part twists the frame. A lean common "
-        "to all rails 
+        "to all rails "
         "is a tilt of the instrument, where that may stand anywhere.",
         remedy="Square the rails to the base with a level or autocollimator; shim the feet.",
     ),

@@ -1,0 +1,199 @@
+"""In which frame a calibration's places are: that of the base, that of the sensor, and how accurate it is in each.
+
+Readings are those of the second simulators, from an instrument that stands anywhere. Robots are drawn at plausible size:
+in the frame of the base nobody knows more of what no reading tells. There the places of one robot are missed together, so
+that a share is one of robots, and its level follows from their number.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from numpy.typing import NDArray
+
+import sherkit as sk
+from second_simulator import NOMINAL_CONFIG, Robot, draw_pose, make_plan, simulate, truth
+from sherkit.errors import CalibrationError
+from sherkit.fit.error import radius_95
+from sherkit.fit.identify import hold_out
+from sherkit.model.kinds import model_of
+from sherkit.model.sensor_pose import POSE
+from sherkit.robots.calibrated import calibration_class
+from sherkit.robots.calibration_run import CalibrationRun
+from sherkit.robots.serial import VirtualSerial, postures
+from accuracy_coverage import MIDDLE_RAD
+from test_arm_counted import arm_in
+from test_calibration import made, seen
+from worlds import SPHERICAL, World, real_spherical
+
+Floats = NDArray[np.float64]
+
+ROBOT = Robot.from_dict(NOMINAL_CONFIG)
+#: Plausible sizes of what is identified of a delta, mm and rad.
+SIZES = {"base_radius": 3.0, "base_angle": np.deg2rad(1.0), "joint_offset": 2.0, "rod_length": 2.0}
+NOISE_MM = 2e-3
+
+
+def calibrated(robot: Any, run: sk.Measurements, **settings: Any) -> Any:
+    """By a run, without the search for what its poses could not show."""
+    fit = sk.identify(robot, run, **settings)
+    return calibration_class(fit.model.robot).of(CalibrationRun(fit, hold_out(fit.model, run).residuals))
+
+
+# -- the frames ----------------------------------------------------------------------------------------------
+
+
+def test_both_frames_are_one_robot() -> None:
+    """Catches a frame that is turned the wrong way, left out of Jacobian or inverse, or mixed up in a batch."""
+    c = made(1)
+    x = np.random.default_rng(1).uniform(-15.0, 15.0, (20, 3))
+    q = c.inverse_batch(x, frame="base").require()
+    np.testing.assert_allclose(c.inverse_batch(seen(c, x)).require(), q, atol=1e-7)
+    np.testing.assert_allclose(c.forward_batch(q).require(), seen(c, x), atol=1e-6)
+    np.testing.assert_allclose(c.from_sensor(c.forward_batch(q).require()), x, atol=1e-6)
+    turn = c.sensor_frame[0]
+    by_base = c.jacobian_batch(q, frame="base").require()
+    np.testing.assert_allclose(turn @ by_base, c.jacobian_batch(q).require(), atol=1e-9)
+    np.testing.assert_array_equal(c.jacobian(q[0], frame="base"), by_base[0])
+    np.testing.assert_array_equal(c.forward(q[0], frame="sensor"), c.forward(q[0]))
+
+
+def test_errors_of_the_instrument_are_none_of_the_base() -> None:
+    """Catches beams that are not square, or a knock of the stand, in where the robot is."""
+    c = made(2, effects=("beam_alignment",), local=False)
+    q = c.robot.inverse([3.0, -4.0, 5.0])
+    beams = np.array([p.name.startswith("beam_alignment") for p in c.model.parameters])
+    other = replace(c, whole=replace(c.whole, values=np.where(beams, 0.0, c.whole.values)))
+    assert np.abs(c.forward(q) - other.forward(q)).max() > 1e-3
+    np.testing.assert_array_equal(c.forward(q, frame="base"), other.forward(q, frame="base"))
+
+
+def test_an_unknown_frame_is_refused() -> None:
+    """Catches a word that is taken for a frame, and a frame that a robot has not."""
+    c = made(0)
+    for ask in (c.inverse, c.forward, c.jacobian, c.accuracy, c.predicted_accuracy, c.measured):
+        with pytest.raises(CalibrationError, match="expected 'base' or 'sensor', found 'bass'; did you mean 'base'"):
+            ask([0.0, 0.0, 0.0], frame="bass")
+    for ask in (c.inverse_batch, c.forward_batch, c.jacobian_batch, c.accuracy_batch, c.predicted_accuracies):
+        with pytest.raises(CalibrationError, match="expected 'base' or 'sensor'"):
+            ask([[0.0, 0.0, 0.0]], frame="bed")
+
+
+def test_a_sphere_points_about_its_own_base_alone() -> None:
+    """Catches angles of a tool that are asked for as a camera sees them."""
+    angles = MIDDLE_RAD + np.random.default_rng(0).uniform(-0.3, 0.3, (20, 2))
+    real, robot = real_spherical(SPHERICAL, 1), World(deepcopy(SPHERICAL), {}, 0.0).robot
+    c = calibrated(robot, sk.from_frame(pl.DataFrame(real.run(robot.inverse_batch(angles).require(), 2, 0.1))))
+    np.testing.assert_array_equal(c.inverse(MIDDLE_RAD, frame="base"), c.inverse(MIDDLE_RAD))
+    with pytest.raises(CalibrationError, match="about its own centre"):
+        c.inverse(MIDDLE_RAD, frame="sensor")
+
+
+# -- how accurate it is in each --------------------------------------------------------------------------------
+
+
+def delta(seed: int, errors: Mapping[str, float], hidden: Mapping[str, Floats], poses: int = 40) -> tuple[Any, Any, Any]:
+    """A robot with these errors, read from anywhere: its file, its run, and where it really is, seen from the base and
+    by the instrument, at joints (n, 3) just after the run."""
+    rng = np.random.default_rng([seed, 53])
+    stands = {"sensor_pose": draw_pose(rng)}
+    plan = make_plan(ROBOT, rng.uniform(-20.0, 20.0, (poses, 3)), 2, "shuffled", seed)
+    columns = simulate(ROBOT, plan, errors, stands | dict(hidden), NOISE_MM, seed)
+
+    def really(joints: Floats, frame: str) -> Floats:
+        there = make_plan(ROBOT, np.zeros((len(joints), 3)))
+        there |= {f"q{k + 1}_mm": joints[:, k] for k in range(3)}
+        there["time_s"] = columns["time_s"][-1] + 1e-3 * np.arange(len(joints))
+        there["temperature_c"] = np.full(len(joints), columns["temperature_c"].mean())
+        return truth(ROBOT, there, errors, dict(hidden) | (stands if frame == "sensor" else {}))
+
+    return World(deepcopy(dict(NOMINAL_CONFIG)), columns, 1e3 * NOISE_MM).robot, columns, really
+
+
+def delta_held(seed: int) -> dict[str, float]:
+    """Of one robot of plausible errors, the share of places that are missed by no more than promised, by frame."""
+    rng = np.random.default_rng([seed, 54])
+    errors = {f"{g}_{i}": size * rng.normal() for g, size in SIZES.items() for i in (1, 2, 3)}
+    robot, columns, really = delta(seed, errors, {})
+    c = calibrated(robot, sk.from_frame(pl.DataFrame(columns)))
+    x, out = rng.uniform(-18.0, 18.0, (20, 3)), {}
+    for frame, at in (("base", x), ("sensor", c.to_sensor(x))):
+        off = np.linalg.norm(really(c.inverse_batch(at, frame=frame).require(), frame) - at, axis=1)
+        out[frame] = float(np.mean(off <= c.predicted_accuracies(at, frame=frame).radius_mm))
+    return out
+
+
+def arm_held(seed: int) -> dict[str, float]:
+    """The same of an arm before a tracker: its base is the one that its first axis defines, so that what would only say
+    the same once more is as drawn."""
+    with TemporaryDirectory() as folder:
+        robot = arm_in(Path(folder))
+    k, rng = len(robot.joints), np.random.default_rng([seed, 55])
+    drawn: dict[str, Floats] = {"offset": np.zeros(k), "shift": np.zeros((k, 2)), "tilt": np.zeros((k, 2)), "tool": np.zeros(3)}
+    for p in model_of(robot).parameters:
+        what, *where = p.name.split("_")
+        if what in drawn:
+            axis = ["xyz".index(one) for one in where if one in "xyz"]
+            drawn[what][(*(int(one) - 1 for one in where if one.isdigit()), *axis)] = p.size * rng.normal()
+    real = VirtualSerial(robot, drawn["offset"], drawn["shift"], drawn["tilt"], drawn["tool"], draw_pose(rng))
+    still = np.zeros(k)
+
+    def really(joints: Floats, frame: str) -> Floats:
+        at = [real.true_target(q, still, still) for q in joints]
+        return np.array([real.seen(one, False) for one in at] if frame == "sensor" else at)
+
+    q, there = postures(robot, 60, 0.8, seed), postures(robot, 20, 0.7, seed + 1000)
+    read = really(q, "sensor") + 0.05 * rng.normal(size=(len(q), 3))
+    columns = dict(zip((*robot.layout.joints, "x_mm", "y_mm", "z_mm"), np.column_stack([q, read]).T, strict=True))
+    c, out = calibrated(robot, sk.from_frame(pl.DataFrame(columns))), {}
+    for frame in ("base", "sensor"):
+        at = c.forward_batch(there, frame=frame).require()
+        spread = c.spread(c.forward_batch(there).require(), there, frame=frame)
+        out[frame] = float(np.mean(np.linalg.norm(really(there, frame) - at, axis=1) <= radius_95(spread)))
+    return out
+
+
+@pytest.mark.parametrize("held", [delta_held, arm_held])
+@pytest.mark.parametrize("robots", [6, pytest.param(200, marks=pytest.mark.slow)])
+def test_accuracy_holds_in_both_frames(held: Any, robots: int) -> None:
+    """Catches a base whose unknown tilt and shift are left out, or counted where the instrument sees them cancel.
+
+    In the base 95 of 100 robots: of 200 a deviation of 1.5 %, so that 0.92 to 0.99 fails by chance in 3 of 100; of six at
+    least four (2 in 1000). Where the sensor saw it noise alone is in the way, which the radius counts in full.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        each = [held(seed) for seed in range(robots)]
+    base, sensor = (float(np.mean([one[frame] for one in each])) for frame in ("base", "sensor"))
+    print(f"{held.__name__}: {robots} robots, base {base:.3f}, sensor {sensor:.3f}")
+    if robots > 100:
+        assert 0.92 <= base <= 0.99
+        assert 0.93 <= sensor
+    assert base > 0.6
+    assert sensor > 0.8
+
+
+def test_the_tilt_that_nobody_knows_counts_in_the_base() -> None:
+    """Catches a lean common to all rails that is promised away: an instrument that stands anywhere takes it for its own
+    tilt, so that in the base all of it is open, and where the instrument sees the robot none."""
+    robot, columns, really = delta(3, {}, {"rail_lean": np.array([2.0, 1.0, 1.0, -2.0, -2.5, 0.5]) * 2e-3})
+    run = sk.from_frame(pl.DataFrame(columns))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        c = sk.calibrate(robot, run, free=list(POSE), correction="none").calibration
+    x = np.random.default_rng(0).uniform(-15.0, 15.0, (30, 3))
+    base, sensor = c.predicted_accuracies(x, frame="base"), c.predicted_accuracies(c.to_sensor(x))
+    assert any(one.effect == "rail_lean" for one in c.whole.unobserved_effects)
+    assert np.median(base.addition_mm) > 3.0 * np.median(sensor.addition_mm)
+    off = np.linalg.norm(really(c.inverse_batch(x, frame="base").require(), "base") - x, axis=1)
+    assert (off <= base.total_mm).all()
+    assert base[0].advice == ""
