@@ -20,7 +20,8 @@ from .simulate import fitted_directions, platform_pose, scaled_effect, simulate,
 
 __all__ = [
     "CATALOGUE", "EFFECTS", "FITTED_SIZES", "NOMINAL_CONFIG", "OUTSIDE_CATALOGUE", "Noise", "Robot", "draw_effect",
-    "draw_geometric_errors", "draw_pose", "draw_zeros", "fitted_directions", "grid", "inverse_kinematics", "local_grid", "make_plan",
+    "draw_geometric_errors",
+    "draw_pose", "draw_zeros", "fitted_directions", "grid", "inverse_kinematics", "local_grid", "make_plan",
     "platform_pose", "room_temperature", "scaled_effect", "simulate", "truth", "whole_grid", "with_errors", "write_csv",
     "write_robot_toml",
 ]  # fmt: skip

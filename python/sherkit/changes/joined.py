@@ -26,7 +26,7 @@ from ..errors import FitError
 from ..fit.identify import Fit
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter
-from .stand import CAMERA, Stand, stand_of
+from .stand import Stand, stand_of
 
 #: A row farther off than so many robust deviations is left out; rounds in which such rows are looked for.
 _GROSS, _ROUNDS = 7.0, 8
@@ -414,7 +414,7 @@ def candidates_of(model: ModelWithEffects, runs: Sequence[Measurements]) -> list
         if not p.name.startswith(_OF_STAND) and not any(at.start <= k < at.stop for at in inside.values())
     ]  # fmt: skip
     for effect in (*model.effects, *model.known_effects.values(), *model.held.values()):
-        if any(one.name == effect.name for one in out) or effect.name == CAMERA:
+        if any(one.name == effect.name for one in out):
             continue
         # a moment or a delay belongs to one run; a period is the robot's
         if effect.search is not None and not (effect.is_periodic and model.setting_of(effect) is not None):

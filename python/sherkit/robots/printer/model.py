@@ -294,7 +294,7 @@ class PrinterModel(DeltaModel):
         del data, values
         return None
 
-    def place(self, data: Measurements, predicted: Floats) -> dict[str, Floats]:
+    def place(self, data: Measurements, predicted: Floats, values: Floats | None = None) -> dict[str, Floats]:
         """Where the printer was sent: x and y of the probe's tip."""
         del predicted
         at = self.tips(data)
