@@ -26,14 +26,15 @@ if _TYPE_CHECKING:
     from .fleets import fleet
     from .model.effect import Effect, effect
     from .model.robot_file import load_robot, save_robot
+    from .model.sensor_pose import SensorPose
     from .robots import delta, serial, spherical, tool
     from .robots.calibrated import load_calibration
     from .robots.machine import Machine
     from .study import Study
 
 __all__ = [
-    "Adaptive", "Effect", "Machine", "Measurements", "SherkitError", "SherkitWarning", "Study", "__version__",
-    "calibrate", "changes", "compare", "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet",
+    "Adaptive", "Effect", "Machine", "Measurements", "SensorPose", "SherkitError", "SherkitWarning", "Study",
+    "__version__", "calibrate", "changes", "compare", "data", "delta", "diagnose", "diagnosis", "effect", "errors", "fit", "fleet",
     "from_bluesky", "from_frame", "from_rosbag", "history", "identify", "lab", "load_calibration", "load_robot",
     "model", "planning", "read_measurements", "report", "save_robot", "serial", "spherical", "tool", "verify",
 ]  # fmt: skip
@@ -56,7 +57,7 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
         __name__,
         {
             "Adaptive": "adaptive", "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data",
-            "SherkitError": "errors",
+            "SensorPose": "model.sensor_pose", "SherkitError": "errors",
             "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration",
             "compare": "changes", "history": "changes", "verify": "changes",
             "diagnose": "diagnosis",

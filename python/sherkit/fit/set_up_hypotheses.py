@@ -162,7 +162,7 @@ def _of_columns(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[s
         for unit, same in block.of_one_unit(list(columns)):
             yield from (one for one in _exchanged(block, same) if not anywhere or one[0].endswith("swapped"))
             yield from islice(_other_way(block, same, ranges), len(same) if anywhere else None)
-            if block is readings and len(same) == 2:
+            if block is readings and len(same) == 2 and not anywhere:
                 yield from _quarter_turned(block, same, ranges)
             if unit == "rad":
                 yield from _counted_from_elsewhere(block, same)

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 import sherkit._core as _core
@@ -23,16 +22,14 @@ from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
-from .base import Derivatives, ModelWithEffects, OfEffects, OfModel, Reachable, Tried, beside_one_another, carry
+from .base import Derivatives, OfEffects, OfModel, Reachable, Tried, beside_one_another, carry
 from .effect import Effect, Parameter, freeing, parameters_of_core
 from .rows import Rows
-from .sensor_pose import FREE, POSE, SensorPose, Triple, registered
+from .seen import SeenModel
 
 #: Joints (n, k), other ends of distances, covariates (n, 3 + 2 k), displacements of the measured point (n, 3).
 Block = tuple[Floats, Floats | None, Floats | None, Floats | None]
 
-#: The coordinates of an instrument that reads places in space.
-_SPACE = ("x_mm", "y_mm", "z_mm")
 #: The setting that says by how much the stands are behind the room, s.
 STAND_LAG = "thermal_shift_lag_s"
 #: Digits of what a person is asked to drive to, by unit: of targets, and of joints, finer than any encoder stops at.
@@ -43,11 +40,11 @@ SLACK = 0.05
 
 
 @dataclass(frozen=True)
-class ChainModel(ModelWithEffects):
+class ChainModel(SeenModel):
     """A nominal robot with named errors and effects to identify.
 
-    ``free`` names the geometric errors and numbers of the sensor's pose to identify; left out, those of
-    :attr:`default`. All parameters of ``effects`` are free. Readings have the columns of the rows' layout.
+    ``free`` names the geometric errors and numbers of the sensor's pose to identify; left out, those of :attr:`default`.
+    All parameters of ``effects`` are free. Readings have the columns of the rows' layout.
     """
 
     robot: Any
@@ -56,9 +53,6 @@ class ChainModel(ModelWithEffects):
 
     inputs_known: ClassVar[bool] = True
     within: ClassVar = frozenset({"datum", "sensor_pose"})
-    #: How well the sensor's pose is known where the robot's file leaves it open: along its axes, mm, and about them,
-    #: degrees.
-    usual_pose_sd: ClassVar[tuple[Triple, Triple]] = (FREE, FREE)
     #: The built-in effects of this kind of robot by name, in the order of the chain.
     catalogue: ClassVar[Mapping[str, Effect]]
     #: Whether the robot's file says at which joints a place is reached; an arm leaves open how it stands there.
@@ -111,6 +105,11 @@ class ChainModel(ModelWithEffects):
         del data
         return self.core
 
+    def drawn(self, data: Measurements) -> tuple[Floats, Bools]:
+        """What the chain reads as drawn (n, m), and which rows could be computed."""
+        made: tuple[Floats, Bools] = self.core_for(data).predict(np.zeros(len(self.core_parameters)), self.block(data))
+        return made
+
     def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
         """The rows as the core takes them, with other ``joints`` (n, k) and a displacement ``push`` (n, 3) if given."""
         self.require_own(data)
@@ -131,51 +130,6 @@ class ChainModel(ModelWithEffects):
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """Why a row cannot be reached."""
 
-    # -- where its sensor stands ---------------------------------------------------------------------------
-
-    @property
-    def sensor_pose(self) -> SensorPose:
-        """Where the sensor stands by the robot's file."""
-        pose: SensorPose = self.robot.sensor_pose
-        return pose
-
-    @property
-    def pose_sd(self) -> Floats:
-        """How well each number of the sensor's pose is known (6,), rad and mm: infinite where it is free, 0 where it is
-        held."""
-        return self.sensor_pose.sd(*self.usual_pose_sd)
-
-    @property
-    def stands_anywhere(self) -> tuple[str, ...]:
-        """As of any model."""
-        whole = set(POSE) <= {p.name for p in self.parameters} and not np.isfinite(self.pose_sd).any()
-        return POSE if whole else ()
-
-    def start(self, data: Measurements) -> Floats:
-        """The drawing, seen from where the sensor must stand for most of these rows to be as they are: it may stand
-        anywhere where all of its pose is free, and a turn of half a circle is too far for steps from none."""
-        out, names = super().start(data), [p.name for p in self.parameters]
-        if data.layout.coordinates != _SPACE or not self.stands_anywhere:
-            return out
-        self.require_own(data)
-        rows = np.flatnonzero(data.taken[:, : data.coordinates].all(axis=1) & ~data.outlier)
-        seen, pose = data.select(rows), self.sensor_pose
-        shown, reached = self.core_for(data).predict(np.zeros(len(self.core_parameters)), self.block(seen))
-        shown = np.where(reached[:, None], shown, np.nan)[:, :3]
-        drawn = (shown - pose.origin_mm) @ pose.turn
-        found = registered(drawn, seen.readings[:, :3])
-        if found is not None:
-            off = replace(found, turn=found.turn @ pose.turn.T).rotation_rad
-            out[[names.index(name) for name in POSE]] = [*off, *(found.shift_mm - pose.origin_mm)]
-        return out
-
-    def sensor_frame(self, values: Floats) -> tuple[Floats, Floats]:
-        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm."""
-        known = dict(zip((p.name for p in self.core_parameters), self.full(values).tolist(), strict=True))
-        turn, shift = (np.array([known[name] for name in names]) for names in (POSE[:3], POSE[3:]))
-        by = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
-        return by @ self.sensor_pose.turn, np.array(self.sensor_pose.origin_mm) + shift
-
     # -- where it can be sent ------------------------------------------------------------------------------
 
     def grid(self, data: Measurements) -> Floats | None:
@@ -189,8 +143,7 @@ class ChainModel(ModelWithEffects):
         By default the readings, seen from the base.
         """
         found, reached = self.core_for(rows).predict(self.full(values), self.block(rows))
-        turn, shift = self.sensor_frame(values)
-        return (found[:, : len(self.targets)] - shift) @ turn, reached
+        return self.at_base(found[:, : rows.coordinates], values)[:, : len(self.targets)], reached
 
     def allowed(self, coordinates: Floats, slack: float = SLACK) -> Bools:
         """Which coordinates (k, c) lie in the workspace, give or take what a robot is off by, a part ``slack`` of its
@@ -242,17 +195,6 @@ class ChainModel(ModelWithEffects):
         """Geometric errors, datum and the like: the parameters that ``free`` chooses from, in the order of the core."""
         made = (p for row in self.table if row["base"] for p in parameters_of_core(row, self.lever_mm))
         return tuple(self.as_known(p) for p in made)
-
-    def as_known(self, parameter: Parameter) -> Parameter:
-        """A parameter of the table; of the sensor's pose as well as that is known."""
-        if parameter.name not in POSE:
-            return parameter
-        sd = float(self.pose_sd[POSE.index(parameter.name)])
-        return replace(parameter, size=sd, known=True) if 0 < sd < np.inf else parameter
-
-    def held_of_pose(self, name: str) -> bool:
-        """Whether a parameter is a number of the sensor's pose that the robot's file holds."""
-        return name in POSE and self.pose_sd[POSE.index(name)] == 0
 
     @cached_property
     def core_parameters(self) -> tuple[Parameter, ...]:
@@ -364,9 +306,8 @@ class ChainModel(ModelWithEffects):
         """The coordinates that the model gives, seen from the base; where a distance was read, those that the drawing
         does."""
         places, far = predicted[:, : data.coordinates], data.is_distance
-        if values is not None and data.layout.coordinates == _SPACE:
-            turn, origin_mm = self.sensor_frame(values)
-            places = (places - origin_mm) @ turn
+        if values is not None and self.reads_places(data):
+            places = self.at_base(places, values)
         if far.any():
             joints, _, covariates, push = self.block(data.select(far))
             core = self.core_for(data)

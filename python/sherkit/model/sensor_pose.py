@@ -19,6 +19,7 @@ from ..base import linalg
 from ..base.types import Bools, Floats
 from ..data.declared import key, keys_from, keys_of
 from ..data.toml import Table
+from ..errors import RobotError
 
 Triple = tuple[float, float, float]
 
@@ -26,6 +27,10 @@ Triple = tuple[float, float, float]
 TURNS = ("sensor_turn_x", "sensor_turn_y", "sensor_turn_z")
 SHIFTS = ("sensor_shift_x", "sensor_shift_y", "sensor_shift_z")
 POSE = (*TURNS, *SHIFTS)
+#: The coordinates of an instrument that reads places in space; of one in a plane the first two.
+SPACE = ("x_mm", "y_mm", "z_mm")
+#: The numbers that readings of a plane show.
+IN_PLANE = ("sensor_turn_z", "sensor_shift_x", "sensor_shift_y")
 
 #: Rows that tell where a sensor stands; in so many rounds, in each of which rows count that are off by no more than
 #: this many times the median; and how thin a cloud of places is a line.
@@ -37,9 +42,11 @@ HELD: Triple = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class SensorPose:
-    """Where a sensor sees the base of its robot: the origin at ``origin_mm``, the axes turned by ``rpy_deg`` (URDF's
-    roll, pitch, yaw). ``shift_sd_mm`` and ``turn_sd_deg`` are how well that is known along and about each of its axes:
-    infinite where it is free, zero where it is held; None leaves it to the kind of robot.
+    """Where a sensor sees the base of its robot: the origin at ``origin_mm``, the axes turned by ``rpy_deg`` (URDF's roll,
+    pitch, yaw). ``shift_sd_mm`` and ``turn_sd_deg`` are how well that is known along and about each of its axes, one
+    number for all or three: infinite where it is free, zero where it is held; None leaves it to the kind of robot.
+
+    Raises :class:`~sherkit.errors.RobotError` for numbers that are none of these.
     """
 
     origin_mm: Triple = (0.0, 0.0, 0.0)
@@ -48,6 +55,17 @@ class SensorPose:
     turn_sd_deg: Triple | None = None
 
     KEYS: ClassVar[dict[str, Any]] = {"origin_mm": key(Table.numbers, 3).quiet, "rpy_deg": key(Table.numbers, 3).quiet}
+
+    def __post_init__(self) -> None:
+        for name in ("shift_sd_mm", "turn_sd_deg"):
+            given = getattr(self, name)
+            if given is not None:
+                object.__setattr__(self, name, _deviations(name, given))
+        for name in ("origin_mm", "rpy_deg"):
+            given = np.asarray(getattr(self, name), dtype=float)
+            if given.shape != (3,) or not np.isfinite(given).all():
+                raise RobotError(f"sensor_pose: {name}: expected three numbers, got {getattr(self, name)!r}")
+            object.__setattr__(self, name, tuple(given.tolist()))
 
     @cached_property
     def turn(self) -> Floats:
@@ -82,6 +100,23 @@ class SensorPose:
             out["free"] = True
             spread = {name: None if sd == FREE else sd for name, sd in spread.items()}
         return out | {name: list(sd) for name, sd in spread.items() if sd is not None}
+
+
+def _deviations(name: str, given: Any) -> Triple:
+    try:
+        x, y, z = np.broadcast_to(np.asarray(given, dtype=float), 3).tolist()
+    except (TypeError, ValueError):
+        x = y = z = np.nan
+    if not min(x, y, z) >= 0 or np.isnan([x, y, z]).any():
+        raise RobotError(
+            f"sensor_pose: {name}: expected a number for all axes, or three, none below zero (0 holds an axis, inf frees "
+            f"it), got {given!r}"
+        )
+    return (x, y, z)
+
+
+#: Read in the robot's own axes, exactly.
+OWN_AXES = SensorPose(shift_sd_mm=HELD, turn_sd_deg=HELD)
 
 
 class KnownPose(SensorPose):

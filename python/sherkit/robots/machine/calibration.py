@@ -14,7 +14,6 @@ from ...data.lagged import DRAWN_C
 from ...data.toml import Table
 from ...errors import NotConverged, OutOfReach
 from ...model.chain import Block
-from ...model.sensor_pose import POSE
 from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
@@ -25,7 +24,7 @@ from .described import Described
 from .function import settled, starts
 
 #: Effects of the instrument: where the machine goes, they are not.
-_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned", "thermal_shift")
+_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "sensor_slip", "instrument_turned", "thermal_shift")
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +123,7 @@ class MachineCalibration(Calibration):
     @property
     def frames(self) -> tuple[str, ...]:
         """That of the instrument, and that of the base where the model says where it stands."""
-        return (SENSOR, BASE) if set(POSE) <= {p.name for p in self.model.core_parameters} else (SENSOR,)
+        return (SENSOR, BASE) if self.robot.pose is not None else (SENSOR,)
 
     @cached_property
     def core(self) -> MachineCalibrated:

@@ -5,7 +5,7 @@ What a robot has compiled stands here in NumPy; a fit, a diagnosis and a calibra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise, permutations
@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base import linalg
 from ...base.types import Bools, Floats
 from ...data.columns import bare, unit_in
 from ...data.lagged import DRAWN_C
 from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block
 from ...model.effect import Effect, Sentences, catalogue_of_core
+from ...model.sensor_link import by_pose, pose_row, seen_from, slip_row, turn_of
+from ...model.sensor_pose import POSE, SensorPose
 from ...model.sentences import COMMON
 from .function import UserFunction
 
@@ -28,7 +29,6 @@ from .function import UserFunction
 
 #: A plausible small error of a reading or joint by its unit; of any other, this part of its range.
 _SMALL = {"mm": 0.1, "um": 100.0, "m": 1e-4, "rad": 2e-3, "mrad": 2.0, "deg": 0.1, "px": 5.0, "arcsec": 300.0}
-_POINT = ("x_mm", "y_mm", "z_mm")
 _SCALE = 1e-3
 _METRE = 1000.0
 #: Machines with more joints than this have couplings of neighbours alone.
@@ -50,6 +50,7 @@ class Known:
     time_origin_s: float
     slip_time_s: float
     joint_slip_time_s: float
+    sensor_slip_time_s: float
 
 
 #: What an effect adds (n, axes, p) for each of its parameters at one: where it acts (n, axes), joints or readings.
@@ -61,7 +62,7 @@ class Generic:
     """One effect that every machine can have: its link, its parameters with unit and plausible size, and its formula.
 
     It is linear in its parameters, and says what it adds at its link: to the readings of the joints, to those of the
-    instruments.
+    instruments; ``by_pose`` to the six numbers of the sensor's pose.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Generic:
     formula: Formula = field(repr=False)
     needs: tuple[str, ...] = ()
     search: str | None = None
+    by_pose: bool = False
 
     def only(self, which: Sequence[int]) -> Generic:
         """With these of its parameters."""
@@ -81,17 +83,31 @@ class Generic:
         )
 
     @property
+    def at(self) -> str:
+        """What it adds to."""
+        return "pose" if self.by_pose else self.link
+
+    @property
+    def is_base(self) -> bool:
+        """Whether it is no effect but of every model: where the sensor stands."""
+        return self.by_pose and self.search is None
+
+    @property
     def row(self) -> dict[str, Any]:
         """As a row of the table of a chain."""
-        own = [{"name": n, "symbol": n, "unit": u, "size": s, "lever_mm": 1.0} for n, u, s in self.parameters]
+        lever = None if self.is_base else 1.0
+        own = [{"name": n, "symbol": n, "unit": u, "size": s, "lever_mm": lever} for n, u, s in self.parameters]
         return {
-            "name": self.name, "link": self.link, "base": False, "parameters": own, "needs": list(self.needs),
+            "name": self.name, "link": self.link, "base": self.is_base, "parameters": own, "needs": list(self.needs),
             "search": self.search,
         }  # fmt: skip
 
 
-def generic_effects(joints: Sequence[str], readings: Sequence[str], spans: Sequence[float]) -> tuple[Generic, ...]:
-    """Those of a machine with these joints, which range over ``spans``, and readings, in the order of the chain."""
+def generic_effects(
+    joints: Sequence[str], readings: Sequence[str], spans: Sequence[float], is_place: bool
+) -> tuple[Generic, ...]:
+    """Those of a machine with these joints, which range over ``spans``, and readings, in the order of the chain; whether
+    the readings are a place in space."""
     k, m = len(joints), len(readings)
     units, read = [unit_in(name) for name in joints], [unit_in(name) for name in readings]
     small = [_SMALL.get(unit, 1e-3 * span) for unit, span in zip(units, spans, strict=True)]
@@ -128,7 +144,7 @@ def generic_effects(joints: Sequence[str], readings: Sequence[str], spans: Seque
             "time_s",
         )
     )
-    if tuple(readings) == _POINT:
+    if is_place:
         grows = (("coefficient", "1/°C", 1e-4),)
         out.append(Generic("thermal_growth", "body", grows, lambda x, at: _warmer(at)[:, None, None] * x[:, :, None],
                            ("temperature_c",)))  # fmt: skip
@@ -146,7 +162,29 @@ def generic_effects(joints: Sequence[str], readings: Sequence[str], spans: Seque
         Generic("sensor_offset", "sensor", _each("offset", readings, read, [5 * s for s in seen]), _own(np.ones_like)),
         Generic("sensor_scale", "sensor", _each("scale", readings, [""] * m, [_SCALE] * m), _own(lambda x: x)),
     ]  # fmt: skip
+    if is_place:
+        row = slip_row(1.0)
+        out.append(Generic(row["name"], row["link"], tuple((p["name"], p["unit"], p["size"]) for p in row["parameters"]),
+                           lambda x, at: _diagonal(_late(at, at.sensor_slip_time_s)[:, None] + 0 * x), ("time_s",),
+                           "time_s", by_pose=True))  # fmt: skip
     return tuple(out)
+
+
+def sensor_pose(names: Collection[str]) -> Generic:
+    """These numbers of the sensor's pose, as what every machine has whose readings are places in space."""
+    row, which = pose_row(names), [POSE.index(name) for name in POSE if name in names]
+    return Generic(row["name"], row["link"], tuple((p["name"], p["unit"], p["size"]) for p in row["parameters"]),
+                   lambda x, _: _diagonal(np.ones_like(x))[:, :, which], by_pose=True)  # fmt: skip
+
+
+def in_space(readings: Sequence[str]) -> bool:
+    """Whether readings are x, y and z of one point, mm: by their names, which differ in that alone."""
+    words = [bare(name).lower().split("_") for name in readings]
+    if len(readings) != 3 or {unit_in(name) for name in readings} != {"mm"} or len({len(one) for one in words}) > 1:
+        return False
+    return sum(column == tuple("xyz") for column in zip(*words)) == 1 and all(
+        column == tuple("xyz") or len(set(column)) == 1 for column in zip(*words)
+    )
 
 
 def catalogue_of(effects: Sequence[Generic]) -> dict[str, Effect]:
@@ -278,24 +316,25 @@ _OWN = {
 # -- The chain ----------------------------------------------------------------------------------------------------
 
 _TINY = 1e-30
-#: Part of an effect's columns that must be left where those of the function are taken out, for it to be another one.
-_SAME = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class MachineCore(NumpyChain):
     """The chain of one machine at the settings of its effects: ``wave``, one turn over the period of its encoders, and
-    three moments, s."""
+    four moments, s. Its readings are places that a sensor sees from its ``pose``, where it has one."""
 
     function: UserFunction
     effects: tuple[Generic, ...]
+    pose: SensorPose | None
     wave: float
     time_origin_s: float
     slip_time_s: float
     joint_slip_time_s: float
+    sensor_slip_time_s: float
 
     @cached_property
-    def _places(self) -> list[slice]:
+    def places(self) -> list[slice]:
+        """Where the parameters of each effect stand among all."""
         ends = np.cumsum([len(self.function.parameters), *(len(one.parameters) for one in self.effects)])
         return [slice(a, b) for a, b in pairwise(ends.tolist())]
 
@@ -303,7 +342,7 @@ class MachineCore(NumpyChain):
         joints, _, columns, push = block
         k = joints.shape[1]
         columns = np.full((len(joints), 3 + 2 * k), np.nan) if columns is None else columns
-        moments = (self.wave, self.time_origin_s, self.slip_time_s, self.joint_slip_time_s)
+        moments = (self.wave, self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         moved = columns[:, 2 : 2 + k], columns[:, 2 + k : 2 + 2 * k]
         known = Known(columns[:, 0], columns[:, 1], columns[:, -1], *moved, *moments)
         return joints, known, np.zeros((len(joints), 3)) if push is None else push
@@ -311,16 +350,16 @@ class MachineCore(NumpyChain):
     def _link(self, link: str, x: NDArray[Any], values: Floats, known: Known) -> NDArray[Any]:
         """A link: what comes in (n, axes), and what its effects add."""
         out = x
-        for one, place in zip(self.effects, self._places, strict=True):
+        for one, place in zip(self.effects, self.places, strict=True):
             # an effect at zero does not ask for its covariate
-            if one.link == link and values[place].any():
+            if one.at == link and values[place].any():
                 out = out + one.formula(x, known) @ values[place]
         return out
 
     def _by_input(self, link: str, x: Floats, values: Floats, known: Known) -> Floats:
         """How a link carries on a change of what comes in (n, axes, axes): its formulas are ours, and complex."""
         n, axes = x.shape
-        own = [o for o, p in zip(self.effects, self._places, strict=True) if o.link == link and values[p].any()]
+        own = [o for o, p in zip(self.effects, self.places, strict=True) if o.at == link and values[p].any()]
         if not own:
             return np.broadcast_to(np.eye(axes), (n, axes, axes))
         columns = []
@@ -330,12 +369,19 @@ class MachineCore(NumpyChain):
             columns.append(self._link(link, moved, values, known).imag / _TINY)
         return np.stack(columns, axis=2)
 
+    def _stands(self, values: Floats, known: Known) -> Floats:
+        """By how much the pose of the sensor is off (n, 6), row by row."""
+        return self._link("pose", np.zeros((len(known.time_s), len(POSE))), values, known)
+
     def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
         """Readings (n, m), and which rows could be computed."""
         joints, known, push = self._known(block)
         own = values[: len(self.function.parameters)]
         point = self.function(self._link("joints", joints, values, known), own)
-        out = self._link("sensor", self._pushed(self._link("body", point, values, known), push), values, known)
+        shown = self._pushed(self._link("body", point, values, known), push)
+        if self.pose is not None:
+            shown = seen_from(self.pose, self._stands(values, known), shown)
+        out = self._link("sensor", shown, values, known)
         return out, np.isfinite(out).all(axis=1)
 
     def _pushed(self, point: Floats, push: Floats) -> Floats:
@@ -349,53 +395,32 @@ class MachineCore(NumpyChain):
         own = values[:count]
         stood = self._link("joints", joints, values, known)
         point = self.function(stood, own)
-        shown = self._pushed(self._link("body", point, values, known), push)
-        by_shown = self._by_input("sensor", shown, values, known)
-        by_point = by_shown @ self._by_input("body", point, values, known)
+        moved = seen = self._pushed(self._link("body", point, values, known), push)
+        # what each link adds to: at which input, and how a change of that comes to the readings
+        links: dict[str, tuple[Floats, Floats]] = {}
+        if self.pose is not None:
+            off = self._stands(values, known)
+            seen = seen_from(self.pose, off, moved)
+            by_seen = self._by_input("sensor", seen, values, known)
+            by_moved = by_seen @ turn_of(self.pose, off)
+            links["pose"] = np.zeros_like(off), by_seen @ by_pose(self.pose, off, moved)
+        else:
+            by_moved = self._by_input("sensor", seen, values, known)
+        by_point = by_moved @ self._by_input("body", point, values, known)
         wanted = [k for k in free if k < count]
         by_stood, by_own = self.function.derivatives(stood, own, wanted)
         by_stood, by_own = by_point @ by_stood, by_point @ by_own
+        links |= {"joints": (joints, by_stood), "body": (point, by_moved), "sensor": (seen, np.eye(seen.shape[1]))}
         columns = dict(zip(wanted, np.moveaxis(by_own, 2, 0), strict=True))
-        for one, place in zip(self.effects, self._places, strict=True):
+        for one, place in zip(self.effects, self.places, strict=True):
             asked = [k for k in free if place.start <= k < place.stop]
             if not asked:
                 continue
-            at, carry = {
-                "joints": (joints, by_stood), "body": (point, by_shown), "sensor": (shown, np.eye(shown.shape[1])),
-            }[one.link]  # fmt: skip
+            at, carry = links[one.at]
             carried = carry @ one.formula(at, known)
             columns |= {k: carried[:, :, k - place.start] for k in asked}
         out = np.stack([columns[k] for k in free], axis=2) if len(free) else np.zeros((*point.shape, 0))
         by_joints = by_stood @ self._by_input("joints", joints, values, known)
-        by_push = by_shown if shown.shape[1] == 3 else np.zeros((*shown.shape, 3))
-        reached = np.isfinite(self._link("sensor", shown, values, known)).all(axis=1)
+        by_push = by_moved if moved.shape[1] == 3 else np.zeros((*moved.shape, 3))
+        reached = np.isfinite(self._link("sensor", seen, values, known)).all(axis=1)
         return out, by_joints, by_push, reached
-
-
-def not_in(function: UserFunction, effects: Sequence[Generic]) -> tuple[Generic, ...]:
-    """The effects without those parameters that do what the function's own parameters do already.
-
-    Two names for one thing would be a valley in which no fit settles. Found at places over the joints' ranges.
-    """
-    joints = function.somewhere
-    k, count = joints.shape[1], len(function.parameters)
-    n, rng = len(joints), np.random.default_rng(1)
-    known = np.column_stack([60.0 * np.arange(n), 20.0 + rng.normal(size=n), rng.choice([-1.0, 1.0], (n, k)),
-                             rng.normal(size=(n, k)), 20.0 + rng.normal(size=n)])  # fmt: skip
-    core = MachineCore(function, tuple(effects), 1.0, 0.0, 30.0 * n, 30.0 * n)
-    total = count + sum(len(one.parameters) for one in effects)
-    columns = core.derivatives(np.zeros(total), (joints, None, known, None), range(total))[0]
-    whole = np.asarray(np.isfinite(columns).all(axis=(1, 2)))
-    columns = columns[whole].reshape(-1, total)
-    length = np.sqrt((columns**2).sum(axis=0))
-    columns = columns / np.where(length > 0, length, 1.0)
-    basis, size, _ = linalg.svd(columns[:, :count], full_matrices=False)
-    basis = basis[:, size > _SAME * size.max(initial=0.0)]
-    left = np.sqrt(((columns - basis @ (basis.T @ columns)) ** 2).sum(axis=0))
-    new = np.flatnonzero(left > _SAME)
-    out = []
-    for one, place in zip(effects, core._places, strict=True):
-        kept = [k for k in range(len(one.parameters)) if one.search or place.start + k in new]
-        if kept:
-            out.append(one.only(kept) if len(kept) < len(one.parameters) else one)
-    return tuple(out)

@@ -21,13 +21,17 @@ from ...data.toml import Table
 from ...errors import NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
 from ...model.effect import Parameter
-from .core import Generic, generic_effects, not_in
+from ...model.sensor_pose import FREE, OWN_AXES, POSE, SensorPose
+from .core import Generic, generic_effects, in_space
 from .function import Derivative, Forward, UserFunction, settled, starts
+from .same import not_in
 
 #: Where joints range whose limits nobody gives, by unit: so far from zero on both sides.
 _RANGE = {"mm": 100.0, "um": 1e5, "m": 0.1, "rad": 1.0, "mrad": 1e3, "deg": 60.0}
 #: Units in which people read errors, and how many make one of the readings'.
 _SHOWN = {"mm": ("µm", 1e3), "m": ("µm", 1e6), "um": ("µm", 1.0), "rad": ("mrad", 1e3), "deg": ("mdeg", 1e3)}
+#: What a machine says of where its instrument stands, in one word.
+_POSES = {"free": SensorPose(shift_sd_mm=FREE, turn_sd_deg=FREE), "held": OWN_AXES}
 _RESERVED = (TIME, TEMPERATURE, "pose", "repeat", "outlier")
 
 #: Names, or names with the range over which a joint goes.
@@ -47,6 +51,7 @@ class Described(Saved, Shown):
     derivative: Derivative | None = None
     name: str = ""
     columns: Mapping[str, str] = field(default_factory=dict)
+    sensor_pose: SensorPose | str | None = None
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -73,8 +78,24 @@ class Described(Saved, Shown):
                 )
         if not isinstance(self.columns, Mapping) or not all(isinstance(one, str) for one in self.columns.values()):
             raise RobotError(f"columns: expected names of the file by those of the machine, got {self.columns!r}")
+        object.__setattr__(self, "sensor_pose", self._stands(self.sensor_pose))
         if (self.box[:, 0] >= self.box[:, 1]).any() or not np.isfinite(self.box).all():
             raise RobotError(f"joints: expected a range with its lower end first for each, got {self.joints}")
+
+    def _stands(self, told: object) -> SensorPose:
+        """Where its instrument stands, by what its owner told of that."""
+        places = in_space(self.readings)
+        if told is None:
+            return _POSES["free" if places else "held"]
+        pose = _POSES.get(told) if isinstance(told, str) else told
+        if not isinstance(pose, SensorPose):
+            raise RobotError(f'sensor_pose: expected "free", "held" or a sk.SensorPose(...), got {told!r}')
+        if pose != OWN_AXES and not (len(self.readings) == 3 and {unit_in(name) for name in self.readings} == {"mm"}):
+            raise RobotError(
+                f"sensor_pose: it is that of an instrument which reads x, y and z of one point, mm; this machine's readings "
+                f"are {listed(self.readings)}: leave it out"
+            )
+        return pose
 
     # -- what is known of it -------------------------------------------------------------------------------
 
@@ -98,11 +119,26 @@ class Described(Saved, Shown):
         velocities = tuple(f"{name}_per_s" for name in self.joint_names)
         return Layout(self.joint_names, tuple(self.readings), shown, per_unit, velocities=velocities)
 
+    @property
+    def pose(self) -> SensorPose | None:
+        """Where its instrument stands; None where its readings are no place in space."""
+        made = self.sensor_pose
+        assert isinstance(made, SensorPose)
+        return made if in_space(self.readings) or made != OWN_AXES else None
+
     @cached_property
+    def links(self) -> tuple[Generic, ...]:
+        """What its chain has beside its function: the numbers of the sensor's pose that are open, and the effects that
+        every machine can have, for these joints and readings, but for what its function has already."""
+        spans, pose = np.ptp(self.box, axis=1).tolist(), self.pose
+        every = generic_effects(self.joint_names, tuple(self.readings), spans, pose is not None)
+        sd = np.zeros(len(POSE)) if pose is None else pose.sd(FREE, FREE)
+        return not_in(self.asked, pose, [name for name, one in zip(POSE, sd, strict=True) if one > 0], every)
+
+    @property
     def effects(self) -> tuple[Generic, ...]:
-        """What every machine can have, for these joints and readings, but for what its function has already."""
-        every = generic_effects(self.joint_names, tuple(self.readings), np.ptp(self.box, axis=1).tolist())
-        return not_in(self.asked, every)
+        """The effects among :attr:`links`."""
+        return tuple(one for one in self.links if not one.is_base)
 
     @cached_property
     def own(self) -> tuple[Parameter, ...]:
@@ -163,13 +199,11 @@ class Described(Saved, Shown):
     # -- files -----------------------------------------------------------------------------------------------
 
     def to_tables(self) -> dict[str, Any]:
-        """What a file says of it: its name, columns and parameters. No code is kept in files, nor run from them."""
-        return {
-            "kind": self.kind,
-            "machine": {
-                "joints": list(self.joint_names), "readings": list(self.readings), "parameters": list(self.parameters),
-            },
-        }  # fmt: skip
+        """What a file says of it: its name, columns and parameters, and where its instrument stands. No code is kept in
+        files, nor run from them."""
+        known = {"joints": self.joint_names, "readings": self.readings, "parameters": self.parameters}
+        out: dict[str, Any] = {"kind": self.kind, "machine": {key: list(names) for key, names in known.items()}}
+        return out if self.pose is None else out | {"sensor_pose": self.pose.to_table()}
 
     def from_table(self, table: Table) -> Self:
         """This machine, where the file is of it. Raises :class:`~sherkit.errors.RobotError` where it was another."""
@@ -180,6 +214,12 @@ class Described(Saved, Shown):
                     raise m.fail(
                         key, f"those of the machine '{self.name}' as it is now, {listed(now)}, not {listed(then)}"
                     )
+        if table.has("sensor_pose"):
+            with table.table("sensor_pose") as p:
+                told = SensorPose.from_table(p)
+            if self.pose is None or told != self.pose:
+                now = "none, since it reads no place in space" if self.pose is None else f"{self.pose.to_table()}"
+                raise table.fail("sensor_pose", f"that of the machine '{self.name}' as it is now, {now}")
         return self
 
     def __repr__(self) -> str:

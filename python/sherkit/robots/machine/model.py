@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy
 
+from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import unit_in
@@ -17,11 +18,15 @@ from ...errors import EffectError
 from ...model.base import Reachable
 from ...model.chain import ChainModel
 from ...model.effect import Effect
+from ...model.sensor_link import seen_from
 from .core import MachineCore
 from .described import Described
 
 #: Poses from which the next ones are chosen.
 _POSES = 400
+#: Rows and steps by which one walks to where a sensor stands; the rank by which a step is made; and how near one must come,
+#: of how far the places lie apart.
+_WALKED, _STEPS, _RANK, _NEAR = 100, 12, 1e-8, 1e-2
 _DIGITS = {"mm": 2, "rad": 4, "deg": 2, "px": 1}
 
 
@@ -34,6 +39,7 @@ class MachineModel(ChainModel):
     slip_time_s: float = 0.0
     joint_slip_time_s: float = 0.0
     thermal_shift_lag_s: float = 0.0
+    sensor_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
     period_mm: float | None = None
     period_rad: float | None = None
@@ -46,8 +52,9 @@ class MachineModel(ChainModel):
 
     def lever_mm(self, name: str) -> float:
         """In plausible sizes: units differ."""
-        (size,) = (p.size for p in self.robot.own if p.name == name)
-        return 1.0 / size
+        of_pose = [one for link in self.robot.links if link.is_base for one in link.parameters]
+        sizes = {p.name: p.size for p in self.robot.own} | {one: size for one, _, size in of_pose}
+        return 1.0 / sizes[name]
 
     @property
     def sensitivities(self) -> tuple[Floats, str]:
@@ -56,8 +63,8 @@ class MachineModel(ChainModel):
 
     @property
     def default(self) -> tuple[str, ...]:
-        """All of them."""
-        return tuple(p.name for p in self.robot.own)
+        """All of them, and what is open of the sensor's pose."""
+        return tuple(p.name for p in self.base)
 
     def settings(self) -> dict[str, float | None]:
         """Moments of the slips, lag of the stands, origin of time, and the period of the encoders where all joints have
@@ -70,20 +77,48 @@ class MachineModel(ChainModel):
         }
         own = {"period_mm": self.period_mm, "period_rad": self.period_rad}
         searched = {one.search for one in self.robot.effects}
+        if self.robot.pose is not None:
+            times["sensor_slip_time_s"] = self.sensor_slip_time_s
         return times | {name: value for name, value in own.items() if name in searched}
 
     @cached_property
     def core(self) -> MachineCore:
         """The chain."""
         period = self.period_mm or self.period_rad or 1.0
-        return MachineCore(
-            self.robot.asked,
-            self.robot.effects,
-            2.0 * np.pi / period,
-            self.time_origin_s,
-            self.slip_time_s,
-            self.joint_slip_time_s,
-        )
+        times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
+        return MachineCore(self.robot.asked, self.robot.links, self.robot.pose, 2.0 * np.pi / period, *times)
+
+    # -- where a fit begins --------------------------------------------------------------------------------
+
+    def reads_places(self, data: Measurements) -> bool:
+        """Whether its owner says so."""
+        del data
+        return self.robot.pose is not None
+
+    def start(self, data: Measurements) -> Floats:
+        """As of any model; where the machine's own parameters are a part of the sensor's pose, one walks to where it stands
+        with them and what is left of it."""
+        out = super().start(data)
+        if self.robot.pose is None or self.stands_anywhere or np.isfinite(self.pose_sd).any():
+            return out
+        found = self.registration(data)
+        return out if found is None else self._walked(data, found, out)
+
+    def _walked(self, data: Measurements, off: Floats, start: Floats) -> Floats:
+        """The values by which the drawing is seen from ``off`` (6,), in steps from where it is seen at the ``start``; that,
+        where they do not lead there."""
+        rows = data.select(np.unique(np.linspace(0, len(data) - 1, min(len(data), _WALKED)).astype(int)))
+        pose, sizes = self.sensor_pose, np.array([p.size for p in self.parameters])
+        seen, reached = self.drawn(rows)
+        base, values = (seen - pose.origin_mm) @ pose.turn, start
+        for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:].repeat(2):
+            there = seen_from(pose, share * off, base)
+            columns = self.derivatives(rows, values)[reached].reshape(-1, len(values)) * sizes
+            step = linalg.pinv(columns, rcond=_RANK) @ (there - self.predict(rows, values))[reached].ravel()
+            values = values + sizes * step
+        missed = (seen_from(pose, off, base) - self.predict(rows, values))[reached]
+        near = np.sqrt((missed**2).mean()) <= _NEAR * np.sqrt(base[reached].var(axis=0).sum())
+        return values if near else start
 
     def check_effect(self, effect: Effect, data: Measurements, values: Floats) -> None:
         """As of any model; and a displacement asks for readings that are those of a point."""

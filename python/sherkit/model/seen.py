@@ -1,0 +1,136 @@
+"""A model whose robot is read by a sensor that stands somewhere: how well that is known, where a fit begins, and how what
+is read is seen from the base."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy
+
+from ..base.types import Bools, Floats
+from ..data import Measurements
+from ..data.columns import Layout
+from .base import ModelWithEffects
+from .effect import Parameter
+from .sensor_pose import FREE, IN_PLANE, OWN_AXES, POSE, SPACE, SensorPose, Triple, registered
+
+
+@dataclass(frozen=True)
+class SeenModel(ModelWithEffects):
+    """What every model of a measurement chain knows of its sensor; see :class:`~sherkit.model.chain.ChainModel`."""
+
+    #: How well the sensor's pose is known where the robot's file leaves it open: along its axes, mm, and about them,
+    #: degrees.
+    usual_pose_sd: ClassVar[tuple[Triple, Triple]] = (FREE, FREE)
+    layouts: ClassVar[tuple[Layout, ...]]
+
+    # -- what the chain says -------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def core_parameters(self) -> Sequence[Parameter]:
+        """Every parameter of the chain, in its order."""
+
+    @abstractmethod
+    def full(self, values: Floats) -> Floats:
+        """Values of the chain's parameters, the identified ones among zeros."""
+
+    @abstractmethod
+    def drawn(self, data: Measurements) -> tuple[Floats, Bools]:
+        """What the chain reads as drawn (n, m), and which rows could be computed."""
+
+    @abstractmethod
+    def require_own(self, data: Measurements) -> None:
+        """Raises :class:`~sherkit.errors.FitError` for a run of another kind of robot."""
+
+    # -- how well its pose is known ------------------------------------------------------------------------
+
+    @property
+    def sensor_pose(self) -> SensorPose:
+        """Where the sensor stands by the robot's file; a robot that says nothing of it is read in its own axes."""
+        robot: Any = self.robot
+        pose: SensorPose = getattr(robot, "sensor_pose", OWN_AXES)
+        return pose
+
+    @property
+    def pose_sd(self) -> Floats:
+        """How well each number of the sensor's pose is known (6,), rad and mm: infinite where it is free, 0 where it is
+        held."""
+        return self.sensor_pose.sd(*self.usual_pose_sd)
+
+    @property
+    def stands_anywhere(self) -> tuple[str, ...]:
+        """As of any model; of readings in a plane three numbers are all."""
+        in_plane = all(one.coordinates == SPACE[:2] for one in self.layouts)
+        whole = IN_PLANE if in_plane else POSE
+        free = {name for name, sd in zip(POSE, self.pose_sd, strict=True) if np.isinf(sd)}
+        return whole if set(whole) <= free & {p.name for p in self.parameters} else ()
+
+    def as_known(self, parameter: Parameter) -> Parameter:
+        """A parameter of the table; of the sensor's pose as well as that is known."""
+        if parameter.name not in POSE:
+            return parameter
+        sd = float(self.pose_sd[POSE.index(parameter.name)])
+        return replace(parameter, size=sd, known=True) if 0 < sd < np.inf else parameter
+
+    def held_of_pose(self, name: str) -> bool:
+        """Whether a parameter is a number of the sensor's pose that the robot's file holds."""
+        return name in POSE and self.pose_sd[POSE.index(name)] == 0
+
+    # -- where a fit begins --------------------------------------------------------------------------------
+
+    def reads_places(self, data: Measurements) -> bool:
+        """Whether readings such as these are places, in space or in a plane, mm."""
+        return data.layout.coordinates in (SPACE, SPACE[:2])
+
+    def start(self, data: Measurements) -> Floats:
+        """The drawing, seen from where the sensor must stand for most of these rows to be as they are: it may stand
+        anywhere where all of its pose is free, and a turn of half a circle is too far for steps from none."""
+        out, names, pose = super().start(data), [p.name for p in self.parameters], self.stands_anywhere
+        found = self.registration(data) if pose and self.reads_places(data) else None
+        if found is not None:
+            off = dict(zip(POSE, found, strict=True))
+            out[[names.index(name) for name in pose]] = [off[name] for name in pose]
+        return out
+
+    def registration(self, data: Measurements) -> Floats | None:
+        """By how much the sensor's pose (6,) is off that of the robot's file, rad and mm, where most of these rows are as
+        the drawing has them; None where too few tell it."""
+        self.require_own(data)
+        size, pose = data.coordinates, self.sensor_pose
+        seen = data.select(np.flatnonzero(data.taken[:, :size].all(axis=1) & ~data.outlier))
+        shown, reached = self.drawn(seen)
+        shown = in_space(np.where(reached[:, None], shown, np.nan)[:, :size])
+        found = registered((shown - pose.origin_mm) @ pose.turn, in_space(seen.readings[:, :size]))
+        if found is None:
+            return None
+        off = replace(found, turn=found.turn @ pose.turn.T).rotation_rad
+        return np.array([*off, *(found.shift_mm - pose.origin_mm)])
+
+    # -- as it was identified ------------------------------------------------------------------------------
+
+    def sensor_frame(self, values: Floats) -> tuple[Floats, Floats]:
+        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm."""
+        known = dict(zip((p.name for p in self.core_parameters), self.full(values).tolist(), strict=True))
+        off = np.array([known.get(name, 0.0) for name in POSE])
+        by = scipy.spatial.transform.Rotation.from_rotvec(off[:3]).as_matrix()
+        return by @ self.sensor_pose.turn, np.array(self.sensor_pose.origin_mm) + off[3:]
+
+    def at_base(self, places_mm: Floats, values: Floats) -> Floats:
+        """What the sensor shows (n, c) as coordinates of the base, by where it was identified to stand; what is read in
+        the robot's own axes stays as it is."""
+        turn, shift = self.sensor_frame(values)
+        if (turn == np.eye(3)).all() and not shift.any():
+            return places_mm
+        return ((in_space(places_mm) - shift) @ turn)[:, : places_mm.shape[1]]
+
+
+def in_space(places: Floats) -> Floats:
+    """Places (n, 3); of those in a plane (n, 2) the third coordinate is zero."""
+    out = np.zeros((len(places), 3))
+    out[:, : places.shape[1]] = places
+    return out
