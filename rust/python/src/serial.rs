@@ -1,6 +1,6 @@
 //! The serial arm from Python: `SerialModel`, `SerialCalibrated`.
 
-use crate::arrays::{self, Marked, RIGID, Rows, rigid, fixed, marked, rows, shaped};
+use crate::arrays::{self, Marked, RIGID, Rows, fixed, marked, rigid, rows, shaped};
 use crate::calibrated::Single;
 use crate::errors::{shape, to_python};
 use crate::maps::{WithDerivative, vector};

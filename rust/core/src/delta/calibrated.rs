@@ -202,6 +202,7 @@ impl Chain {
     /// # Errors
     /// As [`super::Kinematics::inverse`].
     pub fn rough_inverse(&self, reading: &Vector3<f64>) -> Result<Vector3<f64>> {
-        self.structure.rough_inverse(&self.sensor.pose.first().frame.apply_inverse(reading))
+        self.structure
+            .rough_inverse(&self.sensor.pose.first().frame.apply_inverse(reading))
     }
 }
