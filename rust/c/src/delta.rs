@@ -12,14 +12,14 @@ use sherkit_core::{Result, flat};
 /// A calibrated delta robot. Its content is nobody's business.
 #[repr(C)]
 pub struct sherkit_delta {
-    words: [u64; 512],
+    words: [u64; 640],
 }
 
 // SAFETY: one array of so many words.
 unsafe impl Opaque for sherkit_delta {
     type Value = Calibrated<'static>;
     const MARK: u64 = 0x7368_6b64_656c_7461;
-    const WORDS: usize = 512;
+    const WORDS: usize = 640;
 }
 
 /// What a reading of the delta depends on beside its joints. NaN where it is not known; an effect that needs it then
@@ -79,8 +79,8 @@ impl Framed for sherkit_delta {
 }
 
 /// Loads a calibration: count numbers as sherkit writes them. They are not copied and must stay as they are for as
-/// long as the robot is used. Where it fails the robot is not initialised.
-/// Its positions are in the frame of the sensor, see sherkit_delta_use_frame.
+/// long as the robot is used. Where it fails the robot is not initialised. Its positions are in the frame of the sensor,
+/// see sherkit_delta_use_frame.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_delta_init(
     robot: *mut sherkit_delta,
@@ -118,7 +118,8 @@ pub unsafe extern "C" fn sherkit_delta_forward(
     unsafe { robot::forward(robot, joints, covariates, position, jacobian) }
 }
 
-/// Joint readings (3, mm) at which the robot stands at a position (3, mm) of the frame that is used, to 1 nm. Covariates may be null.
+/// Joint readings (3, mm) at which the robot stands at a position (3, mm) of the frame that is used, to 1 nm. Covariates
+/// may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_delta_inverse(
     robot: *const sherkit_delta,
