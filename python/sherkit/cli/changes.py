@@ -24,7 +24,9 @@ from ..model.effect import load_effects
 from ..model.kinds import Robot
 from ..robots.machine import robot_at
 from . import output
+from .file_kinds import PAGE
 from .output import out, table
+from .paths import InputFile, OutputFile
 
 Told = TypeVar("Told", Comparison, History)
 
@@ -33,13 +35,13 @@ INVALID = 3
 
 
 @click.command()
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("before", type=click.Path(path_type=Path))
-@click.argument("after", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="AFTER [MORE]...")
+@click.argument("robot", type=InputFile())
+@click.argument("before", type=InputFile())
+@click.argument("after", type=InputFile(), nargs=-1, required=True, metavar="AFTER [MORE]...")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model of all runs; default: those "
               "that a diagnosis of BEFORE names.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
-@click.option("--report", type=click.Path(path_type=Path), help="Write a page with before and after beside each other.")
+@click.option("--report", type=OutputFile(PAGE), help="Write a page with before and after beside each other.")
 def compare(
     robot: Path, before: Path, after: tuple[Path, ...], added: tuple[str, ...], as_json: bool, report: Path | None
 ) -> None:
@@ -110,12 +112,12 @@ def _say(found: Comparison) -> None:
 
 
 @click.command()
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("runs", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RUN MORE...")
+@click.argument("robot", type=InputFile())
+@click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN MORE...")
 @click.option("--dates", default="", help="When each run was taken (2026-03-31), separated by commas.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model of all runs.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
-@click.option("--report", type=click.Path(path_type=Path), help="Write a page with the course of what has changed.")
+@click.option("--report", type=OutputFile(PAGE), help="Write a page with the course of what has changed.")
 def history(
     robot: Path, runs: tuple[Path, ...], dates: str, added: tuple[str, ...], as_json: bool, report: Path | None
 ) -> None:
@@ -140,8 +142,8 @@ def _say_course(found: History) -> None:
 
 
 @click.command()
-@click.argument("calibration", type=click.Path(path_type=Path))
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("calibration", type=InputFile())
+@click.argument("run", type=InputFile())
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of sentences.")
 @click.option("--fail-if-invalid", is_flag=True, help=f"End with the exit code {INVALID} where it no longer holds.")
 @click.pass_context
@@ -173,16 +175,16 @@ def _say_verified(found: Verification) -> None:
 
 
 @click.command("fleet")
-@click.argument("runs", nargs=-1, required=True, metavar="RUN...")
-@click.option("--robot", type=click.Path(path_type=Path), required=True, help="The drawing that all are built from.")
+@click.argument("runs", type=InputFile(words=r".*[*?\[].*"), nargs=-1, required=True, metavar="RUN...")
+@click.option("--robot", type=InputFile(), required=True, help="The drawing that all are built from.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model of all already.")
-@click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
+@click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes at a time; default: one for each core.")
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of each test.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules folds and flips.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 def fleet_command(
-    runs: tuple[str, ...], robot: Path, added: tuple[str, ...], files: tuple[Path, ...], workers: int | None,
+    runs: tuple[Path | str, ...], robot: Path, added: tuple[str, ...], files: tuple[Path, ...], workers: int | None,
     level: float, seed: int, as_json: bool,
 ) -> None:  # fmt: skip
     """Diagnose every RUN (CSV or Parquet) of machines built alike: what they share, and who stands out.
@@ -190,9 +192,9 @@ def fleet_command(
     A pattern such as runs/*.csv may stand for many. A run that cannot be used is a line that says why.
     """
     own = [effect for path in files for effect in load_effects(path)]
-    paths = [path for run in runs for path in (sorted(glob.glob(run)) if _is_pattern(run) else [run])]
+    paths = [path for run in map(str, runs) for path in (sorted(glob.glob(run)) if _is_pattern(run) else [run])]
     if not paths:
-        raise SherkitError(f"{' '.join(runs)}: no such file")
+        raise SherkitError(f"{' '.join(map(str, runs))}: no such file")
     count = min(workers or os.cpu_count() or 1, len(paths))
     with output.steps(len(paths) + 1) as step:
 

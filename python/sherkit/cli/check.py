@@ -15,13 +15,15 @@ from ..model.kinds import kind_of
 from ..model.robot_file import columns_of
 from ..robots.machine import is_machine, robot_at
 from . import output
+from .file_kinds import TABLE
 from .output import out, table
+from .paths import InputFile, OutputFile
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
-@click.argument("robot", type=click.Path(path_type=Path), required=False)
-@click.option("--write", "destination", type=click.Path(path_type=Path), metavar="CLEAN.CSV",
+@click.argument("run", type=InputFile())
+@click.argument("robot", type=InputFile(), required=False)
+@click.option("--write", "destination", type=OutputFile(TABLE), metavar="CLEAN.CSV",
               help="Write the rows, all mended, under the names and in the units that sherkit reads.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool) -> None:

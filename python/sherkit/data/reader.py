@@ -21,6 +21,7 @@ from ..base.types import Ints
 from ..errors import MeasurementError
 from . import columns as c
 from .columns import Columns
+from .files import refuse_device
 from .frames import clean, from_frame
 from .rows import Measurements
 from .tables import PARQUET, read_parquet
@@ -205,6 +206,7 @@ def checked(path: str | Path) -> Path:
         raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file{bag}")
     if not path.exists():
         raise MeasurementError(f"{path}: there is no such file")
+    refuse_device(path, MeasurementError)
     if not path.is_file():
         return path  # of a pipe nothing can be read twice
     try:
