@@ -175,7 +175,7 @@ def _say_verified(found: Verification) -> None:
 
 
 @click.command("fleet")
-@click.argument("runs", type=InputFile(words=r".*[*?\[].*"), nargs=-1, required=True, metavar="RUN...")
+@click.argument("runs", type=InputFile(words=r".*[*?\[].*", folders=True), nargs=-1, required=True, metavar="RUN...")
 @click.option("--robot", type=InputFile(), required=True, help="The drawing that all are built from.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model of all already.")
 @click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")

@@ -161,7 +161,7 @@ def bluesky(documents: Path, columns: tuple[str, ...], stream: str, each_a_pose:
 
 
 @import_group.command("rosbag")
-@click.argument("folder", type=InputFile())
+@click.argument("folder", type=InputFile(folders=True))
 @click.option("--joint", "joints", multiple=True, required=True, metavar="OURS=NAME", help="A joint's name; repeat it.")
 @click.option("--poses", "topic", required=True, metavar="TOPIC", help="What a tracker saw.")
 @click.option("--joint-states", default="/joint_states", show_default=True, metavar="TOPIC", help="Where joints are.")

@@ -17,7 +17,7 @@ from typing import Any, cast
 
 import click
 
-from ..data.files import refuse_device
+from ..data.files import bag_in, refuse_device
 from ..errors import SherkitError
 from .file_kinds import RUN, FileKind, Look, called, run_of
 
@@ -82,14 +82,16 @@ def _name(param: click.Parameter | None) -> str:
 
 
 class InputFile(click.Path):
-    """A path that is read. A device or a pipe is refused: it may never end, and cannot be read twice.
+    """A path that is read. A device or a pipe is refused: it may never end, and cannot be read twice. So is a folder,
+    but where ``folders`` are read.
 
     ``words`` is a pattern of what is no path where it may stand in the place of one, as the number of a camera.
     """
 
-    def __init__(self, words: str = "") -> None:
+    def __init__(self, words: str = "", *, folders: bool = False) -> None:
         super().__init__(path_type=Path)
         self._words = words
+        self.folders = folders
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path; a word as it is."""
@@ -97,6 +99,8 @@ class InputFile(click.Path):
             return str(value)
         path = cast(Path, super().convert(value, param, ctx))
         refuse_device(path, SherkitError, pipes=True)
+        if os.path.isdir(path) and not self.folders:
+            raise SherkitError(f"{path}: is a folder, expected a file{bag_in(path)}")
         _of(ctx).reads(path)
         return path
 

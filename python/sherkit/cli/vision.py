@@ -36,7 +36,7 @@ def require_vision() -> None:
 
 
 @click.command()
-@click.argument("sources", type=InputFile(words=r"\d+"), nargs=-1)
+@click.argument("sources", type=InputFile(words=r"\d+", folders=True), nargs=-1)
 @click.option("-o", "--output", "destination", type=OutputFile(TABLE), help="CSV or Parquet.")
 @click.option("--joints", type=InputFile(), help="CSV with theta1_rad, theta2_rad: one row for each "
               "picture in their order, or for a video with time_s, joined by time.")  # fmt: skip
@@ -137,7 +137,7 @@ def _joints(path: Path) -> pl.DataFrame:
 
 
 @click.command()
-@click.argument("pictures", nargs=-1, required=True, type=InputFile())
+@click.argument("pictures", nargs=-1, required=True, type=InputFile(folders=True))
 @click.option("--chessboard", metavar="COLUMNSxROWS", help="Inner corners of a chessboard, as 9x6.")
 @click.option("--charuco", metavar="COLUMNSxROWS", help="Squares of a ChArUco board (5×5 tags), as 8x5.")
 @click.option("--square-mm", type=click.FloatRange(min=0, min_open=True), required=True, help="Side of a square.")

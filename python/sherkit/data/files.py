@@ -78,6 +78,12 @@ def refuse_device(path: str | os.PathLike[str], error: type[SherkitError], *, pi
             raise error(f"{path}: is {called}, expected a file{first}")
 
 
+def bag_in(folder: Path) -> str:
+    """What to say of a folder that holds a bag where a file was expected; empty where it holds none."""
+    is_bag = any(folder.glob("*.db3")) or any(folder.glob("*.mcap"))
+    return "; it looks like a ROS 2 bag, which sk.from_rosbag and sherkit import rosbag read" if is_bag else ""
+
+
 def is_output(path: str | os.PathLike[str]) -> bool:
     """Whether a path is the standard output of this process, by whatever name."""
     try:
