@@ -23,8 +23,8 @@ _TIMEOUT_MS = 600_000
 
 #: What ``in_each_font`` of conftest.py is.
 InEachFont = Callable[[Any, Callable[[], None]], None]
-#: Fonts that a layout is looked at in, the widest first, and the package that brings each (Debian): what a machine draws
-#: in that has no other, what Chromium asks for, and a narrow one; and the letters of one width that go with it.
+#: Fonts that a layout is looked at in, the widest first, and the package that brings each (Debian): what a machine
+#: draws in that has no other, what Chromium asks for, and a narrow one; and letters of one width that go with them.
 FONTS = {"DejaVu Sans": "fonts-dejavu-core", "Liberation Sans": "fonts-liberation",
          "Liberation Sans Narrow": "fonts-liberation, or fonts-liberation-sans-narrow"}  # fmt: skip
 _OF_ONE_WIDTH = {"DejaVu Sans": "DejaVu Sans Mono"}
@@ -63,8 +63,11 @@ def close() -> None:
 
 
 @contextmanager
-def opened(file: Path, *, width: int = 1200, height: int = 900, javascript: bool = True) -> Iterator[Any]:
-    """A page of a file, without a network. Fails where it asks for anything else, or complains, or opens a dialog."""
+def opened(
+    file: Path, *, width: int = 1200, height: int = 900, javascript: bool = True, pictures: bool = True
+) -> Iterator[Any]:
+    """A page of a file, without a network, once its ``pictures`` are drawn, if it has any of Bokeh's. Fails where it
+    asks for anything else, or complains, or opens a dialog."""
     address = file.resolve().as_uri()
     outside: list[str] = []
     complaints: list[str] = []
@@ -92,7 +95,7 @@ def opened(file: Path, *, width: int = 1200, height: int = 900, javascript: bool
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
         page.goto(address)
-        if javascript:
+        if javascript and pictures:
             page.wait_for_function(_IDLE, timeout=_TIMEOUT_MS)
         yield page
     finally:
