@@ -350,10 +350,10 @@ def test_points_are_brushed_with_the_mouse(app: Served, lab: Path, in_each_font:
                 && Bokeh.index.roots.every(v => v.is_idle)"""
         )
         height = fit.predicted[:, 2]
-        lowest = iter((15.0, -5.0, -25.0))
+        boxes = iter(((15.0, 25.0), (-5.0, 25.0), (-5.0, 5.0)))
 
         def brushed() -> None:
-            ends = (next(lowest), 25.0)
+            ends = next(boxes)
             expected = f"{int(((height > ends[0]) & (height < ends[1])).sum())} rows"
             # pictures are laid out anew as they come in: the box is drawn where its frame has come to rest
             place = at_rest(page, _FRAME, ends)

@@ -184,6 +184,8 @@ def _by_browser(picture: Picture[Any], kind: str, width_px: int) -> bytes:
 
 def _run(command: list[str], program: str) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(command, capture_output=True, timeout=_TIMEOUT_S, check=False, text=True)
+        return subprocess.run(
+            command, capture_output=True, timeout=_TIMEOUT_S, check=False, encoding="utf-8", errors="replace"
+        )
     except subprocess.TimeoutExpired:
         raise SherkitError(f"{program} did not draw the picture within {_TIMEOUT_S} s") from None
