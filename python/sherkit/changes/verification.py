@@ -33,8 +33,9 @@ from ..fit.error import axes_of
 from ..model.kinds import kind_of
 from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration, load_calibration
-from .comparison import ALARM, SHAPES, Moved
+from .comparison import SHAPES, Moved
 from .joined import Candidate, candidates_of, columns_of, noise_of_repeats
+from .pool import ALARM
 from .promise import broken, shows
 from .stand import stand_of
 
