@@ -15,7 +15,7 @@ from ..adaptive.look import FAR, Keys
 from ..adaptive.rule import fewest
 from ..base import linalg
 from ..base.arguments import as_annotated
-from ..base.figures import finite, number
+from ..base.figures import finite
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
@@ -28,7 +28,7 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .joined import Joined
 from .joined import Moved as Shift
-from .pool import ALARM, Pool, read_runs
+from .pool import ALARM, Pool, read_runs, sees_of
 
 #: Evidence (a logarithm) of no change, and of a name ahead of a shape; of another name it is FAR.
 QUIET, SHAPES = np.log(20.0), np.log(1e3)
@@ -96,19 +96,20 @@ class Comparison(Shown):
     joined: Joined | None = field(default=None, repr=False)
 
     @property
-    def headline(self) -> str:
-        """The verdict in one line."""
+    def verdict_and_what(self) -> str:
+        """The verdict, and what has changed."""
         told = "; ".join(map(str, self.parameters)) or ", ".join(self.changed)
-        silent = "; ".join(f"{name}: {why}" for name, why in self.silent.items())
-        verdict = f"{self.verdict}: {told}" if told else self.verdict
-        return f"{verdict}; {silent}" if silent else verdict
+        return f"{self.verdict}: {told}" if told else self.verdict
+
+    @property
+    def headline(self) -> str:
+        """The same in one line with the runs that cannot speak."""
+        return "; ".join([self.verdict_and_what, *(f"{name}: {why}" for name, why in self.silent.items())])
 
     @property
     def sees(self) -> str:
-        """What the runs would have shown, in words; nothing where that is not asked."""
-        if self.smallest_found is None:
-            return ""
-        return f"a change of {number(self.smallest_found)} {self.unit} where the robot works would have been seen"
+        """What these runs would have shown, where they show nothing."""
+        return sees_of(self.smallest_found, self.unit)
 
     def __repr__(self) -> str:
         lines = [self.headline, *(f"  {' or '.join(tie)}: these runs cannot tell" for tie in self.indistinguishable)]

@@ -31,7 +31,7 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .comparison import QUIET, SHAPES
 from .joined import Joined, told_as
-from .pool import ALARM, Pool, read_runs
+from .pool import ALARM, Pool, read_runs, sees_of
 from .vouching import error_of
 
 STEP, ONCE, RAMP, SEASON = "", "once", "ramp", "season"
@@ -91,8 +91,8 @@ class Course:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class History(Shown):
     """The course of a machine: ``changes`` in the order in which they were found, ``verdict`` as of a comparison,
-    ``runs`` with date and error of each by the model of the first (``error``), in ``unit``, and why it was ``left_out``;
-    ``stood_still`` names candidates of which nothing was seen, ``silent`` the runs that cannot speak and why.
+    ``runs`` with date and error of each by the model of the first (``error``), in ``unit``, and why it was
+    ``left_out``; ``stood_still`` names candidates of which nothing was seen, ``silent`` the runs that cannot speak.
     ``unchanged`` are runs that would have shown an error of ``smallest_found`` where the robot works in 95 of 100
     cases."""
 
@@ -110,6 +110,11 @@ class History(Shown):
     def headline(self) -> str:
         """The verdict in one line, and which runs cannot speak."""
         return "; ".join([self.verdict, *(f"{name}: {why}" for name, why in self.silent.items())])
+
+    @property
+    def sees(self) -> str:
+        """What these runs would have shown, where they show nothing."""
+        return sees_of(self.smallest_found, self.unit)
 
     def __repr__(self) -> str:
         return "\n".join([self.headline, *(f"  {one}" for one in self.changes)])
@@ -135,7 +140,7 @@ def history(
     order, a month apart.
 
     Raises :class:`~sherkit.errors.FitError` for fewer than two runs and
-    :class:`~sherkit.errors.MeasurementError` for dates that are none, and where some runs know theirs and others do not.
+    :class:`~sherkit.errors.MeasurementError` for dates that are none, and where some runs know theirs and some do not.
 
         found = sk.history("demo/robot.toml", ["demo/whole.csv", "demo/local.csv"], dates=["2026-01-10", "2026-04-09"])
         print(found)
@@ -157,7 +162,7 @@ def _dates(data: Sequence[Measurements], given: Sequence[str | float]) -> tuple[
     at = [_seconds(one, "dates") for one in given] if given else [_own_date(one) for one in data]
     known = [one for one in at if one is not None]
     if not known:
-        return _MONTH_S * np.arange(len(data)), [f"run {k + 1}" for k in range(len(data))]
+        return _MONTH_S * np.arange(len(data), dtype=float), [f"run {k + 1}" for k in range(len(data))]
     if len(known) < len(at):
         without = [one.source for one, when in zip(data, at, strict=True) if when is None]
         raise MeasurementError(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..adaptive.gate import POWER, Power, Silent, silence
+from ..base.figures import number
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
@@ -119,6 +120,13 @@ class Pool:
         numbers, data = tuple(self.numbers[k] for k in kept), tuple(self.data[k] for k in kept)
         rest = Joined(joined.fit, data, joined.axes).with_what_lasts() if len(kept) > 1 else None
         return replace(self, numbers=numbers, data=data, silent=silent, joined=rest)
+
+
+def sees_of(smallest: float | None, unit: str) -> str:
+    """What runs would have shown, in words; nothing where that is not asked."""
+    if smallest is None:
+        return ""
+    return f"a change of {number(smallest)} {unit} RMS where the robot works would have been seen in 95 of 100 cases"
 
 
 def read_runs(robot: Robot, runs: Sequence[RunLike]) -> list[Measurements]:

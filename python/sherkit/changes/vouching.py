@@ -122,28 +122,29 @@ class Gate:
 
     def later(self, at: int, power: Power, before: float) -> Silent | None:
         """Why a later run cannot say that nothing has changed."""
-        run, unit = self.joined.runs[at], self._unit
+        run, unit = self.joined.runs[at], self._unit.unit
+        if not power.speaks:
+            noise = (run.sigma or self.joined.noise) * float(np.sqrt(len(self.joined.axes))) * self._unit.per_unit
+            return unable(power, noise, unit)
         off = error_of(run)
-        noise = (run.sigma or self.joined.noise) * float(np.sqrt(len(self.joined.axes))) * unit.per_unit
-        most = TIMES * self.required
-        if power.speaks:
-            if off <= TIMES * max(self.required, before):
-                return None
-            return Silent(
-                f"it is off by {number(off)} {unit.unit}, where {number(self.required)} are required, and no change "
-                f"explains that", "look whether it is a run of this robot, and measure it again",
-            )  # fmt: skip
-        sees = (
-            f"shows a change from {number(power.smallest)} {unit.unit} on" if np.isfinite(power.smallest)
-            else "shows no change"
+        if off <= TIMES * max(self.required, before):
+            return None
+        return Silent(
+            f"it is off by {number(off)} {unit}, where {number(self.required)} are required, and no change explains it",
+            "look whether it is a run of this robot, and measure it again",
         )  # fmt: skip
-        why = f"it {sees}, where one of {number(most)} must be seen"
-        if noise > self.required:
-            more = (power.smallest / most) ** 2
-            times = f"about {number(np.ceil(more))} times as many readings" if np.isfinite(more) else "more readings"
-            why = f"its noise of {number(noise)} {unit.unit} hides changes: {why}"
-            return Silent(why, f"take {times}, or measure with less noise")
+
+
+def unable(power: Power, noise: float, unit: str) -> Silent:
+    """Why rows of this power cannot say that nothing has changed; ``noise`` is that of a row, as people read it."""
+    most = TIMES * power.required
+    sees = f"a change from {number(power.smallest)} {unit} on" if np.isfinite(power.smallest) else "no change"
+    why = f"it would show {sees}, and must show one of {number(most)} {unit}"
+    if noise <= power.required:
         return Silent(why, "measure at a dozen places or more, over the whole workspace")
+    times = float(np.ceil((power.smallest / most) ** 2))
+    more = f"about {number(times)} times as many readings" if np.isfinite(times) else "more readings"
+    return Silent(f"its noise is {number(noise)} {unit}: {why}", f"take {more}, or measure with less noise")
 
 
 def _unknown(run: SeenRun, sizes: Floats, covariance: Floats) -> float:
