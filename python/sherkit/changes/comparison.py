@@ -28,7 +28,7 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .joined import Joined
 from .joined import Moved as Shift
-from .pool import ALARM, Pool, read_runs, sees_of
+from .pool import ALARM, Pool, read_runs, sees_of, unchanged_advice
 
 #: Evidence (a logarithm) of no change, and of a name ahead of a shape; of another name it is FAR.
 QUIET, SHAPES = np.log(20.0), np.log(1e3)
@@ -199,7 +199,14 @@ def concluded(pool: Pool) -> Comparison:
         evidence=evidence.alone.log_mean / float(np.log(10.0)),
         ranked=tuple(ranked[:5]),
         where=_where(evidence) if verdict not in ("unchanged", "undecided") else "",
-        advice="; ".join([_doubt(large) + _advice(verdict, names, tied, bool(poses), left), *pool.to_measure]),
+        advice="; ".join(
+            [
+                unchanged_advice(float(before.rms), pool.needed, before.unit)
+                if verdict == "unchanged"
+                else _doubt(large) + _advice(verdict, names, tied, bool(poses), left),
+                *pool.to_measure,
+            ]
+        ),
         smallest_found=pool.smallest if verdict == "unchanged" else None,
         unseen=pool.unseen if verdict == "unchanged" else (),
         silent={name: str(one) for name, one in pool.silent.items()},
@@ -401,8 +408,6 @@ def _doubt(large: Sequence[Moved]) -> str:
 
 
 def _advice(verdict: str, names: tuple[str, ...], tied: tuple[str, ...], proposed: bool, left: float) -> str:
-    if verdict == "unchanged":
-        return "nothing needs to be done: the calibration still describes the robot"
     if verdict == "undecided":
         return "measure more poses: these are too few to say whether anything has changed"
     if verdict == "changed" and len(tied) > 1:

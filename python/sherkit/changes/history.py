@@ -31,7 +31,7 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .comparison import QUIET, SHAPES
 from .joined import Joined, told_as
-from .pool import ALARM, Pool, read_runs, sees_of
+from .pool import ALARM, Pool, read_runs, sees_of, unchanged_advice
 from .vouching import error_of
 
 STEP, ONCE, RAMP, SEASON = "", "once", "ramp", "season"
@@ -44,7 +44,6 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _CLOCK_S = 1e8
 #: What to do, by the verdict; of what was found it is said with it.
 _ADVICE = {
-    "unchanged": "nothing needs to be done: the calibration still describes the robot",
     "undecided": "measure more poses: these are too few to say whether anything has changed",
     "changed": "calibrate again what has changed",
     "partly explained": "calibrate again, all of it: what is named does not explain all that is seen",
@@ -258,7 +257,10 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     return History(
         verdict=verdict, changes=changes, runs=(), unit=pool.unit, values=values, stood_still=tuple(still),
         smallest_found=pool.smallest if quiet else None, silent={name: str(one) for name, one in pool.silent.items()},
-        advice="; ".join([_ADVICE[verdict], *pool.to_measure]),
+        advice="; ".join([
+            unchanged_advice(float(joined.fit.error.rms), needed, pool.unit) if quiet else _ADVICE[verdict],
+            *pool.to_measure,
+        ]),
     )  # fmt: skip
 
 

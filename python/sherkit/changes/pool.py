@@ -122,6 +122,16 @@ class Pool:
         return replace(self, numbers=numbers, data=data, silent=silent, joined=rest)
 
 
+def unchanged_advice(before: float, needed: float | None, unit: str) -> str:
+    """What to do where nothing has changed: what is off by more than is needed was so before."""
+    if needed is None or before <= needed:
+        return "nothing needs to be done: the calibration still describes the robot"
+    return (
+        f"nothing has changed, but the model of the first run is off by {number(before)} {unit} where {number(needed)} "
+        f"are needed, noise included: diagnose that run"
+    )
+
+
 def sees_of(smallest: float | None, unit: str) -> str:
     """What runs would have shown, in words; nothing where that is not asked."""
     if smallest is None:
