@@ -6,7 +6,7 @@ import concurrent.futures as futures
 import glob
 import multiprocessing
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeVar
 
@@ -81,7 +81,10 @@ def _tell(found: Told, say: Callable[[Told], None], as_json: bool, report: Path 
 
 def _say(found: Comparison) -> None:
     output.out.rule("Has anything changed?")
-    output.say(f"{found.headline} (evidence 1e{found.evidence:.1f})")
+    _say_silent(found.silent)
+    if found.sees:
+        output.say(found.sees)
+    output.say(f"{found.verdict_and_what} (evidence 1e{found.evidence:.1f})")
     if found.where:
         output.say(f"it shows: {found.where}")
     made = table(
@@ -90,7 +93,8 @@ def _say(found: Comparison) -> None:
     for name, value in found.error.items():
         if value is not None:
             made.add_row(name, f"{value:.4g}")
-    out.print(made)
+    if found.error["before"] is not None:
+        out.print(made)
     if found.parameters:
         moved = table("What has changed", "parameter", "change", "deviation", "unit", "since run")
         for one in found.parameters:
@@ -109,6 +113,11 @@ def _say(found: Comparison) -> None:
             proposed.add_row(*[f"{value:.4g}" for value in pose.values()])
         out.print(proposed)
     output.say(f"\n{found.advice}")
+
+
+def _say_silent(silent: Mapping[str, str]) -> None:
+    for name, why in silent.items():
+        output.say(f"left out: {name}: {why}")
 
 
 @click.command()
@@ -130,15 +139,21 @@ def history(
 
 def _say_course(found: History) -> None:
     output.out.rule("The course")
+    _say_silent(found.silent)
+    if found.sees:
+        output.say(found.sees)
     output.say(found.verdict)
     for one in found.changes:
         output.say(f"  {one}")
     made = table("Runs", "run", "date", "rows", f"error {found.unit}",
                  note="by the model of the first, from where each run's sensor stands")  # fmt: skip
     for run in found.runs:
-        made.add_row(run["run"], run["date"], str(run["rows"]), f"{run['error']:.4g}")
+        error = "left out" if run["error"] is None else f"{run['error']:.4g}"
+        made.add_row(run["run"], run["date"], str(run["rows"]), error)
     out.print(made)
-    output.say(f"{len(found.stood_still)} parameters and effects stood still")
+    if found.verdict != "undecided":
+        output.say(f"{len(found.stood_still)} parameters and effects stood still")
+    output.say(f"\n{found.advice}")
 
 
 @click.command()
@@ -159,12 +174,12 @@ def verify(ctx: click.Context, calibration: Path, run: Path, as_json: bool, fail
 
 
 def _say_verified(found: Verification) -> None:
+    # what the run can see stands before what was seen
+    for line in found.sees:
+        output.say(line)
     output.say(found.headline)
     for tie in found.indistinguishable:
         output.say(f"  {' or '.join(tie)}: these poses cannot tell")
-    least = found.error["smallest_found"]
-    if least is not None:
-        output.say(f"an error of {least:.3g} {found.unit} would have been found in 95 of 100 such checks")
     output.say(f"these poses would have shown, at its plausible size: {', '.join(found.would_show) or 'nothing'}")
     if found.would_not:
         output.say(f"and would not have shown: {', '.join(found.would_not)}")

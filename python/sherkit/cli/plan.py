@@ -51,6 +51,11 @@ def plan(
     effects: tuple[str, ...], runs: int | None, keep: Path | None, workers: int | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
+    if verify and experiment is not None:
+        raise click.UsageError(
+            f"--verify lists the poses of a check and takes no experiment, found {experiment}: leave it out, or leave "
+            f"out --verify"
+        )
     if verify:
         _verifying(robot, poses, as_json=as_json)
         return
