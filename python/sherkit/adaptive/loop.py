@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from os import PathLike
@@ -18,18 +17,21 @@ from ..data import Measurements
 from ..data.columns import POSE, REASON, REPEAT, TIME
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
-from ..errors import ExperimentError
+from ..data.lock import FileLock
+from ..errors import ArgumentError, MeasurementError, SherkitError
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, model_of, robot_from_tables
 from ..model.kinds import required_um as stated_um
 from ..model.robot_file import RobotLike, load_robot
 from . import rule, told
 from .choice import choose, rivals
-from .conclusion import Conclusion, Held, Progress, conclude, progress
+from .conclusion import Conclusion, Held, Progress, accuracy_by_covariance_um, conclude, progress
 from .family import Family
+from .kept import asked_in, held_in, lock, text_of
 from .look import Look, look
 from .region import Places, Region
 from .rule import State, Unseen, outlook
+from .vouching import against, mistaken, not_read
 
 #: Readings to begin with at least, and those beyond the parameters.
 _START, _BEYOND = 12, 8
@@ -41,7 +43,6 @@ _SPREAD_TO, _SPREAD_FROM = 60, 24
 _ONCE_MORE = 0.125
 #: Moments over the span that are driven to where rivals live in time.
 _MOMENTS = 75
-_WHERE = "sherkit adaptive loop"
 
 
 class Adaptive:
@@ -93,6 +94,10 @@ class Adaptive:
         self._progress: list[Progress] = []
         self._asked: list[dict[str, Any]] = []
         self._asked_at = -1
+        self._looked = 0
+        self._blind = ""
+        self._against: tuple[str, ...] = ()
+        self._concluded: tuple[int, Conclusion] | None = None
 
     # -- what it holds -----------------------------------------------------------------------------------
 
@@ -227,12 +232,10 @@ class Adaptive:
             held = Held(
                 self.robot, lambda: self.data, self.readings, self.last, self.state, self.seen, self.budget,
                 self.minutes, self.span_min, self.required_um, self.level, self.seed,
-                tuple(told.incomplete(self._frame, self.layout)),
+                tuple(told.incomplete(self._frame, self.layout)), self._against, self._blind,
             )  # fmt: skip
             self._concluded = (self.readings, conclude(held))
         return self._concluded[1]
-
-    _concluded: tuple[int, Conclusion] | None = None
 
     # -- asking ------------------------------------------------------------------------------------------
 
@@ -253,8 +256,7 @@ class Adaptive:
     @property
     def _boundary(self) -> int:
         """How many rows there are at the next look."""
-        looked = self.last.readings if self.last else 0
-        return min(looked + self.batch if looked else self.start, self.budget)
+        return min(self._looked + self.batch if self._looked else self.start, self.budget)
 
     def _told_poses(self) -> list[tuple[int, int]]:
         if not {POSE, REPEAT} <= set(self._frame.columns):
@@ -267,16 +269,23 @@ class Adaptive:
     def _planned(self, boundary: int) -> list[dict[str, Any]]:
         rng = np.random.default_rng([self.seed, boundary])
         found = self.last
-        if found is None:
+        if found is None and not self._looked:
             places = self.region.spread(boundary, self.seed)
             order = rng.permutation(boundary)
             return [self._row(places.pick([k]), "start", self._next_pose() + i) for i, k in enumerate(order)]
-        count = boundary - found.readings
+        count = boundary - self._looked
+        if found is None or self._blind:
+            # nothing is known that could choose: what was read may come right again
+            return self._anywhere(count, self._next_pose(), rng)
         rows = self._again(found)[: max(count // 2, 1)]
         rows += self._once_more(found, boundary, count - len(rows), rng)
         pace_s, waits = self._pace(found, self.state)
-        chosen = choose(found, count - len(rows), self.state.alarmed, rng, pace_s)
         first = self._next_pose()
+        try:
+            chosen = choose(found, count - len(rows), self.state.alarmed, rng, pace_s)
+        except SherkitError:
+            # a fit to readings that are none predicts none
+            return [*rows, *self._anywhere(count - len(rows), first, rng)]
         rows += [self._row(one.places, "time" if waits and one.reason in ("all", "confirm") else one.reason, first + i)
                  for i, one in enumerate(chosen)]  # fmt: skip
         if waits:
@@ -288,8 +297,10 @@ class Adaptive:
     def _more(self, count: int, boundary: int) -> list[dict[str, Any]]:
         """Rows anywhere in place of those that came back as others than were asked."""
         rng = np.random.default_rng([self.seed, boundary, self.readings])
+        return self._anywhere(count, max([self._next_pose() - 1, *(one[POSE] for one in self._asked)]) + 1, rng)
+
+    def _anywhere(self, count: int, first: int, rng: np.random.Generator) -> list[dict[str, Any]]:
         places = self.region.anywhere(count, rng)
-        first = max([self._next_pose() - 1, *(one[POSE] for one in self._asked)]) + 1
         return [self._row(places.pick([k]), "explore", first + k) for k in range(count)]
 
     def _row(self, places: Places, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
@@ -367,6 +378,8 @@ class Adaptive:
             self._begin_anew()
         self._frame = whole
         self._advance()
+        if self._lock is not None and self.done:
+            self._end()
 
     def _read(self, frame: pl.DataFrame) -> Measurements:
         return told.measurements(frame, self.robot, self.model, self.layout)
@@ -374,19 +387,33 @@ class Adaptive:
     @linalg.one_thread()
     def _advance(self) -> None:
         """Looks wherever a batch is whole."""
-        while self.readings >= self._boundary and (not self._looks or self.last.readings < self._boundary):  # type: ignore[union-attr]
-            data = self.data
-            some = data.select(np.arange(self._boundary))
-            if self._family is None:
-                axes = axes_of(some)
-                self._family = Family.of(
-                    self.model.counted_from(some.begins_s), self.region, some, axes, max(60.0 * self.span_min, 600.0)
-                )
-            found = look(self._family, some, self.last)
-            seen = outlook(found, self.level)
-            spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
-            state = rule.after(self.state, found, seen, spanned=spanned, level=self.level)
-            self._looks.append((found, state, seen))
+        while self.readings >= self._boundary > self._looked:
+            boundary = self._boundary
+            some = self.data.select(np.arange(boundary))
+            try:
+                self._look_at(some)
+                self._blind = ""
+            except SherkitError as error:
+                self._against = tuple(not_read(self.model, some)) or mistaken(self.model, some)
+                self._blind = f"{boundary} readings tell nothing together: {error}"
+            self._looked = boundary
+
+    def _look_at(self, some: Measurements) -> None:
+        if self._family is None:
+            axes = axes_of(some)
+            self._family = Family.of(
+                self.model.counted_from(some.begins_s), self.region, some, axes, max(60.0 * self.span_min, 600.0)
+            )
+        found = look(self._family, some, self.last)
+        seen = outlook(found, self.level)
+        spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
+        accuracy = accuracy_by_covariance_um(found, found.fit, self.seed)
+        against_it = against(found, seen, self.required_um, accuracy)
+        state = rule.after(
+            self.state, found, seen, spanned=spanned, vouched=not against_it, level=self.level
+        )  # fmt: skip
+        self._against = against_it
+        self._looks.append((found, state, seen))
 
     @property
     def seen(self) -> tuple[Unseen, ...]:
@@ -397,42 +424,82 @@ class Adaptive:
 
     @as_annotated
     def save(self, path: str | Path) -> None:
-        """Writes robot, settings and rows as JSON, whole or not at all."""
-        frame = self._frame
-        text = json.dumps(
-            {
-                "kind": _WHERE,
-                "robot": self.robot.to_tables(),
-                "settings": {
-                    "required_um": self.required_um, "budget": self.budget, "span_min": self.span_min, "box": self.box,
-                    "level": self.level, "batch": self.batch, "seed": self.seed, "minutes": self.minutes,
-                },
-                "rows": {name: frame[name].to_list() for name in frame.columns},
-            },
-            indent=1,
-        )  # fmt: skip
-        write_whole(path, text + "\n")
+        """Writes robot, settings, rows and the batch that was asked for as JSON, whole or not at all. Until the loop is
+        done, or its program ends, no other loop can have the file: raises :class:`~sherkit.errors.ExperimentError`
+        where one has it."""
+        where = Path(path)
+        if self._lock is None or not self._lock.is_of(where):
+            # what another loop has is not written over, and one that was held goes once this one is
+            self._lock = lock(where)
+        write_whole(where, text_of(self.robot, self._settings(), self._rows(), self._batch()))
+        if self.done:
+            self._end()
+
+    _lock: FileLock | None = None
+
+    def _end(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def _settings(self) -> dict[str, Any]:
+        return {
+            "required_um": self.required_um, "budget": self.budget, "span_min": self.span_min, "box": self.box,
+            "level": self.level, "batch": self.batch, "seed": self.seed, "minutes": self.minutes,
+        }  # fmt: skip
+
+    def _rows(self) -> dict[str, list[Any]]:
+        return {name: self._frame[name].to_list() for name in self._frame.columns}
+
+    def _batch(self) -> dict[str, Any]:
+        return {"rows": self._asked, "at": self._asked_at}
+
+    def _with(self, rows: Mapping[str, list[Any]], asked: Sequence[dict[str, Any]], at: int) -> Self:
+        """This loop with what another one held."""
+        if rows:
+            self.tell(rows)
+        self._asked, self._asked_at = list(asked), at
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # all that it holds follows from the rows, and a lock has one owner
+        batch = self._batch()
+        return _made_again, (type(self), self.robot, self._settings(), self._rows(), batch["rows"], batch["at"])
 
     @classmethod
     @as_annotated
     def load(cls, path: str | Path, robot: RobotLike | None = None) -> Self:
-        """The loop of a file, as it was; ``robot`` is only needed for a machine that is no file. Raises
-        :class:`~sherkit.errors.ExperimentError` for what is no such file."""
+        """The loop of a file, as it was; ``robot`` is only needed for a machine that is no file. Until it is done, no
+        other loop can have the file. Raises :class:`~sherkit.errors.ExperimentError` for what is no such file, and for
+        one that another loop has, and :class:`~sherkit.errors.MeasurementError` where what it holds cannot be used."""
         where = Path(path)
+        # a file that is not there leaves no lock behind
+        held_in(where)
+        mine = lock(where)
         try:
-            held = json.loads(where.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ExperimentError(f"{where}: cannot be read: {error.strerror or error}") from None
-        except ValueError as error:
-            raise ExperimentError(f"{where}: is no JSON: {error}") from None
-        if not isinstance(held, dict) or held.get("kind") != _WHERE or not {"robot", "settings", "rows"} <= set(held):
-            raise ExperimentError(f"{where}: is no file of an adaptive loop, as its save() writes one")
-        loop = cls(
-            robot if robot is not None else robot_from_tables(held["robot"], f"{where}: robot"), **held["settings"]
-        )
-        if held["rows"]:
-            loop.tell(held["rows"])
+            held = held_in(where)
+            if robot is None:
+                robot = robot_from_tables(held["robot"], f"{where}: robot")
+            try:
+                loop = cls(robot, **held["settings"])
+            except (ArgumentError, TypeError) as error:
+                raise MeasurementError(f"{where}: settings: {error}") from None
+            rows, at = asked_in(held, where, {POSE, REPEAT, *loop.layout.joints, *loop.region.targets})
+            loop._with(held["rows"], rows, at)
+        except BaseException:
+            mine.release()
+            raise
+        loop._lock = mine
+        if loop.done:
+            loop._end()
         return loop
+
+
+def _made_again(
+    cls: type[Adaptive], robot: Any, settings: dict[str, Any], rows: dict[str, list[Any]], asked: list[Any], at: int
+) -> Adaptive:
+    """A loop that was pickled."""
+    return cls(robot, **settings)._with(rows, asked, at)
 
 
 def _apart(robot: Any, names: tuple[str, ...]) -> dict[str, int]:

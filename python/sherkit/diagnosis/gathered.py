@@ -9,7 +9,7 @@ is counted over permutations, so that the level holds over all stretches and var
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,7 @@ from .fitted_run import FittedRun
 WRONG = 0.2
 #: Chance that accidents are taken for a structure, over all variables of a run.
 LEVEL = 0.005
-_DRAWS = 999
+_DRAWS, _BATCHES, _OFTEN = 999, 27, 8
 #: So many wrong poses, or visits, lie together at least; more poses than this are looked at in part.
 _FEWEST, _MOST = 3, 4000
 #: A stretch is no longer than this part of all, and at most so many sizes of it are tried.
@@ -99,15 +99,18 @@ def _in_place(every: Ints, pose: Ints, off: Bools, places: Mapping[str, Floats],
     if not scores[first] > 0:
         return None
     rng = np.random.default_rng([seed, 1])
-    drawn = rng.random((_DRAWS, len(kept))).argpartition(len(wrong) - 1, axis=1)[:, : len(wrong)]
-    by_chance = np.max([one.best(drawn) for one in ranks], axis=0)
+
+    def by_chance(draws: int) -> Floats:
+        drawn = rng.random((draws, len(kept))).argpartition(len(wrong) - 1, axis=1)[:, : len(wrong)]
+        return np.asarray(np.max([one.best(drawn) for one in ranks], axis=0))
+
     low, high = ranks[first].stretch(wrong)
     values = places[names[first]]
     here = np.flatnonzero(off & (values[every] >= low) & (values[every] <= high))
     there = pose[(values[every] >= low) & (values[every] <= high)]
     return Gathered(
         names[first], low, high, every[here], len(np.unique(pose[here])), len(np.unique(there)),
-        _chance(by_chance, scores[first]),
+        _chance(by_chance, float(scores[first])),
     )  # fmt: skip
 
 
@@ -135,8 +138,11 @@ def _in_time(data: Measurements, every: Ints, pose: Ints, off: Bools, seed: int)
     whole = (wrong_visits == visits) & (visits > 1)
     singles = int(wrong_visits[~whole].sum())
     rng = np.random.default_rng([seed, 2])
-    by_chance = np.array([ranked.best(_as_many(rng, of_visit, int(whole.sum()), singles)[None])[0]
-                          for _ in range(_DRAWS)])  # fmt: skip
+
+    def by_chance(draws: int) -> Floats:
+        drawn = (_as_many(rng, of_visit, int(whole.sum()), singles) for _ in range(draws))
+        return np.array([ranked.best(one[None])[0] for one in drawn])
+
     low, high = ranked.stretch(wrong)
     here = np.flatnonzero(off & (visit >= kept[int(low)]) & (visit <= kept[int(high)]))
     return Gathered(
@@ -212,8 +218,14 @@ def _score(inside: float, length: Floats, wrong: float, n: float) -> Floats:
     return np.where(more, told, 0.0)
 
 
-def _chance(by_chance: Floats, score: float) -> float:
-    return float((1 + (by_chance >= score - 1e-9).sum()) / (len(by_chance) + 1))
+def _chance(by_chance: Callable[[int], Floats], score: float) -> float:
+    """How often chance has such a score; asked no further once that is often (Besag and Clifford, "Sequential Monte
+    Carlo p-values", *Biometrika* 78, 1991)."""
+    asked = as_high = 0
+    while asked < _DRAWS and as_high < _OFTEN:
+        as_high += int((by_chance(_DRAWS // _BATCHES) >= score - 1e-9).sum())
+        asked += _DRAWS // _BATCHES
+    return (1 + as_high) / (1 + asked)
 
 
 def _part(count: int) -> Ints:
