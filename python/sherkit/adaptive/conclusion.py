@@ -23,11 +23,11 @@ from ..diagnosis.answers import Check
 from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..errors import FitError, SherkitError
 from ..fit.identify import Fit, identify, residuals
-from ..fit.set_up import set_up_mistakes
 from . import rule
 from .choice import are_beyond, later
 from .look import FAR, Look
 from .rule import Unseen, is_silent, sentences
+from .unread import mistaken
 from .vouching import structure_of, told_of
 
 #: Sets that are still a tie; more are no answer.
@@ -102,7 +102,8 @@ def conclude(loop: Held) -> Conclusion:
     spent = _spent(loop)
     if found is None or loop.blind:
         notes = [*loop.against, *([loop.blind] if loop.blind else [])]
-        return Conclusion(done=bool(spent), why=spent, notes=tuple(notes), make=make)
+        why = f"{spent}; {notes[0]}" if spent and notes else spent
+        return Conclusion(done=bool(spent), why=why, notes=tuple(notes), make=make)
     verdict, done, why = state.verdict, state.done, state.why
     effects: tuple[str, ...] = state.named
     tied: tuple[tuple[str, ...], ...] = ()
@@ -114,18 +115,17 @@ def conclude(loop: Held) -> Conclusion:
     notes += [f"{name} is not in every row: nothing was made to depend on it" for name in loop.incomplete]
     # a verdict of silence rests on what would have been seen; beside a name it is only told
     accuracy = None
-    if verdict == "unexplained":
-        # what a wrong column leaves is no physics, and looks like much of it
-        mistakes = set_up_mistakes(found.family.model, found.data, found.fit.values)
-        looks_like = [name for name, _ in found.shapes[0][0] if found.family.by_name[name].is_shape]
-        why = f"{why}: what is left looks like {' & '.join(looks_like)}" if looks_like else why
-        why = "; ".join(one.sentence for one in mistakes) or why
-        effects = ()
     if not done and (spent or _is_beyond(loop, found, state)):
         verdict, effects, tied, why = _at_the_end(loop, found, spent)
         done = True
         if tied:
             notes = [*_would_tell(found), *notes]
+    if done and verdict == "unexplained":
+        looks_like = [name for name, _ in found.shapes[0][0] if found.family.by_name[name].is_shape]
+        why = f"{why}: what is left looks like {' & '.join(looks_like)}" if looks_like else why
+    if done and verdict != "adequate" and (mistakes := mistaken(found.family.model, found.data, found.fit.values)):
+        # what a wrong column leaves is no physics, and looks like much of it
+        verdict, effects, tied, why = "unexplained", (), (), "; ".join(mistakes)
     if done and verdict in _LOUDER and (louder := structure_of(found, loop.seed) or _louder(found, verdict)):
         verdict, why = _LOUDER[verdict], louder
     if verdict == "explained" and (done or state.done):

@@ -61,8 +61,8 @@ def lock(path: Path) -> FileLock:
         return FileLock(path)
     except BlockingIOError as error:
         raise ExperimentError(
-            f"{path}: another loop has this file ({error}): one file has one loop. End that one first (it is given back "
-            "when the loop is done or its program ends), or give another file"
+            f"{path}: another loop has this file ({error}): one file has one loop. End that one first (the "
+            "file is given back when its loop is done or its program ends), or give another file"
         ) from None
 
 

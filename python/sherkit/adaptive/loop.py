@@ -16,33 +16,28 @@ from ..base.arguments import Count, Level, NotNegative, Positive, Seed, as_annot
 from ..data import Measurements
 from ..data.columns import POSE, REASON, REPEAT, TIME
 from ..data.files import write_whole
-from ..diagnosis import Diagnosis
 from ..data.lock import FileLock
+from ..diagnosis import Diagnosis
 from ..errors import ArgumentError, MeasurementError, SherkitError
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, model_of, robot_from_tables
 from ..model.kinds import required_um as stated_um
 from ..model.robot_file import RobotLike, load_robot
 from . import rule, told
-from .choice import choose, rivals
+from .batch import Batches, next_pose
 from .conclusion import Conclusion, Held, Progress, accuracy_by_covariance_um, conclude, progress
 from .family import Family
 from .kept import asked_in, held_in, lock, text_of
 from .look import Look, look
-from .region import Places, Region
+from .region import Region
 from .rule import State, Unseen, outlook
-from .vouching import against, mistaken, not_read
+from .unread import mistaken, unread_cells
+from .vouching import against
 
 #: Readings to begin with at least, and those beyond the parameters.
 _START, _BEYOND = 12, 8
 #: Readings in a batch and in all, unless it is said.
 BATCH, BUDGET = 4, 400
-#: Readings over which the rest of the span is spread where nothing shows, and from which on.
-_SPREAD_TO, _SPREAD_FROM = 60, 24
-#: The share of readings that are poses read once more.
-_ONCE_MORE = 0.125
-#: Moments over the span that are driven to where rivals live in time.
-_MOMENTS = 75
 
 
 class Adaptive:
@@ -85,6 +80,7 @@ class Adaptive:
         self.minutes = minutes
         self.box = {name: [float(end) for end in ends] for name, ends in (box or {}).items()}
         self.region = Region.of(self.model, self.layout, self.box)
+        self._batches = Batches(self.robot, self.layout, self.region, self.batch, self.span_min, self.seed)
         self._frame = pl.DataFrame()
         self._begin_anew()
 
@@ -97,6 +93,7 @@ class Adaptive:
         self._looked = 0
         self._blind = ""
         self._against: tuple[str, ...] = ()
+        self._stuck: tuple[str, ...] = ()
         self._concluded: tuple[int, Conclusion] | None = None
 
     # -- what it holds -----------------------------------------------------------------------------------
@@ -207,6 +204,7 @@ class Adaptive:
             unit, led = self.layout.unit, new.by_lead < new.by_geometry
             without = f" ({new.by_geometry:.3g} {unit} by the geometry alone)" if led else ""
             off = f"; off by {new.by_lead:.3g} {unit} at the readings since the look before{without}"
+        off += "".join(f"; {one}" for one in end.notes[:1] if not end.done)
         return (
             f"{self.readings} readings: {self.verdict}{known}; evidence that something is missing 1e{evidence:.1f}; "
             f"leading (powers of ten): {leading or 'nothing yet'}{off}"
@@ -232,7 +230,7 @@ class Adaptive:
             held = Held(
                 self.robot, lambda: self.data, self.readings, self.last, self.state, self.seen, self.budget,
                 self.minutes, self.span_min, self.required_um, self.level, self.seed,
-                tuple(told.incomplete(self._frame, self.layout)), self._against, self._blind,
+                tuple(told.incomplete(self._frame, self.layout)), (*self._stuck, *self._against), self._blind,
             )  # fmt: skip
             self._concluded = (self.readings, conclude(held))
         return self._concluded[1]
@@ -248,7 +246,7 @@ class Adaptive:
         boundary = self._boundary
         if self._asked_at != boundary:
             self._asked, self._asked_at = self._planned(boundary), boundary
-        known = set(self._told_poses())
+        known = set(told.poses(self._frame))
         missing = boundary - self.readings
         left = [one for one in self._asked if (one[POSE], one[REPEAT]) not in known]
         return left[:missing] if len(left) >= missing else [*left, *self._more(missing - len(left), boundary)]
@@ -258,106 +256,22 @@ class Adaptive:
         """How many rows there are at the next look."""
         return min(self._looked + self.batch if self._looked else self.start, self.budget)
 
-    def _told_poses(self) -> list[tuple[int, int]]:
-        if not {POSE, REPEAT} <= set(self._frame.columns):
-            return []
-        return [(int(p), int(r)) for p, r in self._frame.select(POSE, REPEAT).iter_rows() if p is not None]
-
-    def _next_pose(self) -> int:
-        return max([0, *(pose for pose, _ in self._told_poses())]) + 1
-
     def _planned(self, boundary: int) -> list[dict[str, Any]]:
         rng = np.random.default_rng([self.seed, boundary])
-        found = self.last
-        if found is None and not self._looked:
-            places = self.region.spread(boundary, self.seed)
-            order = rng.permutation(boundary)
-            return [self._row(places.pick([k]), "start", self._next_pose() + i) for i, k in enumerate(order)]
+        taken = told.poses(self._frame)
+        if not self._looked:
+            return self._batches.first(boundary, taken, rng)
         count = boundary - self._looked
-        if found is None or self._blind:
+        if self.last is None or self._blind:
             # nothing is known that could choose: what was read may come right again
-            return self._anywhere(count, self._next_pose(), rng)
-        rows = self._again(found)[: max(count // 2, 1)]
-        rows += self._once_more(found, boundary, count - len(rows), rng)
-        pace_s, waits = self._pace(found, self.state)
-        first = self._next_pose()
-        try:
-            chosen = choose(found, count - len(rows), self.state.alarmed, rng, pace_s)
-        except SherkitError:
-            # a fit to readings that are none predicts none
-            return [*rows, *self._anywhere(count - len(rows), first, rng)]
-        rows += [self._row(one.places, "time" if waits and one.reason in ("all", "confirm") else one.reason, first + i)
-                 for i, one in enumerate(chosen)]  # fmt: skip
-        if waits:
-            clock = float(self.data.time_s.max())  # type: ignore[union-attr]
-            for i, row in enumerate(rows):
-                row["not_before_s"] = clock + (i + 1) * pace_s
-        return rows
+            return self._batches.anywhere(count, next_pose(taken), rng)
+        return self._batches.chosen(self.last, self.state, count, boundary, taken, self.data, rng)
 
     def _more(self, count: int, boundary: int) -> list[dict[str, Any]]:
         """Rows anywhere in place of those that came back as others than were asked."""
         rng = np.random.default_rng([self.seed, boundary, self.readings])
-        return self._anywhere(count, max([self._next_pose() - 1, *(one[POSE] for one in self._asked)]) + 1, rng)
-
-    def _anywhere(self, count: int, first: int, rng: np.random.Generator) -> list[dict[str, Any]]:
-        places = self.region.anywhere(count, rng)
-        return [self._row(places.pick([k]), "explore", first + k) for k in range(count)]
-
-    def _row(self, places: Places, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
-        row: dict[str, Any] = {POSE: pose, REPEAT: repeat}
-        row |= dict(zip(self.layout.joints, places.joints[0].tolist(), strict=True))
-        row |= dict(zip(self.region.targets, places.targets[0].tolist(), strict=True))
-        row |= {name: 1 + pose % count for name, count in _apart(self.robot, self.layout.apart).items()}
-        return row | {REASON: reason, "not_before_s": 0.0}
-
-    def _again(self, found: Look) -> list[dict[str, Any]]:
-        """Rows that were set aside, driven once more each."""
-        data, out = found.data, []
-        if data.pose is None or data.repeat is None:
-            return []
-        for row in found.aside.tolist():
-            pose = int(data.pose[row])
-            repeats = [r for p, r in self._told_poses() if p == pose]
-            if len(repeats) == 1:
-                places = Places(data.joints[[row]], self.region.reached_at(data.joints[[row]]))
-                out.append(self._row(places, "again", pose, max(repeats) + 1))
-        return out
-
-    def _once_more(self, found: Look, boundary: int, most: int, rng: np.random.Generator) -> list[dict[str, Any]]:
-        """Poses that were read once, driven once more so that they are their share of all: what differs then is noise,
-        and nothing else tells it from physics that is finer than the poses."""
-        if found.data.pose is None:
-            return []
-        count = min(int(_ONCE_MORE * boundary) - len(found.data) + len(np.unique(found.data.pose)), most)
-        _, first, times = np.unique(found.data.pose, return_index=True, return_counts=True)
-        once = np.setdiff1d(first[times == 1], found.aside)
-        out = []
-        for row in rng.permutation(once)[: max(count, 0)].tolist():
-            joints = found.data.joints[[row]]
-            pose = int(found.data.pose[row])
-            out.append(self._row(Places(joints, self.region.reached_at(joints)), "again", pose, 2))
-        return out
-
-    def _pace(self, found: Look, state: State) -> tuple[float, bool]:
-        """Seconds between rows to come, and whether they are worth waiting for."""
-        time_s, span_s = found.data.time_s, 60.0 * self.span_min
-        if time_s is None or len(time_s) < 2:
-            return 0.0, False
-        driven = float(np.ptp(time_s))
-        own = driven / (len(time_s) - 1)
-        if state.confirmed:
-            return max((span_s - driven) / self.batch, own), True
-        if state.alarmed:
-            by_name = found.family.by_name
-            near = rivals(found)
-            effects = [keys for keys in near if not found.is_shape(keys)]
-            lives = any(by_name[name].in_time for keys in effects[:3] for name, _ in keys)
-            pace = max(span_s, 1800.0) / _MOMENTS
-            return (pace, True) if lives and pace > own else (own, False)
-        if found.readings >= _SPREAD_FROM and driven < span_s:
-            pace = (span_s - driven) / max(_SPREAD_TO - self.batch - found.readings, self.batch)
-            return (pace, True) if pace > own else (own, False)
-        return own, False
+        first = max([next_pose(told.poses(self._frame)) - 1, *(one[POSE] for one in self._asked)]) + 1
+        return self._batches.anywhere(count, first, rng)
 
     # -- telling -----------------------------------------------------------------------------------------
 
@@ -390,12 +304,16 @@ class Adaptive:
         while self.readings >= self._boundary > self._looked:
             boundary = self._boundary
             some = self.data.select(np.arange(boundary))
-            try:
-                self._look_at(some)
-                self._blind = ""
-            except SherkitError as error:
-                self._against = tuple(not_read(self.model, some)) or mistaken(self.model, some)
-                self._blind = f"{boundary} readings tell nothing together: {error}"
+            stuck = unread_cells(self.model, self.region, some)
+            self._stuck, self._blind, self._against = stuck.sentences, "", ()
+            if stuck.too_many(self.batch):
+                self._blind = "what is left of these readings tells nothing"
+            else:
+                try:
+                    self._look_at(stuck.without(some))
+                except SherkitError as error:
+                    self._against = mistaken(self.model, some)
+                    self._blind = f"{boundary} readings cannot be fitted: {error}"
             self._looked = boundary
 
     def _look_at(self, some: Measurements) -> None:
@@ -500,9 +418,3 @@ def _made_again(
 ) -> Adaptive:
     """A loop that was pickled."""
     return cls(robot, **settings)._with(rows, asked, at)
-
-
-def _apart(robot: Any, names: tuple[str, ...]) -> dict[str, int]:
-    """Columns that number what is read, and how many there are, where there are several."""
-    targets = len(getattr(robot, "targets_mm", (0,)))
-    return {"target": targets} if "target" in names and targets > 1 else {}

@@ -148,9 +148,7 @@ class State:
     confirmed: bool = False
 
 
-def after(
-    state: State, found: Look, seen: tuple[Unseen, ...], *, spanned: bool, vouched: bool, level: float
-) -> State:
+def after(state: State, found: Look, seen: tuple[Unseen, ...], *, spanned: bool, vouched: bool, level: float) -> State:
     """The state once this look is taken; ``spanned`` whether the run is as long as it is to be judged over, ``vouched``
     whether nothing speaks against its rows as witnesses, one over the ``level`` the evidence that is an alarm."""
     lead, n = found.lead, found.readings

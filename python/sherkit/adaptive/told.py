@@ -33,6 +33,13 @@ def frame_of(rows: Any) -> pl.DataFrame:
     return to_polars(rows)
 
 
+def poses(frame: pl.DataFrame) -> list[tuple[int, int]]:
+    """Numbers of the poses that were told, and of their repeats."""
+    if not {POSE, REPEAT} <= set(frame.columns):
+        return []
+    return [(int(p), int(r)) for p, r in frame.select(POSE, REPEAT).iter_rows() if p is not None]
+
+
 def taken(
     frame: pl.DataFrame, asked: Sequence[Mapping[str, Any]], targets: Sequence[str], layout: Layout
 ) -> pl.DataFrame:

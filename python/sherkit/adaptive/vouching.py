@@ -13,25 +13,18 @@ import numpy as np
 
 from ..base.figures import number
 from ..base.names import listed, spans
-from ..base.types import Bools, Floats, Ints
-from ..data import Measurements
+from ..base.types import Floats, Ints
 from ..data.doubts import doubts
 from ..diagnosis.gathered import WRONG, gathered, said
-from ..errors import SherkitError
-from ..fit.set_up import set_up_mistakes
-from ..model.base import ModelWithEffects
 from .look import GROSS, Look, moved
-from .region import Region
 from .rule import POWER, Unseen
 
 #: An error of so many times what is required must have been seen.
 TIMES = 3.0
-#: Readings beyond the parameters, at places that are not the same; joints nearer than this part of half their range are.
+#: Readings beyond the parameters, at places that differ: joints by more than this part of half their range.
 _BEYOND, _SAME_PLACE = 8, 1e-4
-#: A joint moves where it goes over this part of its range; a channel is moved by this part of what it is on the whole.
+#: A joint moves where it goes over this part of its range.
 _MOVES = 0.05
-#: So many readings running that are the same to the last bit, where the robot moved between them, are none.
-_STUCK = 3
 
 
 def against(
@@ -41,7 +34,7 @@ def against(
 
     ``accuracy_um`` is how far off the calibrated robot may be anywhere, in 95 of 100 cases.
     """
-    out = [*not_read(found.family.model, found.data), *_few_places(found)]
+    out = [*_few_places(found)]
     out += [one.sentence for one in doubts(found.data) if not one.poses]
     return (*out, *_unseen(found, seen, required_um, accuracy_um))
 
@@ -68,9 +61,7 @@ def _few_places(found: Look) -> Iterator[str]:
         )
 
 
-def _unseen(
-    found: Look, seen: Sequence[Unseen], required_um: float | None, accuracy_um: float | None
-) -> Iterator[str]:
+def _unseen(found: Look, seen: Sequence[Unseen], required_um: float | None, accuracy_um: float | None) -> Iterator[str]:
     layout = found.data.layout
     if required_um is None:
         return
@@ -103,68 +94,6 @@ def _scattering(found: Look) -> str:
         if len(left):
             each.append(f"{layout.readings[k]} {number(layout.per_unit * float(np.sqrt(np.mean(left**2))))}")
     return f"left of {listed(each)} {layout.unit} in {int(data.used.any(axis=1).sum())} rows"
-
-
-# -- channels that stick -------------------------------------------------------------------------------------------
-
-
-def not_read(model: ModelWithEffects, data: Measurements) -> list[str]:
-    """Channels that show the same to the last bit while the robot moves by its joints, and joints that do while the
-    readings move; with the rows, in the order of time."""
-    order = np.argsort(data.order, kind="stable")
-    try:
-        drawn = model.predict(data, np.zeros(len(model.parameters)))
-    except SherkitError:
-        drawn = np.full(data.readings.shape, np.nan)
-    width = data.coordinates
-    out = []
-    for k, name in enumerate(data.layout.readings[:width]):
-        rows = order[data.taken[order, k]]
-        stuck = _stuck(data.readings[rows, k], drawn[rows, k : k + 1])
-        if stuck.any():
-            value = data.readings[rows[stuck], k][0]
-            out.append(
-                f"{name} is {value:.6g} in {data.counted}s {spans(data.line[rows[stuck]])}, the same to the last digit "
-                "while the robot moved: the sensor sticks, it seems; look at it and its cable"
-                if len(np.unique(data.readings[rows[stuck], k])) == 1 else
-                f"{name} stays the same to the last digit while the robot moved, in {data.counted}s "
-                f"{spans(data.line[rows[stuck]])}: the sensor sticks, it seems; look at it and its cable"
-            )  # fmt: skip
-    whole = order[data.taken[order, :width].all(axis=1)]
-    for k, name in enumerate(data.layout.joints):
-        stuck = _stuck(data.joints[whole, k], data.readings[whole, :width])
-        # one joint may rest while others move; all of them do not
-        if stuck.any() and all(_stuck(one, data.readings[whole, :width])[stuck].all() for one in data.joints[whole].T):
-            out.append(
-                f"{name} is the same to the last digit in {data.counted}s {spans(data.line[whole[stuck]])} while the "
-                "readings move: look whether the encoder is read"
-            )
-    return out
-
-
-def mistaken(model: ModelWithEffects, data: Measurements) -> tuple[str, ...]:
-    """What in the set-up explains readings that nothing fits: columns that are exchanged, readings a row late."""
-    try:
-        return tuple(one.sentence for one in set_up_mistakes(model, data))
-    except SherkitError:
-        return ()
-
-
-def _stuck(values: Floats, moved_by: Floats) -> Bools:
-    """Which values (n,) are one of :data:`_STUCK` equal ones running, over which what moves them (n, m) goes over a good
-    part of its way."""
-    out = np.zeros(len(values), dtype=bool)
-    if len(values) < _STUCK:
-        return out
-    known = np.isfinite(moved_by).all(axis=1)
-    if not known.any():
-        return out
-    way = _MOVES * np.ptp(moved_by[known], axis=0)
-    for run in np.split(np.arange(len(values)), np.flatnonzero(np.diff(values) != 0) + 1):
-        here = moved_by[run]
-        if len(run) >= _STUCK and (np.ptp(here, axis=0) > way).any() and np.isfinite(here).all():
-            out[run] = True
-    return out
 
 
 # -- rows that are set aside ------------------------------------------------------------------------------------------

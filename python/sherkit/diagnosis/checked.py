@@ -22,6 +22,7 @@ from .repeats import Repeats
 from .rounded import Rounded, rounded
 from .where import SlowDrift
 
+
 def checks_of(
     final: FittedRun,
     found: Named,
@@ -44,8 +45,8 @@ def checks_of(
     """Every check about a final fit, those that decide first.
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
-    of several, ``needed`` what the effects that were in the model earn, ``wrong`` what is asked of the rows left out, ``mistakes``
-    those of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is
+    of several, ``needed`` what the effects that were in the model earn, ``wrong`` what is asked of the rows left out,
+    ``mistakes`` those of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is
     most, ``slow_drift`` what is left in the course of time, ``repeats`` what repeats of a pose hold, ``contradicted``
     by axis the noise that was declared and the one that repeats show; ``by_noise`` gives what noise alone leaves on
     rows held out of these poses, in noises, and ``enough`` the parameters that are enough there.

@@ -114,7 +114,7 @@ def _in_place(every: Ints, pose: Ints, off: Bools, places: Mapping[str, Floats],
     )  # fmt: skip
 
 
-# -- in time: visits, and poses that are wrong in all their readings are wrong as one -----------------------------------
+# -- in time: visits, and poses that are wrong in all their readings are wrong as one --------------------------------
 
 
 def _in_time(data: Measurements, every: Ints, pose: Ints, off: Bools, seed: int) -> Gathered | None:
