@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, Self
@@ -32,7 +32,7 @@ from .look import Look, look
 from .region import Region
 from .rule import State, Unseen, outlook
 from .unread import mistaken, unread_cells
-from .vouching import against
+from .vouching import against, told_of
 
 #: Readings to begin with at least, and those beyond the parameters.
 _START, _BEYOND = 12, 8
@@ -112,7 +112,7 @@ class Adaptive:
     @property
     def data(self) -> Measurements:
         """What was told, in the order of time. Raises :class:`~sherkit.errors.MeasurementError` before that."""
-        return told.rows_in_time(self._read(self._frame))
+        return told.in_time(self._frame, self.robot, self.model, self.layout)
 
     @property
     def last(self) -> Look | None:
@@ -204,11 +204,17 @@ class Adaptive:
             unit, led = self.layout.unit, new.by_lead < new.by_geometry
             without = f" ({new.by_geometry:.3g} {unit} by the geometry alone)" if led else ""
             off = f"; off by {new.by_lead:.3g} {unit} at the readings since the look before{without}"
-        off += "".join(f"; {one}" for one in end.notes[:1] if not end.done)
+        off += "".join(f"; {one}" for one in self._first)
         return (
             f"{self.readings} readings: {self.verdict}{known}; evidence that something is missing 1e{evidence:.1f}; "
             f"leading (powers of ten): {leading or 'nothing yet'}{off}"
         )
+
+    @property
+    def _first(self) -> tuple[str, ...]:
+        """What is to be looked at, said before all else."""
+        apart = told_of(self.last) if self.last is not None else ""
+        return tuple(one for one in (*self._stuck, *self._against[:1], self._blind, apart) if one)
 
     def told(self) -> tuple[str, ...]:
         """What it found, in sentences for people."""
@@ -227,8 +233,10 @@ class Adaptive:
     def conclusion(self) -> Conclusion:
         """All of the above, made once for the rows that there are."""
         if self._concluded is None or self._concluded[0] != self.readings:
+            # of the rows and not of this loop, which would then outlive who forgets it, and its lock with it
+            data = partial(told.in_time, self._frame, self.robot, self.model, self.layout)
             held = Held(
-                self.robot, lambda: self.data, self.readings, self.last, self.state, self.seen, self.budget,
+                self.robot, data, self.readings, self.last, self.state, self.seen, self.budget,
                 self.minutes, self.span_min, self.required_um, self.level, self.seed,
                 tuple(told.incomplete(self._frame, self.layout)), (*self._stuck, *self._against), self._blind,
             )  # fmt: skip
@@ -293,7 +301,7 @@ class Adaptive:
         self._frame = whole
         self._advance()
         if self._lock is not None and self.done:
-            self._end()
+            self.close()
 
     def _read(self, frame: pl.DataFrame) -> Measurements:
         return told.measurements(frame, self.robot, self.model, self.layout)
@@ -326,7 +334,7 @@ class Adaptive:
         seen = outlook(found, self.level)
         spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
         accuracy = accuracy_by_covariance_um(found, found.fit, self.seed)
-        against_it = against(found, seen, self.required_um, accuracy)
+        against_it = against(found, seen, self.required_um, accuracy, silent=found.log_evidence < -np.log(self.level))
         state = rule.after(
             self.state, found, seen, spanned=spanned, vouched=not against_it, level=self.level
         )  # fmt: skip
@@ -351,11 +359,12 @@ class Adaptive:
             self._lock = lock(where)
         write_whole(where, text_of(self.robot, self._settings(), self._rows(), self._batch()))
         if self.done:
-            self._end()
+            self.close()
 
     _lock: FileLock | None = None
 
-    def _end(self) -> None:
+    def close(self) -> None:
+        """Gives back the file that it was loaded from or saved to; it does so by itself once it is done."""
         if self._lock is not None:
             self._lock.release()
             self._lock = None
@@ -403,13 +412,16 @@ class Adaptive:
             except (ArgumentError, TypeError) as error:
                 raise MeasurementError(f"{where}: settings: {error}") from None
             rows, at = asked_in(held, where, {POSE, REPEAT, *loop.layout.joints, *loop.region.targets})
-            loop._with(held["rows"], rows, at)
+            try:
+                loop._with(held["rows"], rows, at)
+            except MeasurementError as error:
+                raise MeasurementError(f"{where}: rows: {error}") from None
         except BaseException:
             mine.release()
             raise
         loop._lock = mine
         if loop.done:
-            loop._end()
+            loop.close()
         return loop
 
 

@@ -31,7 +31,7 @@ class Unread:
 
     def too_many(self, last: int) -> bool:
         """Whether the rest is no run, or the ``last`` rows say that it goes on."""
-        rows = self.cells.any(axis=1)
+        rows: Bools = np.asarray(self.cells.any(axis=1))
         return bool(rows.sum() > WRONG * len(rows) or rows[-last:].all())
 
     def without(self, data: Measurements) -> Measurements:

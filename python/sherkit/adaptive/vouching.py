@@ -8,6 +8,7 @@ rows is told, and is an accident only where it is not wrong again and lies where
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from ..base.figures import number
 from ..base.names import listed, spans
 from ..base.types import Floats, Ints
 from ..data.doubts import doubts
+from ..data.doubts.repeats import copied
 from ..diagnosis.gathered import WRONG, gathered, said
 from .look import GROSS, Look, moved
 from .rule import POWER, Unseen
@@ -28,15 +30,19 @@ _MOVES = 0.05
 
 
 def against(
-    found: Look, seen: Sequence[Unseen], required_um: float | None, accuracy_um: float | None
-) -> tuple[str, ...]:
+    found: Look, seen: Sequence[Unseen], required_um: float | None, accuracy_um: float | None,
+    *, silent: bool,
+) -> tuple[str, ...]:  # fmt: skip
     """Why these rows cannot say that nothing is missing, in sentences; empty where they can.
 
-    ``accuracy_um`` is how far off the calibrated robot may be anywhere, in 95 of 100 cases.
+    ``accuracy_um`` is how far off the calibrated robot may be anywhere, in 95 of 100 cases. Where they are
+    not ``silent`` it is not asked what they would have shown.
     """
     out = [*_few_places(found)]
-    out += [one.sentence for one in doubts(found.data) if not one.poses]
-    return (*out, *_unseen(found, seen, required_um, accuracy_um))
+    # rows that are told again are no witnesses, whatever time is given to them
+    told = (*doubts(found.data), *copied(replace(found.data, time_s=None)))
+    out += dict.fromkeys(one.sentence for one in told if not one.poses)
+    return (*out, *(_unseen(found, seen, required_um, accuracy_um) if silent else ()))
 
 
 def _few_places(found: Look) -> Iterator[str]:

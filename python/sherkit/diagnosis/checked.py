@@ -46,10 +46,10 @@ def checks_of(
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
     of several, ``needed`` what the effects that were in the model earn, ``wrong`` what is asked of the rows left out,
-    ``mistakes`` those of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is
-    most, ``slow_drift`` what is left in the course of time, ``repeats`` what repeats of a pose hold, ``contradicted``
-    by axis the noise that was declared and the one that repeats show; ``by_noise`` gives what noise alone leaves on
-    rows held out of these poses, in noises, and ``enough`` the parameters that are enough there.
+    ``mistakes`` those of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where
+    that is most, ``slow_drift`` what is left in the course of time, ``repeats`` what repeats of a pose hold,
+    ``contradicted`` by axis the noise that was declared and the one that repeats show; ``by_noise`` gives what noise
+    alone leaves on rows held out of these poses, in noises, and ``enough`` the parameters that are enough there.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_set_up(mistakes, final), *_table(table, final), _converged(final, used), _plausible(final, used)]

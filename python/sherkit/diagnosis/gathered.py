@@ -236,8 +236,9 @@ def _part(count: int) -> Ints:
 # -- what a verdict rests on ---------------------------------------------------------------------------------------
 
 
-def checks_of_outliers(run: FittedRun, outliers: Ints, but: Ints, seed: int) -> tuple[Check, ...]:
-    """Whether the rows that are left out of a run are few, and accidents; of the rows ``but`` nothing is asked."""
+def checks_of_outliers(run: FittedRun, outliers: Ints, seed: int, *, side: bool) -> tuple[Check, ...]:
+    """Whether the rows that are left out of a run are few, and accidents; of the first of all nothing is asked where it
+    is left out for the ``side`` that nobody told."""
     data = run.data
     few = Check(
         "gross_errors", "few rows are wrong", f"all {len(data)} rows",
@@ -249,7 +250,7 @@ def checks_of_outliers(run: FittedRun, outliers: Ints, but: Ints, seed: int) -> 
         return (few,)
     tested, rows = "rows that are wrong are so each for itself", f"the {len(outliers)} rows listed as wrong"
     places = places_of(run)
-    found = gathered(data, np.setdiff1d(outliers, but), places, seed=seed)
+    found = gathered(data, outliers[data.order[outliers] > data.order.min()] if side else outliers, places, seed=seed)
     if found is None:
         told = f"they lie as accidents do, in time and in {len(places)} joints and coordinates"
         return few, Check(SINGLY, tested, rows, told, holds=True)

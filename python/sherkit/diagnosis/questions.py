@@ -103,7 +103,7 @@ def diagnose(
     rows = np.flatnonzero(run.whole)
     side = is_first_by_side(run, every, outliers)
     notes += sentences(run.fit, outliers, side=side)
-    wrong = checks_of_outliers(run, outliers, run.data.order.argmin()[None] if side else outliers[:0], seed)
+    wrong = checks_of_outliers(run, outliers, seed, side=side)
     if run.is_exact:
         notes.append(
             f"every reading is what the model says, to the last digits: {run.data.source} was computed, it seems, not "
