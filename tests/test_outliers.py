@@ -103,32 +103,43 @@ def test_a_bad_stretch_of_a_scale_is_no_accident(um: float) -> None:
     assert d.finding("cause").answer.startswith("Rows that are wrong lie together")
 
 
+def places_of(data: sk.Measurements) -> dict[str, Floats]:
+    """Joints, and two coordinates in steps, of which many are equal."""
+    joints = {name: data.joints[:, k] for k, name in enumerate(data.layout.joints)}
+    return joints | {"x_mm": np.round(data.readings[:, 0]), "z_mm": np.round(data.readings[:, 2])}
+
+
+@pytest.mark.slow
 def test_accidents_lie_together_as_seldom_as_is_said() -> None:
     """Catches a scan whose level is another one, by its many stretches, by equal values, or by poses whose readings are
-    all wrong: of 300 runs of eight accidents each, six at most at the level of 0.005 (binomial, 1 in 1,000); and one that finds nothing where six of them lie in a row of a joint, or of time."""
-    world = worlds.delta_world(0, order="planes", noise_um=0.0)
-    data = sk.from_frame(pl.DataFrame(world.columns))
-    places = {name: data.joints[:, k] for k, name in enumerate(data.layout.joints)}
-    places |= {"x_mm": np.round(data.readings[:, 0]), "z_mm": np.round(data.readings[:, 2])}
+    all wrong: of 300 runs of four poses and four readings that are wrong, six at most at the level of 0.005 (binomial,
+    1 in 1,000)."""
+    data = sk.from_frame(pl.DataFrame(worlds.delta_world(0, order="planes", noise_um=0.0).columns))
     rng = np.random.default_rng(0)
-    poses = np.unique(data.pose)
     found = 0
     for k in range(300):
-        some = rng.choice(poses, 4, replace=False)
-        rows = np.concatenate([np.flatnonzero(np.isin(data.pose, some)), rng.choice(len(data), 4)])
-        found += gathered(data.mark_outliers(rows), np.unique(rows), places, seed=k) is not None
+        poses = np.isin(data.pose, rng.choice(np.unique(data.pose), 4, replace=False))
+        rows = np.union1d(np.flatnonzero(poses), rng.choice(len(data), 4))
+        found += gathered(data.mark_outliers(rows), rows, places_of(data), seed=k) is not None
     assert found <= 6
-    others = rng.choice(len(data), 6, replace=False)
+
+
+def test_what_lies_together_is_found_among_accidents() -> None:
+    """Catches a scan that finds nothing, or looks elsewhere, where six poses that are next to one another in a joint
+    are wrong, or six readings in time, beside six accidents."""
+    data = sk.from_frame(pl.DataFrame(worlds.delta_world(0, order="planes", noise_um=0.0).columns))
+    others = np.random.default_rng(0).choice(len(data), 6, replace=False)
+    poses = np.unique(data.pose)
     along = np.argsort([data.joints[data.pose == pose, 1].mean() for pose in poses])[70:76]
-    bad = np.union1d(np.flatnonzero(np.isin(data.pose, poses[along])), others)
-    one = gathered(data.mark_outliers(bad), bad, places)
-    assert one is not None
-    assert one.name == "q2_mm"
-    late = np.union1d(np.flatnonzero((data.order >= 300) & (data.order < 306)), others)
-    one = gathered(data.mark_outliers(late), late, places)
-    assert one is not None
-    assert one.name == ""
-    assert set(range(300, 306)) <= set(data.order[one.rows].tolist())
+    for wrong, name in (
+        (np.isin(data.pose, poses[along]), "q2_mm"),
+        ((data.order >= 300) & (data.order < 306), ""),
+    ):
+        rows = np.union1d(np.flatnonzero(wrong), others)
+        one = gathered(data.mark_outliers(rows), rows, places_of(data))
+        assert one is not None
+        assert one.name == name
+        assert set(np.flatnonzero(wrong)) <= set(one.rows.tolist())
 
 
 def test_wrong_rows_here_and_there_are_not_in_the_first_line() -> None:

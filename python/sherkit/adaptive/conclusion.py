@@ -303,7 +303,10 @@ class Progress:
 def progress(before: Look | None, now: Look, seed: int) -> Progress:
     """How far it is at a look, by what the one before it held."""
     fit = now.lead.fit if now.lead is not None else now.fit
-    accuracy = accuracy_by_covariance_um(now, fit, seed)
+    try:
+        accuracy = accuracy_by_covariance_um(now, fit, seed)
+    except SherkitError:  # a fit by which the robot reaches nothing
+        accuracy = None
     if before is None:
         return Progress(now.readings, float("nan"), float("nan"), accuracy)
     geometry = _missed(before.fit, before, now)
