@@ -49,8 +49,8 @@ def outcomes(folder: Path, executor: Executor, **what: str) -> tuple[dict[int, i
 
 
 def test_one_task_that_kills_is_named_and_the_others_are_done(tmp_path: Path) -> None:
-    """Catches a killed worker that takes the answers with it, a task that is blamed for what its neighbour did, one that
-    was killed once by chance, and a failure that is not one of the task's own."""
+    """Catches a killed worker that takes the answers with it, a task that is blamed for what its neighbour did,
+    one that was killed once by chance, and a failure that is not one of the task's own."""
     with ProcessPoolExecutor(2) as pool:
         done, lost = outcomes(tmp_path, pool, n1="dies once", n3="dies", n5="fails", n8="dies", n9="leaves")
     assert lost == {3: "WorkerLost", 5: "ValueError", 8: "WorkerLost", 9: "SystemExit"}
