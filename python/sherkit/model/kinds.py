@@ -7,6 +7,7 @@ robot it is.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, overload, runtime_checkable
@@ -18,7 +19,7 @@ from ..base import built_in
 from ..base.names import listed
 from ..base.types import Floats, Ints
 from ..data import Measurements
-from ..data.columns import Layout, know
+from ..data.columns import LAYOUTS, Layout, know
 from ..data.toml import Table
 from ..errors import FitError, RobotError, ShapeError
 from .any import Extended, Model
@@ -269,8 +270,26 @@ def known_kinds() -> dict[str, Kind]:
 
 def register(kind: Kind) -> None:
     """Makes a kind known, its runs and its files."""
-    known_kinds()[kind.name] = kind
+    known = known_kinds()
     know(*kind.layouts)
+    known[kind.name] = kind
+
+
+@contextmanager
+def known_as(kind: Kind) -> Iterator[None]:
+    """Within it this kind has its name, its files and its runs, whoever had them before and has them again after it."""
+    known, held = known_kinds(), known_kinds().get(kind.name)
+    layouts = list(LAYOUTS)
+    LAYOUTS[:] = [one for one in layouts if held is None or one not in held.layouts]
+    try:
+        register(kind)
+        yield
+    finally:
+        LAYOUTS[:] = layouts
+        if held is None:
+            known.pop(kind.name, None)
+        else:
+            known[kind.name] = held
 
 
 def robot_from_tables(values: dict[str, object], where: str) -> Robot:
