@@ -289,8 +289,8 @@ def harmful(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("harmful")
     package(place, "ends", "import sys\nsys.exit(0)\n", "[sherkit.robots]\nends = ends:KIND\n[sherkit.verbs]\n"
             "ended = ends:verb\n[sherkit.importers]\nended = ends:verb\n")  # fmt: skip
-    package(place, "prints", "import click\nprint('NOISE')\nfrom sherkit.robots.delta import KIND\n"
-            "@click.command()\ndef verb():\n    'Says something.'\n    print('said')\n",
+    package(place, "prints", "import os, click\nprint('NOISE')\nos.write(1, b'RAW')\n"
+            "from sherkit.robots.delta import KIND\n@click.command()\ndef verb():\n    'Says something.'\n    print('said')\n",
             "[sherkit.robots]\nprints = prints:KIND\n[sherkit.verbs]\ncheck = prints:verb\nsaying = prints:verb\n"
             "[sherkit.importers]\nurdf = prints:verb\n[sherkit.instruments]\ngalil = prints:verb\n")  # fmt: skip
     # by its name it comes before sherkit, and its value stands in sherkit
@@ -322,7 +322,7 @@ def test_a_package_that_does_harm_takes_nothing_with_it(harmful: Path, tmp_path:
         "a_thief: its robot 'serial' (a_thief:KIND) is not used: sherkit.robots.serial:KIND has that name",
         "a_thief: its robot 'own' (a_thief:KIND) is not used: the Kind calls itself 'delta'",
         "prints: its robot 'prints' (prints:KIND) is not used: the Kind calls itself 'delta'",
-        "a_thief: its robot 'bare' (a_thief:BARE) cannot be used (TypeError",
+        "a_thief: its robot 'bare' (a_thief:BARE) is not used (RobotError: the Kind 'bare': layouts: expected a tuple",
         "damaged",
     ):
         assert said in told

@@ -6,10 +6,11 @@ each kind, and what it is called in Python.
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
-from collections.abc import Collection, Iterable
-from contextlib import redirect_stdout
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout, suppress
 from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
@@ -68,10 +69,11 @@ def _brought(group: str, name: str, what: type[_Value]) -> _Value | None:
     """The value of a name, loaded now; None, and a warning, where it cannot be loaded or is no ``what``: a package that
     is broken takes nothing with it but what it brings.
 
-    What it prints goes where messages go, not into what a program reads; what it sets of warnings is forgotten."""
+    What it prints goes where messages go, not into what a program reads.
+    """
     entry = declared(group)[name]
     try:
-        with redirect_stdout(sys.stderr), warnings.catch_warnings():
+        with nullcontext() if _package(entry) == _OWN else _kept_apart():
             value = entry.load()
     except KeyboardInterrupt:
         raise
@@ -82,6 +84,20 @@ def _brought(group: str, name: str, what: type[_Value]) -> _Value | None:
         leave_out(group, entry, f"is {type(value).__name__}, expected {what.__name__}")
         return None
     return value
+
+
+@contextmanager
+def _kept_apart() -> Iterator[None]:
+    """What is printed within it is a message, by whatever way it goes; what is set of warnings is forgotten."""
+    with redirect_stdout(sys.stderr), warnings.catch_warnings(), ExitStack() as undo:
+        with suppress(OSError, ValueError, AttributeError):  # a program without one of the two has nothing to mix up
+            kept = os.dup(1)
+            undo.callback(os.close, kept)
+            sys.__stdout__.flush()  # type: ignore[union-attr]
+            os.dup2(2, 1)
+            undo.callback(os.dup2, kept, 1)
+            undo.callback(sys.__stdout__.flush)  # type: ignore[union-attr]
+        yield
 
 
 def brought_beside(own: Collection[str], group: str, what: type[_Value]) -> dict[str, _Value]:

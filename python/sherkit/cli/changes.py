@@ -206,8 +206,10 @@ def fleet_command(
                               progress=told)  # fmt: skip
     if as_json:
         output.print_json(found.to_json())
-        return
-    _print(found)
+    else:
+        _print(found)
+    if not found.diagnosed:
+        raise SherkitError(f"none of the {len(paths)} runs could be used; each says why above")
 
 
 def _is_pattern(run: str) -> bool:

@@ -40,3 +40,11 @@ class OpenGroup(click.Group):
         if not name.startswith("-") and not ctx.resilient_parsing and self.get_command(ctx, name) is None:
             raise click.UsageError(f"there is no '{name}'{nearest(name, self.list_commands(ctx))}", ctx)
         return super().resolve_command(ctx, args)
+
+
+def told(command: click.Command) -> str:
+    """What a command of another package says of itself in a line; one that cannot takes no help with it."""
+    try:
+        return command.get_short_help_str(80)
+    except Exception as error:
+        return f"(its help fails: {type(error).__name__})"

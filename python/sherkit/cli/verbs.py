@@ -16,7 +16,7 @@ import sherkit._core as _core
 from ..base.extensions import VERBS
 from ..base.starting import loaded
 from ..errors import MeasurementError, SherkitError
-from .groups import OpenGroup
+from .groups import OpenGroup, told
 
 # -- What a help ends with --------------------------------------------------------------------------------------------
 
@@ -154,7 +154,7 @@ class _Verbs(OpenGroup):
                 formatter.write_dl([(name, said) for name, (_, said) in group.items()])
         if more := self.brought:
             with formatter.section("Of other packages"):
-                formatter.write_dl([(name, command.get_short_help_str(80)) for name, command in more.items()])
+                formatter.write_dl([(name, told(command)) for name, command in more.items()])
 
 
 @click.group(

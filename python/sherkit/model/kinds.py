@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base import built_in
-from ..base.names import listed
+from ..base.names import brief, listed
 from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import LAYOUTS, Layout, know
@@ -269,8 +269,17 @@ def known_kinds() -> dict[str, Kind]:
 
 
 def register(kind: Kind) -> None:
-    """Makes a kind known, its runs and its files."""
+    """Makes a kind known, its runs and its files.
+
+    Raises :class:`~sherkit.errors.RobotError` for one that lacks what every verb asks of it.
+    """
     known = known_kinds()
+    if not (isinstance(kind.model, type) and issubclass(kind.model, ChainModel)):
+        raise RobotError(f"the Kind '{kind.name}': model: expected a class below ChainModel, got {brief(kind.model)}")
+    if not (isinstance(kind.layouts, tuple) and all(isinstance(one, Layout) for one in kind.layouts)):
+        raise RobotError(f"the Kind '{kind.name}': layouts: expected a tuple of Layout, got {brief(kind.layouts)}")
+    if not hasattr(kind.robot, "forward"):
+        raise RobotError(f"the Kind '{kind.name}': robot: expected the class of a robot, got {brief(kind.robot)}")
     know(*kind.layouts)
     known[kind.name] = kind
 

@@ -20,4 +20,4 @@ for _name in sorted(_found, key=lambda one: _FIRST.index(one) if one in _FIRST e
     try:
         register(_kind)
     except Exception as _error:
-        leave_out(ROBOTS, declared(ROBOTS)[_name], f"cannot be used ({type(_error).__name__}: {_error})")
+        leave_out(ROBOTS, declared(ROBOTS)[_name], f"is not used ({type(_error).__name__}: {_error})")
