@@ -290,7 +290,8 @@ def harmful(tmp_path_factory: pytest.TempPathFactory) -> Path:
     package(place, "ends", "import sys\nsys.exit(0)\n", "[sherkit.robots]\nends = ends:KIND\n[sherkit.verbs]\n"
             "ended = ends:verb\n[sherkit.importers]\nended = ends:verb\n")  # fmt: skip
     package(place, "prints", "import os, click\nprint('NOISE')\nos.write(1, b'RAW')\n"
-            "from sherkit.robots.delta import KIND\n@click.command()\ndef verb():\n    'Says something.'\n    print('said')\n",
+            "from sherkit.robots.delta import KIND\n@click.command()\ndef verb():\n"
+            "    'Says something.'\n    print('said')\n",
             "[sherkit.robots]\nprints = prints:KIND\n[sherkit.verbs]\ncheck = prints:verb\nsaying = prints:verb\n"
             "[sherkit.importers]\nurdf = prints:verb\n[sherkit.instruments]\ngalil = prints:verb\n")  # fmt: skip
     # by its name it comes before sherkit, and its value stands in sherkit

@@ -175,6 +175,8 @@ class _Checking:
             wanted = dict.fromkeys(name for one in self.layouts for name in one.readings)
             missing.append(f"at least one of {listed(wanted, 12)}")
         has = listed(self.table.names, 12)
+        otherwise = [f"'{theirs}' as {ours}" for ours, theirs in self.given.items() if theirs in fewest]
+        has += f", where the robot's file reads {listed(otherwise)}" if otherwise else ""
         return f"{self.source}: is no run of {self.whose}: lacks {' and '.join(missing)}; the file has {has}"
 
     def _read(self, columns: Columns) -> tuple[Measurements | None, str]:
