@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import concurrent.futures as futures
 import glob
-import multiprocessing
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,6 +12,7 @@ import click
 from rich.markup import escape
 
 from ..base.names import CALIBRATED
+from ..base.workers import processes
 from ..changes import Comparison, History, Verification
 from ..changes import compare as compare_runs
 from ..changes import history as history_of
@@ -219,14 +218,15 @@ def fleet_command(
         if count == 1:
             found = fleet(paths, robot, effects=added, own=own, level=level, seed=seed, progress=told)
         else:
-            # fresh processes: a copy of one that has threads can hang
-            with futures.ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
+            with processes(count) as pool:
                 found = fleet(paths, robot, effects=added, own=own, level=level, seed=seed, executor=pool,
                               progress=told)  # fmt: skip
     if as_json:
         output.print_json(found.to_json())
-        return
-    _print(found)
+    else:
+        _print(found)
+    if not found.diagnosed:
+        raise SherkitError(f"none of the {len(paths)} runs could be used; each says why above")
 
 
 def _is_pattern(run: str) -> bool:

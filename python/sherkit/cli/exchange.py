@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from ..base.extensions import IMPORTERS, brought_beside
+from ..base.extensions import IMPORTERS
 from ..data import Measurements, from_bluesky, from_rosbag
 from ..data.files import write_whole
 from ..errors import MeasurementError, RobotError, SherkitError
@@ -21,21 +21,16 @@ from ..robots.serial import Serial, points_of_poses
 from ..robots.serial.imported import CONVENTIONS, import_dh, import_urdf
 from . import output
 from .file_kinds import COMMANDS, HEADER, KLIPPER, ROBOT, TABLE
+from .groups import OpenGroup
 from .machine_file import own_way_of
 from .paths import InputFile, OutputFile, OutputFolder, require_kind
 from .printer import turned
 
 
-class _Importers(click.Group):
+class _Importers(OpenGroup):
     """Those below, and those of other packages."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*super().list_commands(ctx), *brought_beside(self.commands, IMPORTERS, click.Command)]
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        return super().get_command(ctx, cmd_name) or brought_beside(self.commands, IMPORTERS, click.Command).get(
-            cmd_name
-        )
+    declared = IMPORTERS
 
 
 @click.group("import", cls=_Importers)
