@@ -18,15 +18,14 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from sherkit.cli import file_kinds, main
+from sherkit.cli import file_kinds, lab, main
 from sherkit.cli.demo import EXAMPLE
 from sherkit.cli.file_kinds import FileKind
-from sherkit.cli.lab import lab_demo
 from sherkit.cli.paths import InputFile, OutputFile, OutputFolder
 from sherkit.cli.verbs import _VERBS, cli
 from sherkit.data.files import write_whole
 from sherkit.errors import ExperimentError, SherkitError
-from sherkit.lab.experiment import RunFile, plan_of_poses, run_lock
+from sherkit.lab.experiment import RunFile, load_experiment, plan_of_poses, run_lock
 from sherkit.lab.kinds import write_ports
 from sherkit.model.robot_file import save_robot
 from sherkit.report.card import card_page
@@ -361,11 +360,19 @@ def test_what_was_lost(line: str, kinds: dict, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_the_demo_takes_only_its_own_runs_away(kinds: dict, tmp_path: Path) -> None:
-    """Catches a lab's finished run that goes since the demo names one of its own so."""
+    """Catches a lab's finished run that goes since the demo names one of its own so, and a second demo that does not
+    begin since the first one's runs are there."""
+    lab.write_files(tmp_path, 2, lab._TIME_SCALE)
+    texts = lab.experiments(2, lab._TIME_SCALE)
+    chosen = load_experiment(tmp_path / "local.toml", offline=True)
+    RunFile.create(chosen.run_path, chosen.plan, chosen.about()).close()
+    (tmp_path / "local.sqlite.lock").touch()  # of a demo that was killed
+    lab._anew(tmp_path, texts)
+    assert not list(tmp_path.glob("*.sqlite*"))
     shutil.copy(kinds[file_kinds.RUN], tmp_path / "local.sqlite")
     before = content_of(tmp_path)
     with pytest.raises(ExperimentError, match=r"local\.sqlite: holds a run that is none of this demo's"):
-        lab_demo(tmp_path)
+        lab.lab_demo(tmp_path)
     assert content_of(tmp_path) == before
 
 

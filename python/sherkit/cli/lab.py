@@ -6,6 +6,7 @@ import signal
 import tempfile
 import threading
 import time
+import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -247,7 +248,7 @@ def experiments(repeats: int, time_scale: float) -> dict[str, str]:
 
 
 def _anew(folder: Path, texts: Mapping[str, str]) -> None:
-    """Takes the runs of an earlier demo away: those that were measured by its experiments, word for word.
+    """Takes the runs of an earlier demo away: those that were measured by its very experiments.
 
     Raises :class:`~sherkit.errors.ExperimentError`, before anything is taken away, for a run of somebody else's.
     """
@@ -255,7 +256,7 @@ def _anew(folder: Path, texts: Mapping[str, str]) -> None:
     for run_path, text in zip(runs, texts.values(), strict=True):
         if run_path.exists() and run_path.stat().st_size:
             with RunFile.open(run_path) as file:
-                if file.about("experiment") != text:
+                if file.about("experiment") != tomli_w.dumps(tomllib.loads(text)):
                     raise ExperimentError(
                         f"{run_path}: holds a run that is none of this demo's; give -o another folder"
                     )

@@ -144,7 +144,7 @@ def require_kind(path: Path, option: str, kinds: Sequence[FileKind]) -> None:
     if all(kind.only for kind in kinds) and not any(path.suffix.lower() in kind.endings for kind in kinds):
         endings = [ending for kind in kinds for ending in kind.endings]
         wanted = " or ".join(([", ".join(endings[:-1])] if endings[1:] else []) + endings[-1:])
-        raise SherkitError(f"{path}: {option} is {made}; expected a name that ends in {wanted}")
+        raise SherkitError(f"{path}: expected a name that ends in {wanted}; {option} writes {made}")
     look = Look(path)
     if os.path.isfile(path) and not any(kind.replaces(look) for kind in kinds):
         raise SherkitError(f"{path}: is {called(look)} and would be replaced by {made}; give {option} another name")
