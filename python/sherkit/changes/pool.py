@@ -20,7 +20,7 @@ from ..errors import FitError, SherkitError
 from ..fit.error import axes_of
 from ..fit.identify import identify
 from ..model.effect import Effect
-from ..model.kinds import Robot, kind_of, model_of, required_um
+from ..model.kinds import Robot, model_of, required_um
 from ..model.robot_file import run_for
 from .joined import Joined
 from .vouching import Gate
@@ -34,13 +34,14 @@ _ROWS, _ROWS_OF_A_RUN = 4000, 200
 @dataclass(frozen=True, eq=False)
 class Pool:
     """Of ``names`` (R,), files or sources, those at ``numbers``: their rows ``data`` and, where there are two or more,
-    the object ``joined``; ``silent`` are the others, and why."""
+    the object ``joined``; ``silent`` are the others, and why. Errors are in ``unit``."""
 
     robot: Robot
     names: tuple[str, ...]
     numbers: tuple[int, ...]
     data: tuple[Measurements, ...]
     silent: dict[str, Silent]
+    unit: str
     joined: Joined | None = None
 
     @classmethod
@@ -51,20 +52,16 @@ class Pool:
             source if sources.count(source) == 1 else f"{k + 1}: {source}" for k, source in enumerate(sources)
         )
         silent, kept = _by_rows(robot, names, data)
+        unit = data[0].layout.unit
         while len(kept) > 1:
             joined, used = _joined(robot, [data[k] for k in kept], effects)
-            made = cls(robot, names, tuple(kept), tuple(used), dict(silent), joined)
+            made = cls(robot, names, tuple(kept), tuple(used), dict(silent), unit, joined)
             why = made.gate.first()
             if why is None:
                 return made
             silent[names[kept[0]]] = why
             kept = kept[1:]
-        return cls(robot, names, tuple(kept), tuple(data[k] for k in kept), silent)
-
-    @property
-    def unit(self) -> str:
-        """The unit in which people read an error."""
-        return kind_of(self.robot).layout.unit
+        return cls(robot, names, tuple(kept), tuple(data[k] for k in kept), silent, unit)
 
     @property
     def needed(self) -> float | None:
