@@ -123,10 +123,15 @@ def conclude(loop: Held) -> Conclusion:
     if done and verdict == "unexplained":
         looks_like = [name for name, _ in found.shapes[0][0] if found.family.by_name[name].is_shape]
         why = f"{why}: what is left looks like {' & '.join(looks_like)}" if looks_like else why
+        why = "; ".join((why, *loop.against))
     if done and verdict != "adequate" and (mistakes := mistaken(found.family.model, found.data, found.fit.values)):
         # what a wrong column leaves is no physics, and looks like much of it
         verdict, effects, tied, why = "unexplained", (), (), "; ".join(mistakes)
-    if done and verdict in _LOUDER and (louder := structure_of(found, loop.seed) or _louder(found, verdict)):
+    if (
+        done
+        and verdict in _LOUDER
+        and (louder := structure_of(found, loop.seed) or "; ".join(loop.against) or _louder(found, verdict))
+    ):
         verdict, why = _LOUDER[verdict], louder
     if verdict == "explained" and (done or state.done):
         lead = found.lead
@@ -318,7 +323,10 @@ def _missed(fit: Fit, before: Look, now: Look) -> float:
     """Root mean square of what a fit leaves at the rows that were read after it."""
     axes = list(now.family.axes)
     new = slice(before.readings, now.readings)
-    left = residuals(fit.model, now.data, fit.values)[new][:, axes]
+    try:
+        left = residuals(fit.model, now.data, fit.values)[new][:, axes]
+    except SherkitError:  # a fit by which the robot reaches less than it was seen to
+        return float("nan")
     left = left[now.data.used[new][:, axes] & np.isfinite(left)]
     return float(now.data.layout.per_unit * np.sqrt(np.mean(np.square(left)))) if len(left) else float("nan")
 

@@ -192,7 +192,9 @@ class _Ranked:
         best = np.zeros(draws)
         begin, of_size = np.zeros(draws, dtype=np.int64), np.full(draws, k)
         each = np.arange(draws)
-        for size in np.unique(np.geomspace(_FEWEST, k, min(_SIZES, k)).round().astype(np.int64)):
+        # poses that are drawn may have had fewer visits
+        sizes = np.geomspace(_FEWEST, max(k, _FEWEST), min(_SIZES, max(k, 1))).round().astype(np.int64)
+        for size in np.unique(sizes[sizes <= k]):
             length = last[:, size - 1 :] - first[:, : k - size + 1] + 1
             at = np.argmin(length, axis=1)
             score = _score(float(size), length[each, at].astype(float), float(k), float(n))
