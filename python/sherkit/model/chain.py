@@ -185,7 +185,8 @@ class ChainModel(SeenModel):
             ways = " or ".join(", ".join(one.coordinates) for one in self.layouts)
             raise FitError(
                 f"{data.source}: is no run of a {self.robot.kind} robot: expected the columns "
-                f"{', '.join(self.layouts[0].joints)} with {ways}, found {', '.join(data.layout.joints)}"
+                f"{', '.join(self.layouts[0].joints)} with {ways}, found {', '.join(data.layout.joints)} with "
+                f"{', '.join(data.layout.coordinates)}"
             )
 
     # -- parameters --------------------------------------------------------------------------------------
