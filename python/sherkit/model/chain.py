@@ -43,8 +43,8 @@ SLACK = 0.05
 class ChainModel(SeenModel):
     """A nominal robot with named errors and effects to identify.
 
-    ``free`` names the geometric errors and numbers of the sensor's pose to identify; left out, those of :attr:`default`.
-    All parameters of ``effects`` are free. Readings have the columns of the rows' layout.
+    ``free`` names the geometric errors and numbers of the sensor's pose to identify; left out, those of
+    :attr:`default`. All parameters of ``effects`` are free. Readings have the columns of the rows' layout.
     """
 
     robot: Any
