@@ -1,6 +1,7 @@
 # make demo   the paper's experiments on a virtual robot, calibrated; demo-lab: the same through emulated instruments
 # make test   everything that must hold before a commit lands
-# Both set up all they need in .venv; a Python >= 3.11, a Rust toolchain and a C compiler must be there.
+# Both set up all they need in .venv; a Python >= 3.11, a Rust toolchain and a C compiler must be there. Pages are looked
+# at where Chromium is, in three fonts (Debian: chromium fonts-dejavu-core fonts-liberation); .ci/run installs them.
 
 PYTHON ?= python3
 VENV   := .venv

@@ -5,12 +5,14 @@ Run with sherkit installed whenever the layout of ``flat()`` changes: ``python d
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from sherkit import _core
 from sherkit.cli.demo import EXAMPLE
+from sherkit.model.sensor_pose import SensorPose
 from sherkit.robots.c_header import c_array
 from sherkit.robots.serial import KIND
 
@@ -20,17 +22,22 @@ for _row in _core.DeltaModel.CATALOGUE:
     _start = max((place.stop for place in PLACES.values()), default=0)
     PLACES[_row["name"]] = slice(_start, _start + len(_row["parameters"]))
 
+#: Where the instruments of delta and arm stand: as trackers do, anywhere.
+BESIDE_DELTA = SensorPose((210.0, -140.0, 35.0), (25.0, -40.0, 160.0))
+BESIDE_ARM = SensorPose((1200.0, -700.0, 300.0), (3.0, -5.0, 130.0))
+
 HEADER = Path(__file__).parents[1] / "rust/c/examples/robots.h"
 
 
-def delta() -> _core.Calibrated:
-    """The example delta with small errors, a correction, and a local model blended in."""
+def delta(frame: str = "sensor") -> _core.Calibrated:
+    """The example delta with small errors, a correction, and a local model blended in; positions in a frame."""
     random = np.random.default_rng(1)
-    settings = np.array([40.0, 2.0, 130.0, 130.0, 130.0, 0.0, 0.0, 0.0])
-    model = _core.DeltaModel(EXAMPLE.geometry, np.array(EXAMPLE.target_offset_mm), "below", settings)
+    settings = np.array([40.0, 2.0, 130.0, 130.0, 130.0, 0.0, 0.0, 0.0, 0.0])
+    offset = np.array(EXAMPLE.target_offset_mm)
+    model = _core.DeltaModel(EXAMPLE.geometry, offset, "below", BESIDE_DELTA.numbers, settings)
     values = np.zeros(_core.DeltaModel.PARAMETERS)
     values[:18] = 0.02 * random.normal(size=18) * np.tile([1.0, 0.01, 1.0, 1.0, 0.0, 0.0], 3)
-    values[PLACES["datum"]] = 0.1 * random.normal(size=3)
+    values[PLACES["sensor_pose"]] = 0.1 * random.normal(size=6) * [0.01, 0.01, 0.01, 1.0, 1.0, 1.0]
     local = values.copy()
     local[PLACES["rail_lean"]] = 1e-4 * random.normal(size=6)
     local[PLACES["rod_mismatch"]] = 0.01 * random.normal(size=3)
@@ -40,7 +47,7 @@ def delta() -> _core.Calibrated:
         count = int(np.prod(np.array(orders) + 1))
         corrections.append(_core.Bernstein(orders, -corner, corner, 5.0, 0.005 * random.normal(size=(count, 3))))
     return _core.Calibrated(
-        (model, values, corrections[0]), (model, local, corrections[1]), (-0.25 * corner, 0.25 * corner, 2.0)
+        (model, values, corrections[0]), (model, local, corrections[1]), (-0.25 * corner, 0.25 * corner, 2.0), frame
     )
 
 
@@ -55,18 +62,20 @@ def spherical() -> _core.SphericalCalibrated:
     return _core.SphericalCalibrated(model, values)
 
 
-def serial() -> _core.SerialCalibrated:
-    """A six-axis arm with small geometric errors; its joints give way, under a payload too, and have play."""
+def serial(frame: str = "base") -> _core.SerialCalibrated:
+    """A six-axis arm with small geometric errors; its joints give way, under a payload too, and have play; places in a
+    frame."""
     at_work = ("joint_compliance", "payload_compliance", "joint_coupling", "backlash", "encoder_eccentricity")
     random = np.random.default_rng(2)
-    arm, values = KIND.example, np.zeros(_core.SerialModel.PARAMETERS)
+    arm = replace(KIND.example, sensor_pose=BESIDE_ARM)
+    values = np.zeros(_core.SerialModel.PARAMETERS)
     start = 0
     for row in _core.SerialModel.CATALOGUE:
         own = slice(start, start := start + len(row["parameters"]))
         sizes = [p["size"] for p in row["parameters"]]
         if row["base"] or row["name"] in at_work:
             values[own] = 0.3 * random.normal(size=len(sizes)) * sizes
-    return _core.SerialCalibrated(arm.core(), values, *(np.ascontiguousarray(one) for one in arm.ranges))
+    return _core.SerialCalibrated(arm.core(), values, *(np.ascontiguousarray(one) for one in arm.ranges), frame)
 
 
 def text() -> str:

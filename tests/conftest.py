@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +70,30 @@ def one_chromium_for_a_module() -> Iterator[None]:
     """See :func:`browsing.chromium`."""
     yield
     browsing.close()
+
+
+@pytest.fixture
+def in_each_font() -> Iterator[browsing.InEachFont]:
+    """Looks at an open page once in each font of :data:`browsing.FONTS`: ``in_each_font(page, looked_at)``. Where this
+    machine lacks one, the test says so: it passed in the others alone."""
+    missing: dict[str, str] = {}
+
+    def each(page: Any, look: Callable[[], None]) -> None:
+        for font, package in browsing.FONTS.items():
+            if not browsing.has_font(page, font):
+                missing[font] = package
+                continue
+            browsing.draw_in(page, font)
+            try:
+                look()
+            except Exception as error:
+                error.add_note(f"in {font}")
+                raise
+
+    yield each
+    if missing:
+        lacking = "; ".join(f"{font} (Debian: {package})" for font, package in missing.items())
+        pytest.skip(f"not looked at in a font that this machine lacks: {lacking}")
 
 
 @pytest.fixture

@@ -34,8 +34,8 @@ Rows = list[dict[str, Any]]
 #: Over which time what lives in it is sized, s, and how long a reading takes.
 SPAN_S, PACE_S = 1800.0, 4.0
 #: What of the spherical robot is its camera's or its marker's: where the tool points, it does not show.
-_SEEN = {"marker_offset", "thermal_growth", "drift", "slip", "thermal_shift", "camera_pose", "camera_slip", "focal_length",
-         "lens_distortion", "camera_delay"}  # fmt: skip
+_SEEN = {"marker_offset", "thermal_growth", "drift", "slip", "thermal_shift", "camera_pose", "camera_slip",
+         "focal_length", "lens_distortion", "camera_delay"}  # fmt: skip
 #: How many times as much a hall warms as a room.
 _HALL = 5.0
 
@@ -101,8 +101,8 @@ class World(ABC):
         return self.apart_mm(true, fit.model.predict(data, fit.values)[-n:, : true.shape[1]])
 
     def off(self, calibration: Any, joints: Floats) -> Floats:
-        """How far (n,) places of a calibration are from where the robot really is at joints (n, j), mm: at the temperature
-        and the moment that its promise is for, and of stands as cold as the drawing."""
+        """How far (n,) places of a calibration are from where the robot really is at joints (n, j), mm: at the
+        temperature and the moment that its promise is for, and of stands as cold as the drawing."""
         time_s, temperature_c = calibration.whole.now[:2]
         return self.apart_at(calibration, joints, {"time_s": time_s, "temperature_c": temperature_c})
 

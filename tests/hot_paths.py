@@ -28,7 +28,7 @@ def path(name: str) -> Callable[[], object]:
         joints = random.uniform(118.0, 140.0, (40_000, 3))
         return lambda: EXAMPLE.kinematics().forward_batch(joints)
     if name == "inverse":
-        robot, places = delta(), random.uniform(-15.0, 15.0, (1_000, 3))
+        robot, places = delta("base"), random.uniform(-15.0, 15.0, (1_000, 3))
         return lambda: robot.inverse_batch(places, [0.0, 20.0, 0.0, 0.0, 0.0])
     if name == "bernstein":
         x = random.uniform(-20.0, 20.0, (10_000, 3))

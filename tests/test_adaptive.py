@@ -269,7 +269,10 @@ def test_state_follows_from_the_rows(leaning: tuple[sk.Adaptive, World], tmp_pat
     half = sk.Adaptive(loop.robot, required_um=20, budget=150, span_min=5.0)
     half.tell(loop.data.select(np.arange(loop.start)))
     half.save(tmp_path / "half.json")
-    assert sk.Adaptive.load(tmp_path / "half.json").ask() == half.ask()
+    asked = half.ask()
+    # a file has one loop
+    del half
+    assert sk.Adaptive.load(tmp_path / "half.json").ask() == asked
 
 
 # -- bad input ------------------------------------------------------------------------------------------------------

@@ -78,6 +78,13 @@ def built(archive: Path, source: str, into: Path, *flags: str) -> Path:
     return program
 
 
+def seen(robot: Any, places: Floats) -> Floats:
+    """Places (n, 3) of the base as the sensor of a calibrated robot sees them."""
+    pose = robot.sensor()
+    made: Floats = places @ pose[:9].reshape(3, 3).T + pose[9:]
+    return made
+
+
 def delta_rows() -> Floats:
     random = np.random.default_rng(1)
     joints = random.uniform(115, 150, (200, 3))
@@ -85,7 +92,7 @@ def delta_rows() -> Floats:
     covariates = np.tile([10.0, 21.0, 1.0, -1.0, 0.0], (200, 1))
     positions = random.uniform(-22, 22, (200, 3))
     positions[9] = [300.0, 0.0, 0.0]
-    return np.hstack([joints, covariates, positions])
+    return np.hstack([joints, covariates, seen(make_robots.delta(), positions), positions])
 
 
 def spherical_rows() -> Floats:
@@ -106,7 +113,7 @@ def serial_rows() -> Floats:
     joints[7], positions[9], start[11] = np.nan, [5000.0, 0.0, 0.0], np.nan
     known = np.tile([10.0, 21.0, 1, -1, 0, 1, 1, -1, 2.5], (200, 1))
     known[13, -1] = np.nan
-    return np.hstack([joints, known, positions, start])
+    return np.hstack([joints, known, positions, seen(make_robots.serial(), positions), start])
 
 
 def single(function: Any, numbers: Floats, covariates: Floats, sizes: tuple[int, ...], *more: Floats) -> list[float]:
@@ -183,10 +190,14 @@ def from_python(rows: Floats, of_force: bool) -> Floats:
 
 @pytest.mark.parametrize("of_force", [False, True])
 def test_c_and_python_agree_to_the_last_bit(archive: Path, tmp_path: Path, of_force: bool) -> None:
-    """Catches rows read as columns, a calibration that loses a number, another rounding in the two builds."""
+    """Catches rows read as columns, a calibration that loses a number, another rounding in the two builds, a robot that
+    begins in another frame or answers in it."""
     delta, spherical, serial, rows = delta_rows(), spherical_rows(), serial_rows(), tool_rows()
-    robots = make_robots.delta(), make_robots.spherical(), make_robots.serial()
-    flats = [robot.flat() for robot in robots]
+    # as they are loaded, and in the other frame
+    deltas = make_robots.delta(), make_robots.delta("base")
+    arms = make_robots.serial(), make_robots.serial("sensor")
+    pointing = make_robots.spherical()
+    flats = [robot.flat() for robot in (deltas[0], pointing, arms[0])]
     runs = (delta, spherical, serial)
     head = [*(len(one) for pair in zip(flats, runs, strict=True) for one in pair), len(rows)]
     sensor = [*GAINS.ravel(), *DISTANCES, *REFERENCE, 2e-4, of_force]
@@ -196,14 +207,16 @@ def test_c_and_python_agree_to_the_last_bit(archive: Path, tmp_path: Path, of_fo
     out = np.fromfile(tmp_path / "out")
     expected: list[float] = []
     for row in delta:
-        expected += single(robots[0].forward, row[:3], row[3:8], (3, 9))
-        expected += single(robots[0].inverse, row[8:], row[3:8], (3,))
+        for made, place in zip(deltas, (row[8:11], row[11:]), strict=True):
+            expected += single(made.forward, row[:3], row[3:8], (3, 9))
+            expected += single(made.inverse, place, row[3:8], (3,))
     for row in spherical:
-        expected += single(robots[1].forward, row[:2], row[2:6], (2, 4))
-        expected += single(robots[1].inverse, row[6:], row[2:6], (2,))
+        expected += single(pointing.forward, row[:2], row[2:6], (2, 4))
+        expected += single(pointing.inverse, row[6:], row[2:6], (2,))
     for row in serial:
-        expected += single(robots[2].forward, row[:6], row[6:15], (3, 18))
-        expected += single(robots[2].inverse, row[15:18], row[6:15], (6,), row[18:])
+        for arm, place in zip(arms, (row[15:18], row[18:21]), strict=True):
+            expected += single(arm.forward, row[:6], row[6:15], (3, 18))
+            expected += single(arm.inverse, place, row[6:15], (6,), row[21:])
     kinematics = np.array(expected)
     assert (kinematics == 3.0).any()
     assert (kinematics == 4.0).any()
@@ -211,10 +224,58 @@ def test_c_and_python_agree_to_the_last_bit(archive: Path, tmp_path: Path, of_fo
     np.testing.assert_array_equal(out[len(kinematics) :], from_python(rows, of_force))
 
 
+@pytest.mark.parametrize("kind", ["delta", "serial"])
+def test_both_frames_tell_of_one_place(kind: str) -> None:
+    """Catches a frame that is the other one, or a pose of the sensor that is its inverse: the bits of C are those of
+    this."""
+    based, sensed = (getattr(make_robots, kind)(frame) for frame in ("base", "sensor"))
+    rows = {"delta": delta_rows, "serial": serial_rows}[kind]()
+    count = 3 if kind == "delta" else 6
+    joints, now = np.ascontiguousarray(rows[20:, :count]), list(rows[20, count : 2 * count + 2 + (kind == "serial")])
+    place, there = based.forward_batch(joints, now)[0], sensed.forward_batch(joints, now)[0]
+    np.testing.assert_allclose(there, seen(based, place), atol=1e-9)
+    assert np.linalg.norm(there - place, axis=1).min() > 1.0
+
+
+def test_a_frame_that_is_none_is_refused(archive: Path, tmp_path: Path) -> None:
+    """Catches a loop that goes on in a frame that it did not ask for."""
+    source = tmp_path / "frames.c"
+    source.write_text(
+        """
+        #include "robots.h"
+        #include "sherkit.h"
+        int main(void)
+        {
+            static sherkit_delta delta;
+            static sherkit_serial arm;
+            const double q[3] = {130.0, 131.0, 129.0};
+            double x[3], again[3];
+            if (sherkit_delta_use_frame(&delta, SHERKIT_FRAME_BASE) != SHERKIT_NOT_INITIALISED) return 1;
+            if (sherkit_delta_use_frame(0, SHERKIT_FRAME_BASE) != SHERKIT_NULL) return 2;
+            if (sherkit_delta_init(&delta, example_delta, sizeof example_delta / 8) != SHERKIT_OK) return 3;
+            if (sherkit_delta_forward(&delta, q, 0, x, 0) != SHERKIT_OK) return 4;
+            if (sherkit_delta_use_frame(&delta, 2) != SHERKIT_INVALID) return 5;
+            if (sherkit_serial_use_frame((sherkit_serial *)&delta, 0) != SHERKIT_NOT_INITIALISED) return 6;
+            if (sherkit_delta_forward(&delta, q, 0, again, 0) != SHERKIT_OK || again[0] != x[0]) return 7;
+            if (sherkit_delta_use_frame(&delta, SHERKIT_FRAME_BASE) != SHERKIT_OK) return 8;
+            if (sherkit_delta_forward(&delta, q, 0, again, 0) != SHERKIT_OK || again[0] == x[0]) return 9;
+            if (sherkit_delta_use_frame(&delta, SHERKIT_FRAME_SENSOR) != SHERKIT_OK) return 13;
+            if (sherkit_delta_forward(&delta, q, 0, again, 0) != SHERKIT_OK || again[0] != x[0]) return 14;
+            if (sherkit_serial_init(&arm, example_serial, sizeof example_serial / 8) != SHERKIT_OK) return 10;
+            if (sherkit_serial_use_frame(&arm, 7) != SHERKIT_INVALID) return 11;
+            return example_spherical[0] > 0 ? 0 : 12;
+        }
+        """,
+        encoding="utf-8",
+    )
+    run("cc", *STRICT, f"-I{LIBRARY / 'examples'}", source, archive, "-lm", "-o", tmp_path / "frames")
+    run(tmp_path / "frames")
+
+
 def test_nothing_in_the_library_can_panic(archive: Path) -> None:
     """Catches a bounds check, an unwrap or an overflow check that the compiler could not prove away."""
     symbols = subprocess.run([tool("nm"), str(archive)], capture_output=True, text=True, check=False).stdout
-    assert len(re.findall(r" T sherkit_", symbols)) >= 18
+    assert len(re.findall(r" T sherkit_", symbols)) >= 20
     assert not re.findall(r".*(?:sherkit_has_a_path_to_a_panic|panicking|panic_fmt|unwind).*", symbols)
     # nor can it allocate, lock or wait
     assert not re.findall(r" U (?:malloc|calloc|free|pthread\w*|__rust_alloc\w*|futex)$", symbols, re.MULTILINE)
@@ -231,7 +292,7 @@ def test_nothing_in_the_library_can_panic_on_another_processor(target: str, tmp_
     run(*command, "--crate-type", "staticlib", "--target", target, "--target-dir", tmp_path, cwd=ROOT)
     archive = tmp_path / target / "control" / "libsherkit.a"
     symbols = subprocess.run([tool("nm"), str(archive)], capture_output=True, text=True, check=False).stdout
-    assert len(re.findall(r" T sherkit_", symbols)) >= 18
+    assert len(re.findall(r" T sherkit_", symbols)) >= 20
     assert not re.findall(r".*(?:sherkit_has_a_path_to_a_panic|panicking|panic_fmt).*", symbols)
 
 

@@ -113,7 +113,8 @@ CORRECTION = ("orders", "low_mm", "high_mm", "fade_mm", "coefficients_mm")
 @pytest.mark.parametrize(
     "key",
     [
-        "calibration", "calibration.format", "calibration.frame", "robot", "robot.kind", "robot.geometry", "robot.geometry.rod_length_mm",
+        "calibration", "calibration.format", "calibration.frame", "robot",
+        "robot.kind", "robot.geometry", "robot.geometry.rod_length_mm",
         "whole", *(f"whole.{k}" for k in PART), *(f"local.{k}" for k in PART),
         *(f"local.correction.{k}" for k in CORRECTION),
     ],

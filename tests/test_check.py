@@ -14,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sherkit as sk
-from running import command
+from running import command, several
 from sherkit import save_robot
 from sherkit.data.file_check import FileCheck, check_file
 from sherkit.errors import MeasurementError
+from sherkit.model.kinds import known_kinds
 from strategies import EXAMPLE
 
 OURS = ("q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm", "temperature_c")
@@ -284,3 +285,82 @@ def test_rows_that_are_short_alike_are_one_thing(tmp_path: Path) -> None:
     run.write_text("\n".join(lines))
     (wrong,) = check_file(run).wrong
     assert str(wrong) == "lines 5-24: has 5 cells, the header has 6"
+
+
+# -- the run of another robot ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def robots(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A robot of each kind and a short run of each, but for the printer, whose run is its probing."""
+    folder = tmp_path_factory.mktemp("robots")
+    for name, kind in known_kinds().items():
+        if name in ("delta", "spherical", "serial", "printer"):
+            save_robot(kind.example, folder / f"{name}.toml")
+    place = np.random.default_rng(0).uniform(-15.0, 15.0, (12, 3))
+    sk.delta.VirtualDelta.draw(EXAMPLE, 0, noise_mm=0.005).measure(place, repeats=1, seed=0).save(folder / "delta.csv")
+    for kind, runs in (("spherical", "theta1_rad,theta2_rad,u_px,v_px"), ("serial", "joint_1_rad,joint_2_rad,x_mm")):
+        rows = np.random.default_rng(1).uniform(0.1, 0.9, (12, runs.count(",") + 1))
+        (folder / f"{kind}.csv").write_text("\n".join([runs, *(",".join(map(str, row)) for row in rows)]) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("run", "robot", "lacks"),
+    [
+        ("delta", "spherical", "theta1_rad, theta2_rad and at least one of u_px, v_px, phi_rad, gamma_rad"),
+        ("delta", "serial", "joint_1_rad, joint_2_rad, joint_3_rad"),
+        ("delta", "printer", "lacks at least one of measured_mm"),
+        ("spherical", "delta", "q1_mm, q2_mm, q3_mm and at least one of x_mm, y_mm, z_mm, distance_mm"),
+        ("spherical", "printer", "q1_mm, q2_mm, q3_mm and at least one of measured_mm"),
+        ("serial", "delta", "q1_mm, q2_mm, q3_mm; the file has joint_1_rad, joint_2_rad, x_mm"),
+        ("serial", "serial", "lacks joint_3_rad, joint_4_rad, joint_5_rad, joint_6_rad;"),
+    ],
+)
+def test_the_run_of_another_robot_is_refused(robots: Path, run: str, robot: str, lacks: str) -> None:
+    """Catches "nothing is wrong", the exit code 0 and a next command that fails, for rows of another kind of robot; and
+    a sentence that names neither file, nor which columns are missing."""
+    code, out, _ = said(robots, "check", f"{run}.csv", f"{robot}.toml")
+    assert code == 1
+    assert f"{run}.csv: is no run of {robot}.toml ({robot}): lacks" in out
+    assert lacks in out
+    assert "nothing is wrong" not in out
+    assert "sherkit diagnose" not in out
+
+
+def test_what_check_praises_diagnose_reads(robots: Path, tmp_path: Path) -> None:
+    """Catches columns that the robot's file names and the run has not, and columns of two robots in one file, of which
+    a diagnosis takes the other's: both were called good."""
+    rows = (robots / "delta.csv").read_text().splitlines()
+    both = [f"{row},{'measured_mm' if k == 0 else 0.01}" for k, row in enumerate(rows)]
+    (tmp_path / "both.csv").write_text("\n".join(both))
+    (tmp_path / "run.csv").write_text("\n".join(rows))
+    toml = (robots / "delta.toml").read_text()
+    (tmp_path / "named.toml").write_text(f'columns = {{ q1_mm = "Enc 1" }}\n{toml}')
+    (tmp_path / "printer.toml").write_text((robots / "printer.toml").read_text())
+    for run, robot, what in (
+        ("run.csv", "named.toml", "1 thing is wrong"),
+        ("both.csv", "printer.toml", "is no run of a printer robot"),
+    ):
+        code, out, _ = said(tmp_path, "check", run, robot)
+        assert code == 1
+        assert what in out
+        assert said(tmp_path, "diagnose", robot, run)[0] == 1
+
+
+def test_a_machine_of_ones_own_has_its_columns(tmp_path: Path) -> None:
+    """Catches a machine whose good run is refused since another robot has its columns too, and one of another's."""
+    (tmp_path / "xy.py").write_text(
+        "import sherkit as sk\ndef forward(j, p):\n    return j * (1 + p.scale)\n"
+        "machine = sk.Machine(forward, joints=('q1_mm', 'q2_mm'), readings=('x_mm', 'y_mm'), name='xy_checked', "
+        "parameters={'scale': ('mm', 1e-3)})\n"
+    )
+    (tmp_path / "run.csv").write_text(
+        "q1_mm,q2_mm,x_mm,y_mm\n" + "\n".join(f"{k},{k * k},{k},{k * k}" for k in range(9))
+    )
+    (tmp_path / "other.csv").write_text("a_rad,x_mm,y_mm\n" + "\n".join(f"0.{k},{k},{k * k}" for k in range(9)))
+    # in a process of their own: a machine that was loaded has its columns until the end
+    good, other = several(tmp_path, "check run.csv xy.py", "check other.csv xy.py")
+    assert good[0] == 0
+    assert other[0] == 1
+    assert "is no run of xy.py (xy_checked): lacks q1_mm, q2_mm" in " ".join(other[1].split())

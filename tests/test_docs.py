@@ -157,6 +157,16 @@ def test_what_is_shown_runs(name: str, made: Path, work: Path) -> None:
         sherkit([*arguments, "--help"] if named else arguments, work)
 
 
+def test_the_first_commands_work_in_a_fresh_clone() -> None:
+    """Catches a command of the README above the one that builds what it needs: wheel, command, the demo's files."""
+    lines = [one for b in blocks("README.md") for one in b.text.splitlines()]
+    built = next(k for k, line in enumerate(lines) if line.split("#")[0].strip() == "make demo")
+    needs = re.compile(r"target/|demo/|^(\$ )?sherkit |import sherkit|pip install")
+    early = [line for line in lines[:built] if needs.search(line)]
+    assert early == []
+    assert any(needs.search(line) for line in lines[built:])
+
+
 @pytest.mark.slow
 def test_the_gallery_is_what_its_script_draws(work: Path) -> None:
     """Catches a picture that a rename has broken, and a page that shows other lines than those that made it."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
-from browsing import chromium, needs_browser
+from browsing import InEachFont, chromium, needs_browser
 from second_simulator import NOMINAL_CONFIG, Robot, grid, make_plan, platform_pose, simulate, truth
 from second_simulator.effects import EFFECTS as SIMULATED
 from second_simulator.effects import draw_effect
@@ -270,8 +270,9 @@ def test_errors_stand_where_they_were_measured(study: sk.Study) -> None:
 
 
 @needs_browser
-def test_scenes_move(study: sk.Study, tmp_path: Path) -> None:
-    """Catches a scene that stays empty, a slider that moves nothing, and a hover without the row's number."""
+def test_scenes_move(study: sk.Study, tmp_path: Path, in_each_font: InEachFont) -> None:
+    """Catches a scene that stays empty, a slider that moves nothing, a hover without the row's number or beside its
+    point where words above it are wider, and a page that scrolls sideways."""
     before = next(s.fit for s in study.history if s.fit is not None)
     scene = space_of(State("geometry calibrated", before), State("now", study.fit))
     card = effect_card(study.fit.model.effects[0], EXAMPLE, fit=study.fit)
@@ -301,12 +302,17 @@ def test_scenes_move(study: sk.Study, tmp_path: Path) -> None:
                 [k, slider],
             )
             assert pixels(k) != was
-        said = page.evaluate(
-            """() => { const e = document.querySelectorAll('sherkit-scene')[1], c = e.canvas.getBoundingClientRect()
-              e.slab = -1; e.draw()
-              e.hover({clientX: c.left + e.from[0], clientY: c.top + e.from[1]}); return e.tip.textContent }"""
-        )
-        assert re.match(r"pose at row \d+\ngeometry calibrated: [\d.]+ µm\nnow: [\d.]+ µm$", said), said
+
+        def hovered() -> None:
+            said = page.evaluate(
+                """() => { const e = document.querySelectorAll('sherkit-scene')[1], c = e.canvas.getBoundingClientRect()
+                  e.slab = -1; e.draw()
+                  e.hover({clientX: c.left + e.from[0], clientY: c.top + e.from[1]}); return e.tip.textContent }"""
+            )
+            assert re.match(r"pose at row \d+\ngeometry calibrated: [\d.]+ µm\nnow: [\d.]+ µm$", said), said
+            assert page.evaluate("document.documentElement.scrollWidth") <= 1100
+
+        in_each_font(page, hovered)
     assert complaints == []
 
 
@@ -340,7 +346,9 @@ def test_bokeh_stands_once_in_a_notebook(study: sk.Study, monkeypatch: pytest.Mo
 
 
 @needs_browser
-def test_cells_borrow_bokeh(study: sk.Study, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_cells_borrow_bokeh(
+    study: sk.Study, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, in_each_font: InEachFont
+) -> None:
     """Catches a cell that stays empty because what the first one brought lacks a part, and a frame that is too low."""
     where = iter(["one", "two"])
     monkeypatch.setattr(notebook, "_cell_that_runs", lambda: next(where))
@@ -355,9 +363,13 @@ def test_cells_borrow_bokeh(study: sk.Study, monkeypatch: pytest.MonkeyPatch, tm
             frame.wait_for_selector(".bk-Figure canvas", state="attached")
         page.frames[3].wait_for_selector("sherkit-scene canvas")
         page.wait_for_timeout(1500)
-        for frame, held in zip(page.frames[1:], page.query_selector_all("iframe"), strict=True):
-            high = held.bounding_box()
-            assert 0 <= high["height"] - frame.evaluate("document.documentElement.offsetHeight") < 40
+
+        def high_enough() -> None:
+            for frame, held in zip(page.frames[1:], page.query_selector_all("iframe"), strict=True):
+                high = held.bounding_box()
+                assert 0 <= high["height"] - frame.evaluate("document.documentElement.offsetHeight") < 40
+
+        in_each_font(page, high_enough)
 
 
 def test_the_command_draws_a_card(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from sherkit.lab.experiment import (
     load_experiment,
     plan_of_poses,
     run,
-    run_file,
+    run_lock,
 )
 from sherkit.lab.experiment.bench import Sensor
 from sherkit.lab.instruments import transport
@@ -211,7 +211,7 @@ def test_a_disk_that_cannot_lock_is_not_another_runner(tmp_path, monkeypatch):
     def none(_):
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-    monkeypatch.setattr(run_file, "_take", none)
+    monkeypatch.setattr(run_lock, "_take", none)
     with pytest.raises(ExperimentError, match=r"a\.sqlite\.lock: cannot be locked: No locks available"):
         RunFile.create(tmp_path / "a.sqlite", PLAN, ABOUT)
 
@@ -223,11 +223,11 @@ def test_a_second_name_of_a_run_is_the_same_run(tmp_path):
         (tmp_path / "elsewhere").mkdir()
         os.link(tmp_path / "a.sqlite", tmp_path / "elsewhere" / "b.sqlite")
         with pytest.raises(ExperimentError, match=r"b\.sqlite: is being measured by another program"):
-            run_file.RunLock(tmp_path / "elsewhere" / "b.sqlite")
+            run_lock.RunLock(tmp_path / "elsewhere" / "b.sqlite")
         os.symlink(tmp_path / "a.sqlite", tmp_path / "c.sqlite")
         with pytest.raises(ExperimentError, match="one run has one runner"):
-            run_file.RunLock(tmp_path / "c.sqlite")
-    run_file.RunLock(tmp_path / "elsewhere" / "b.sqlite").release()
+            run_lock.RunLock(tmp_path / "c.sqlite")
+    run_lock.RunLock(tmp_path / "elsewhere" / "b.sqlite").release()
 
 
 def test_the_run_file_is_as_safe_as_it_says(tmp_path):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -15,11 +16,13 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+import sherkit as sk
 from planar_arm import KIND as PLANAR
 from planar_arm import PlanarArm
 from planar_arm.pose_sets import fan
-from running import several
+from running import command, several
 from sherkit import testing
+from sherkit.data.columns import known_layouts
 from sherkit.model import kinds
 from sherkit.model.kinds import Kind, known_kinds
 from sherkit.testing import check_robot
@@ -117,6 +120,49 @@ def test_the_suite_sees_a_mistake(
     assert said in str(refused.value)
 
 
+class _Raises(known_kinds()["delta"].model):  # type: ignore[name-defined, misc]
+    """It cannot predict anything."""
+
+    def predict(self, data: Any, values: Any) -> Any:
+        raise ValueError("never")
+
+
+class _Ends(known_kinds()["delta"].model):  # type: ignore[name-defined, misc]
+    """It ends the program that asks it."""
+
+    def predict(self, data: Any, values: Any) -> Any:
+        raise SystemExit(3)
+
+
+@pytest.mark.parametrize(("model", "said"), [(_Raises, "ValueError: never"), (_Ends, "SystemExit: 3")])
+def test_the_suite_asks_the_kind_that_is_given(model: Any, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a suite that asks the kind which is known by this name, where a model that always raises passed 10 of 10;
+    and one that leaves what it was given in the place of what was known."""
+    monkeypatch.setattr(testing, "_SEEDS", ())
+    held, layouts = known_kinds()["delta"], list(known_layouts())
+    with pytest.raises(AssertionError, match="of 10 do not hold") as refused:
+        check_robot(replace(held, model=model))
+    assert said in str(refused.value)
+    assert known_kinds()["delta"] is held
+    assert known_layouts() == layouts
+    with pytest.raises(AssertionError, match="no_such_joint_mm"):
+        check_robot(replace(held, layouts=(replace(held.layout, joints=("no_such_joint_mm", "q2_mm", "q3_mm")),)))
+    assert known_layouts() == layouts
+
+
+def test_a_robot_with_a_kind_of_its_own_is_not_taken_for_another(planar: Kind) -> None:
+    """Catches a machine that is asked in place of the kind that was given for it."""
+    xy = sk.Machine(
+        lambda joints, p: joints * (1.0 + p.scale), joints=("east_mm", "north_mm"), readings=("x_mm", "y_mm"),
+        parameters={"scale": ("mm", 1e-3)}, name="xy_in_suite",
+    )  # fmt: skip
+    try:
+        with pytest.raises(AssertionError, match="brings a Kind of its own"):
+            check_robot(replace(xy.brings, model=planar.model), xy)
+    finally:
+        kinds.KINDS.pop(xy.kind, None)
+
+
 # -- a package from outside ------------------------------------------------------------------------------------
 
 
@@ -135,11 +181,16 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+def beside(installed: Path) -> str:
+    """Where Python looks first: these packages, then where it looks anyway."""
+    return os.pathsep.join([str(installed), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+
 def run(installed: Path, folder: Path, code: str) -> str:
     """What a program prints where the package is installed."""
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True,
-        env=os.environ | {"PYTHONPATH": str(installed)},
+        env=os.environ | {"PYTHONPATH": beside(installed)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -147,7 +198,7 @@ def run(installed: Path, folder: Path, code: str) -> str:
 
 def verbs(installed: Path, folder: Path, *lines: str, code: int = 0) -> list[str]:
     """What verbs print there; the last ends with this code, the others go well."""
-    done = several(folder, *lines, PYTHONPATH=str(installed))
+    done = several(folder, *lines, PYTHONPATH=beside(installed))
     assert [ended for ended, _, _ in done] == [*[0] * (len(lines) - 1), code], done
     return [" ".join((out + err).split()) for _, out, err in done]
 
@@ -218,3 +269,90 @@ def test_an_instrument_from_outside_measures(installed: Path, tmp_path: Path) ->
     )
     run(installed, tmp_path, _MEASURE)
     assert "the axes lean by" in verbs(installed, tmp_path, "squareness robot.toml run.csv")[0]
+
+
+# -- packages that do harm ---------------------------------------------------------------------------------------
+
+
+def package(place: Path, name: str, code: str, entries: str) -> None:
+    """A package of one module, as an installer leaves it."""
+    (place / f"{name}.py").write_text(code)
+    meta = place / f"{name}-1.0.dist-info"
+    meta.mkdir()
+    (meta / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (meta / "entry_points.txt").write_text(entries)
+
+
+@pytest.fixture(scope="module")
+def harmful(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where packages are installed of which each does one thing that none should."""
+    place = tmp_path_factory.mktemp("harmful")
+    package(place, "ends", "import sys\nsys.exit(0)\n", "[sherkit.robots]\nends = ends:KIND\n[sherkit.verbs]\n"
+            "ended = ends:verb\n[sherkit.importers]\nended = ends:verb\n")  # fmt: skip
+    package(place, "prints", "import os, click\nprint('NOISE')\nos.write(1, b'RAW')\n"
+            "from sherkit.robots.delta import KIND\n@click.command()\ndef verb():\n"
+            "    'Says something.'\n    print('said')\n",
+            "[sherkit.robots]\nprints = prints:KIND\n[sherkit.verbs]\ncheck = prints:verb\nsaying = prints:verb\n"
+            "[sherkit.importers]\nurdf = prints:verb\n[sherkit.instruments]\ngalil = prints:verb\n")  # fmt: skip
+    # by its name it comes before sherkit, and its value stands in sherkit
+    package(place, "a_thief", "from dataclasses import replace\nfrom sherkit.robots.delta import KIND as D\n"
+            "KIND = replace(D, called='stolen')\nBARE = replace(D, name='bare', layouts=None)\n",
+            "[sherkit.robots]\ndelta = sherkit.robots.spherical:KIND\nserial = a_thief:KIND\nown = a_thief:KIND\n"
+            "bare = a_thief:BARE\n")  # fmt: skip
+    damaged = place / "damaged-1.0.dist-info"
+    damaged.mkdir()
+    (damaged / "METADATA").write_text("Metadata-Version: 2.1\nName: damaged\nVersion: 1.0\n")
+    (damaged / "entry_points.txt").write_text("[sherkit.robots]\nno equals sign here\n")
+    return place
+
+
+def test_a_package_that_does_harm_takes_nothing_with_it(harmful: Path, tmp_path: Path) -> None:
+    """Catches an end of sherkit without a word by a sys.exit of a package, its printing in what a program reads, a
+    stranger's robot in the place of a built-in one, a kind under another's name, a damaged package that ends all."""
+    rows = "".join(f"1{k},2{k},3{k},{k},{k},{k}\n" for k in range(9))
+    (tmp_path / "run.csv").write_text(f"q1_mm,q2_mm,q3_mm,x_mm,y_mm,z_mm\n{rows}")
+    sk.save_robot(known_kinds()["delta"].example, tmp_path / "robot.toml")
+    ((code, out, err),) = several(tmp_path, "check run.csv robot.toml --json", PYTHONPATH=beside(harmful))
+    assert code == 0, err
+    assert json.loads(out)["good"]
+    told = " ".join(err.split())
+    for said in (
+        "ends: its robot 'ends' (ends:KIND) cannot be loaded (SystemExit: 0)",
+        "NOISE",
+        "a_thief: its robot 'delta' (sherkit.robots.spherical:KIND) is not used: sherkit.robots.delta:KIND has",
+        "a_thief: its robot 'serial' (a_thief:KIND) is not used: sherkit.robots.serial:KIND has that name",
+        "a_thief: its robot 'own' (a_thief:KIND) is not used: the Kind calls itself 'delta'",
+        "prints: its robot 'prints' (prints:KIND) is not used: the Kind calls itself 'delta'",
+        "a_thief: its robot 'bare' (a_thief:BARE) is not used (RobotError: the Kind 'bare': layouts: expected a tuple",
+        "damaged",
+    ):
+        assert said in told
+    kinds_of = "from sherkit.model.kinds import known_kinds as k; print({n: o.called for n, o in k().items()})"
+    known = run(harmful, tmp_path, kinds_of)
+    assert "stolen" not in known
+    assert "bare" not in known
+    assert known == run(tmp_path, tmp_path, kinds_of)
+
+
+def test_a_name_that_is_taken_is_said(harmful: Path, tmp_path: Path) -> None:
+    """Catches a verb, an importer or an instrument of a package that is passed over in silence, though the documents
+    promise a warning, and one that takes those of sherkit."""
+    told, doctor, importers, saying = verbs(harmful, tmp_path, "--help", "doctor", "import --help", "saying")
+    for said in (told, doctor):
+        assert "prints: its verb 'check' (prints:verb) is not used: sherkit's own verb has that name" in said
+        assert "ends: its verb 'ended' (ends:verb) cannot be loaded (SystemExit: 0)" in said
+    assert "prints: its importer 'urdf' (prints:verb) is not used: sherkit's own importer has that name" in importers
+    assert "said" in saying
+    told = run(harmful, tmp_path, "import warnings\nfrom sherkit.lab.kinds import instrument_kinds\n"
+               "with warnings.catch_warnings(record=True) as said:\n    instrument_kinds()\n"
+               "print(*(w.message for w in said))")  # fmt: skip
+    assert "prints: its instrument 'galil' (prints:verb) is not used" in told
+
+
+def test_a_verb_that_is_none_names_the_nearest(tmp_path: Path) -> None:
+    """Catches a refusal of a slip of the finger without the verb that was meant."""
+    assert "there is no 'diagnos'; did you mean 'diagnose'?" in command(tmp_path, "diagnos", "robot.toml")[2]
+    assert "did you mean 'klipper'?" in command(tmp_path, "import", "klippr")[2]
+    code, _, err = command(tmp_path, "xyzzy")
+    assert code == 2
+    assert "did you mean" not in err

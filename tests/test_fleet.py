@@ -190,6 +190,14 @@ def test_the_command_prints_and_writes_the_same(
     assert said["machines"][0]["values"] == found.machines[3].values
 
 
+def test_a_fleet_of_which_no_run_can_be_used_is_no_success(runs: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches the exit code 0 where nothing was looked at."""
+    with pytest.raises(SystemExit) as ended:
+        main(["fleet", runs[5], "nowhere.csv", "--robot", str(Path(runs[0]).parent / "robot.toml"), "--workers", "1"])
+    assert ended.value.code == 1
+    assert "none of the 2 runs could be used" in capsys.readouterr().err
+
+
 # -- who stands out: numbers alone, so that the level can be counted -----------------------------------------
 
 

@@ -1,8 +1,8 @@
 """In which frame a calibration's places are: that of the base, that of the sensor, and how accurate it is in each.
 
-Readings are those of the second simulators, from an instrument that stands anywhere. Robots are drawn at plausible size:
-in the frame of the base nobody knows more of what no reading tells. There the places of one robot are missed together, so
-that a share is one of robots, and its level follows from their number.
+Readings are those of the second simulators, from an instrument that stands anywhere. Robots are drawn at plausible
+size: in the frame of the base nobody knows more of what no reading tells. There the places of one robot are missed
+together, so that a share is one of robots, and its level follows from their number.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import pytest
 from numpy.typing import NDArray
 
 import sherkit as sk
+from accuracy_coverage import MIDDLE_RAD
 from second_simulator import NOMINAL_CONFIG, Robot, draw_pose, make_plan, simulate, truth
 from sherkit.errors import CalibrationError
 from sherkit.fit.error import radius_95
@@ -30,7 +31,6 @@ from sherkit.model.sensor_pose import POSE
 from sherkit.robots.calibrated import calibration_class
 from sherkit.robots.calibration_run import CalibrationRun
 from sherkit.robots.serial import VirtualSerial, postures
-from accuracy_coverage import MIDDLE_RAD
 from test_arm_counted import arm_in
 from test_calibration import made, seen
 from worlds import SPHERICAL, World, real_spherical
@@ -101,7 +101,9 @@ def test_a_sphere_points_about_its_own_base_alone() -> None:
 # -- how accurate it is in each --------------------------------------------------------------------------------
 
 
-def delta(seed: int, errors: Mapping[str, float], hidden: Mapping[str, Floats], poses: int = 40) -> tuple[Any, Any, Any]:
+def delta(
+    seed: int, errors: Mapping[str, float], hidden: Mapping[str, Floats], poses: int = 40
+) -> tuple[Any, Any, Any]:
     """A robot with these errors, read from anywhere: its file, its run, and where it really is, seen from the base and
     by the instrument, at joints (n, 3) just after the run."""
     rng = np.random.default_rng([seed, 53])
@@ -138,7 +140,12 @@ def arm_held(seed: int) -> dict[str, float]:
     with TemporaryDirectory() as folder:
         robot = arm_in(Path(folder))
     k, rng = len(robot.joints), np.random.default_rng([seed, 55])
-    drawn: dict[str, Floats] = {"offset": np.zeros(k), "shift": np.zeros((k, 2)), "tilt": np.zeros((k, 2)), "tool": np.zeros(3)}
+    drawn: dict[str, Floats] = {
+        "offset": np.zeros(k),
+        "shift": np.zeros((k, 2)),
+        "tilt": np.zeros((k, 2)),
+        "tool": np.zeros(3),
+    }
     for p in model_of(robot).parameters:
         what, *where = p.name.split("_")
         if what in drawn:
@@ -167,8 +174,8 @@ def arm_held(seed: int) -> dict[str, float]:
 def test_accuracy_holds_in_both_frames(held: Any, robots: int) -> None:
     """Catches a base whose unknown tilt and shift are left out, or counted where the instrument sees them cancel.
 
-    In the base 95 of 100 robots: of 200 a deviation of 1.5 %, so that 0.92 to 0.99 fails by chance in 3 of 100; of six at
-    least four (2 in 1000). Where the sensor saw it noise alone is in the way, which the radius counts in full.
+    In the base 95 of 100 robots: of 200 a deviation of 1.5 %, so that 0.92 to 0.99 fails by chance in 3 of 100; of six
+    at least four (2 in 1000). Where the sensor saw it noise alone is in the way, which the radius counts in full.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -177,7 +184,7 @@ def test_accuracy_holds_in_both_frames(held: Any, robots: int) -> None:
     print(f"{held.__name__}: {robots} robots, base {base:.3f}, sensor {sensor:.3f}")
     if robots > 100:
         assert 0.92 <= base <= 0.99
-        assert 0.93 <= sensor
+        assert sensor >= 0.93
     assert base > 0.6
     assert sensor > 0.8
 

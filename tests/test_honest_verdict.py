@@ -20,6 +20,7 @@ import mistakes
 import sherkit as sk
 import worlds
 from consistency import PRAISED, consistent, contradictions, named, noise_of
+from sherkit.diagnosis.answers import SINGLY
 from sherkit.diagnosis.fitted_run import FittedRun
 from worlds import NOISE_PX, NOISE_UM, ROWS, Answer, World
 
@@ -384,7 +385,11 @@ def gross_outcome(spoiled: gross_errors.Spoiled, clean: Any) -> str:
         return ("praised, " if d.verdict in PRAISED else "") + "not all listed"
     if len(listed - spoiled.poses) > 0.01 * len(np.unique(spoiled.world.columns["pose"])):
         return "too many listed"
-    if (d.verdict, d.effects) != (clean.verdict, clean.effects):
+    # what lies together in time is no accident: nothing is praised, whatever is left of the run
+    together = any(check.name == SINGLY and check.holds is False for check in d.checks)
+    if together and (spoiled.name != "block" or d.verdict in PRAISED):
+        return "no accidents" if spoiled.name != "block" else "praised"
+    if (d.verdict, d.effects) != (clean.verdict, clean.effects) and not (together and d.effects == clean.effects):
         return "another verdict"
     # parameters that no reading tells have no deviation worth the name: those are held to their plausible size
     size = np.array([p.size for p in clean.fit.parameters])

@@ -19,6 +19,7 @@ import worlds
 from second_simulator.plans import Order
 from sherkit.cli import main
 from sherkit.diagnosis import gross_errors
+from sherkit.diagnosis.gathered import gathered
 from worlds import Floats
 
 
@@ -46,7 +47,7 @@ def pushed(world: worlds.World, rows: Floats, um: float, seed: int = 0) -> Float
 @pytest.mark.parametrize("noises", [20.0, 50.0])
 def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> None:
     """Catches a bump taken for a slip, or pressed into a smooth course in time: a tenth of the run, off by one vector,
-    whether it holds whole poses or single readings of many. And praise that does not say what was left out of it, or a
+    whether it holds whole poses or single readings of many. And praise of a run in which something happened, or a
     check whose name for programs is another one."""
     world = worlds.delta_world(3, order=order)
     n = len(world.columns["pose"])
@@ -54,7 +55,7 @@ def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> 
     d = diagnosed(world, pushed(world, bumped, noises * worlds.NOISE_UM))
     assert set(bumped) <= set(d.outliers.tolist())
     assert len(d.outliers) <= len(bumped) + 3
-    assert (d.verdict, d.effects) == ("adequate", ())
+    assert (d.verdict, d.effects) == ("unexplained", ())
     assert "were read one after another, are wrong and left out: was the instrument or the target knocked" in d.headline
     assert not next(check["holds"] for check in d.to_json()["checks"] if check["name"] == "apart")
 
@@ -82,6 +83,63 @@ def test_play_of_many_noises_is_named_whichever_side_the_first_reading_came_from
     wrong = sk.diagnose(world.robot, far)
     assert wrong.outliers.tolist() == [begins]
     assert "from which side" not in " ".join(wrong.notes)
+
+
+@pytest.mark.parametrize("um", [50.0, pytest.param(500.0, marks=pytest.mark.slow)])
+def test_a_bad_stretch_of_a_scale_is_no_accident(um: float) -> None:
+    """Catches a run that is called adequate without the rows of a stretch of a joint in which all are wrong: 2.5 mm of
+    60 of one scale. And a name for it, or a stretch that is said to lie elsewhere."""
+    world = worlds.delta_world(1, order="shuffled")
+    q = world.columns["q2_mm"]
+    begin = float(np.quantile(q, 0.4))
+    bad = (q > begin) & (q < begin + 2.5)
+    add = np.outer(bad, [0.0, 0.0, 1e-3 * um])
+    d = diagnosed(world, add)
+    assert (d.verdict, d.effects) == ("unexplained", ())
+    assert set(np.flatnonzero(bad)) <= set(d.outliers.tolist())
+    said = re.search(r"with q2 between ([\d.]+) and ([\d.]+) mm \(\d+ of \d+ poses there\), are wrong", d.headline)
+    assert said
+    assert begin - 0.5 < float(said[1]) < float(said[2]) < begin + 3.0
+    assert d.finding("cause").answer.startswith("Rows that are wrong lie together")
+
+
+def places_of(data: sk.Measurements) -> dict[str, Floats]:
+    """Joints, and two coordinates in steps, of which many are equal."""
+    joints = {name: data.joints[:, k] for k, name in enumerate(data.layout.joints)}
+    return joints | {"x_mm": np.round(data.readings[:, 0]), "z_mm": np.round(data.readings[:, 2])}
+
+
+@pytest.mark.slow
+def test_accidents_lie_together_as_seldom_as_is_said() -> None:
+    """Catches a scan whose level is another one, by its many stretches, by equal values, or by poses whose readings are
+    all wrong: of 300 runs of four poses and four readings that are wrong, six at most at the level of 0.005 (binomial,
+    1 in 1,000)."""
+    data = sk.from_frame(pl.DataFrame(worlds.delta_world(0, order="planes", noise_um=0.0).columns))
+    rng = np.random.default_rng(0)
+    found = 0
+    for k in range(300):
+        poses = np.isin(data.pose, rng.choice(np.unique(data.pose), 4, replace=False))
+        rows = np.union1d(np.flatnonzero(poses), rng.choice(len(data), 4))
+        found += gathered(data.mark_outliers(rows), rows, places_of(data), seed=k) is not None
+    assert found <= 6
+
+
+def test_what_lies_together_is_found_among_accidents() -> None:
+    """Catches a scan that finds nothing, or looks elsewhere, where six poses that are next to one another in a joint
+    are wrong, or six readings in time, beside six accidents."""
+    data = sk.from_frame(pl.DataFrame(worlds.delta_world(0, order="planes", noise_um=0.0).columns))
+    others = np.random.default_rng(0).choice(len(data), 6, replace=False)
+    poses = np.unique(data.pose)
+    along = np.argsort([data.joints[data.pose == pose, 1].mean() for pose in poses])[70:76]
+    for wrong, name in (
+        (np.isin(data.pose, poses[along]), "q2_mm"),
+        ((data.order >= 300) & (data.order < 306), ""),
+    ):
+        rows = np.union1d(np.flatnonzero(wrong), others)
+        one = gathered(data.mark_outliers(rows), rows, places_of(data))
+        assert one is not None
+        assert one.name == name
+        assert set(np.flatnonzero(wrong)) <= set(one.rows.tolist())
 
 
 def test_wrong_rows_here_and_there_are_not_in_the_first_line() -> None:

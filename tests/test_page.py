@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from browsing import chromium, needs_browser, source
+from browsing import InEachFont, chromium, needs_browser, source
 from sherkit import save_robot
 from sherkit.cli.demo import EXAMPLE
 from sherkit.robots.delta.robot import grid
@@ -314,31 +314,31 @@ def test_what_was_typed_and_marked_outlives_a_crash(lab: Path) -> None:
         diagnosed(page)
 
 
-#: Where values of 15 and 25 stand in the picture of residuals, whose tool is the box.
-_FRAME = """() => {
+#: Where two values stand in the picture of residuals, whose tool is the box.
+_FRAME = """([from, to]) => {
     const view = Bokeh.index.find_one(Bokeh.documents[0].get_model_by_name('against')).child_views[0]
     const plot = [...view.child_views].map(v => v.grid_box_view ?? v).flatMap(v => v.child_views ?? [v])
         .find(v => v.model.type == 'Figure')
     plot.model.toolbar.tools.forEach(t => { if (t.type == 'BoxSelectTool') t.active = true })
     const box = plot.el.getBoundingClientRect(), frame = plot.frame
     const x = v => box.left + frame.x_scale.compute(v)
-    return {x0: x(15), x1: x(25), top: box.top + frame.bbox.top + 2, bottom: box.top + frame.bbox.bottom - 2}
+    return {x0: x(from), x1: x(to), top: box.top + frame.bbox.top + 2, bottom: box.top + frame.bbox.bottom - 2}
 }"""
 
 
-def at_rest(page: Any, what: str) -> dict[str, float]:
+def at_rest(page: Any, what: str, given: Any) -> dict[str, float]:
     """What a script gives once it has given the same for half a second."""
-    before, same = page.evaluate(what), 0
+    before, same = page.evaluate(what, given), 0
     while same < 5:
         page.wait_for_timeout(100)
-        now = page.evaluate(what)
+        now = page.evaluate(what, given)
         before, same = now, same + 1 if now == before else 0
     out: dict[str, float] = before
     return out
 
 
-def test_points_are_brushed_with_the_mouse(app: Served, lab: Path) -> None:
-    """Catches a brush that lists other rows than those inside its box."""
+def test_points_are_brushed_with_the_mouse(app: Served, lab: Path, in_each_font: InEachFont) -> None:
+    """Catches a brush that lists other rows than those inside its box, wherever a font puts the picture."""
     data = sk.read_measurements(lab / "run.csv")
     fit = sk.Study(sk.load_robot(lab / "robot.toml"), data).fit
     with seen(app.url) as page:
@@ -349,19 +349,26 @@ def test_points_are_brushed_with_the_mouse(app: Served, lab: Path) -> None:
                 .some(m => typeof m.axis_label == 'string' && m.axis_label.startsWith('z, mm'))
                 && Bokeh.index.roots.every(v => v.is_idle)"""
         )
-        # pictures are laid out anew as they come in: the box is drawn where its frame has come to rest
-        place = at_rest(page, _FRAME)
-        for _ in range(5):
-            page.mouse.move(place["x0"], place["top"])
-            page.mouse.down()
-            page.mouse.move(place["x1"], place["bottom"], steps=8)
-            page.mouse.up()
-            wait_for(page, "selection", "rows")
-            drawn, place = place, at_rest(page, _FRAME)
-            if drawn == place:
-                break
-        rows = (fit.predicted[:, 2] > 15) & (fit.predicted[:, 2] < 25)
-        wait_for(page, "selection", f"{int(rows.sum())} rows")
+        height = fit.predicted[:, 2]
+        boxes = iter(((15.0, 25.0), (-5.0, 25.0), (-5.0, 5.0)))
+
+        def brushed() -> None:
+            ends = next(boxes)
+            expected = f"{int(((height > ends[0]) & (height < ends[1])).sum())} rows"
+            # pictures are laid out anew as they come in: the box is drawn where its frame has come to rest
+            place = at_rest(page, _FRAME, ends)
+            for _ in range(5):
+                page.mouse.move(place["x0"], place["top"])
+                page.mouse.down()
+                page.mouse.move(place["x1"], place["bottom"], steps=8)
+                page.mouse.up()
+                wait_for(page, "selection", "rows")
+                drawn, place = place, at_rest(page, _FRAME, ends)
+                if drawn == place:
+                    break
+            wait_for(page, "selection", expected)
+
+        in_each_font(page, brushed)
 
 
 def test_measurements_are_joined_and_bad_ones_refused(app: Served, lab: Path) -> None:
@@ -447,8 +454,9 @@ def test_a_keyboard_is_enough(lab: Path) -> None:
         tab_to("Export the calibration")
 
 
-def test_axe_finds_nothing_serious(app: Served) -> None:
-    """Catches text that cannot be read, a control without a name, a region that a keyboard does not reach."""
+def test_axe_finds_nothing_serious(app: Served, in_each_font: InEachFont) -> None:
+    """Catches text that cannot be read, a control without a name, a region that a keyboard does not reach; a page that
+    scrolls sideways on a desk or a tablet, in whichever font."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed").Axe()
     with seen(app.url) as page:
         begun(page)
@@ -469,6 +477,14 @@ def test_axe_finds_nothing_serious(app: Served) -> None:
                 if one["impact"] in ("serious", "critical")
             ]
             assert serious == [], (width, scheme)
+
+        def fits() -> None:
+            for width in (1440, 1024, 400):
+                page.set_viewport_size({"width": width, "height": 900})
+                at_rest(page, "() => document.documentElement.scrollWidth", None)
+                assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+        in_each_font(page, fits)
 
 
 def test_typing_effects_is_off_beyond_loopback(lab: Path) -> None:

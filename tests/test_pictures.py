@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import sherkit as sk
-from browsing import needs_browser, opened
+from browsing import InEachFont, needs_browser, opened, settled
 from sherkit.diagnosis import Diagnosis
 from sherkit.fit.error import ErrorSize
 from sherkit.report import style
@@ -186,10 +186,11 @@ def table(picture: Picture[Any], name: str) -> dict[str, Any]:
 
 @needs_browser
 def test_draws_all(
-    run: Run, request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Catches a picture that cannot be built, serialised or drawn on a small, flat or large run. Prints how long each
-    takes: built, and drawn in Chromium."""
+    run: Run, request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    in_each_font: InEachFont,
+) -> None:  # fmt: skip
+    """Catches a picture that cannot be built, serialised or drawn on a small, flat or large run, or is no picture in
+    another font. Prints how long each takes: built, and drawn in Chromium."""
     from bokeh.resources import INLINE
 
     left = tmp_path / "empty.html"
@@ -215,24 +216,29 @@ def test_draws_all(
     drawn = {}
     with opened(left) as page:
         for name, item in items.items():
-            took, wide, high = page.evaluate(
-                """async item => {
-                    const place = document.getElementById("here"), start = performance.now()
-                    place.replaceChildren()
-                    const views = await Bokeh.embed.embed_item(item, "here")
+            took = page.evaluate(
+                """async ([name, item]) => {
+                    const place = document.createElement("div"), start = performance.now()
+                    place.id = name
+                    document.getElementById("here").append(place)
+                    await Bokeh.embed.embed_item(item, name)
                     const idle = () => Bokeh.index.roots.every(v => v.is_idle)
                     while (!idle()) await new Promise(done => setTimeout(done, 5))
                     await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))
-                    const box = place.firstElementChild.getBoundingClientRect()
-                    const out = [performance.now() - start, box.width, box.height]
-                    for (const root of [...Bokeh.index.roots]) if (place.contains(root.el)) root.remove()
-                    return out
+                    return performance.now() - start
                 }""",
-                item,
+                [name, item],
             )
             drawn[name] = took / 1e3
-            assert wide > 200, name
-            assert high > 100, name
+
+        def all_there() -> None:
+            settled(page)
+            for name in items:
+                box = page.locator(f"#{name} > :first-child").bounding_box()
+                assert box["width"] > 200, name
+                assert box["height"] > 100, name
+
+        in_each_font(page, all_there)
     with capsys.disabled():
         print(f"\n{request.node.callspec.id}, {len(run.data)} rows: built + drawn, s: "
               + ", ".join(f"{n} {built[n]:.2f} + {drawn[n]:.2f}" for n in PICTURES))  # fmt: skip
@@ -773,7 +779,7 @@ def test_another_ending_is_refused(demo: Run, tmp_path: Path) -> None:
 
 @needs_browser
 @pytest.mark.parametrize("what", ["study", "found", "fit", "calibration"])
-def test_notebook_cells(plane: Run, what: str, tmp_path: Path) -> None:
+def test_notebook_cells(plane: Run, what: str, tmp_path: Path, in_each_font: InEachFont) -> None:
     """Catches a cell that needs an extension, a network or another cell, and one without its text."""
     value = getattr(plane.study, what, None) or {"study": plane.study, "found": plane.found, "calibration": None}[what]
     if what == "calibration":
@@ -791,4 +797,9 @@ def test_notebook_cells(plane: Run, what: str, tmp_path: Path) -> None:
     with opened(inside) as page:
         assert page.locator(".bk-Figure").count() > 0
         assert page.locator("pre").inner_text().strip() == str(value).strip()
-        assert page.evaluate("document.documentElement.scrollWidth") <= 1200
+
+        def fits() -> None:
+            settled(page)
+            assert page.evaluate("document.documentElement.scrollWidth") <= 1200
+
+        in_each_font(page, fits)

@@ -100,17 +100,19 @@ class _Model:
         """Adds rows to the solver at its trial; returns those that cannot be computed there."""
 
     def solve(
-        self, solver: Solver, values: _Floats, free: list[int], block: _Block, readings: _Floats, weights: _Floats,
-        priors: bool,
-    ) -> tuple[str, list[int]]:  # fmt: skip
+        self, solver: Solver, values: _Floats, free: list[int], block: _Block, readings: _Floats, weights: _Floats
+    ) -> tuple[str, list[int]]:
         """Iterates to the minimum; how it ended, and rows that cannot be computed at the start."""
 
 @final
 class DeltaModel(_Model):
-    """Readings are x, y, z, distance. ``settings``: rod spacing, pole pitch, three home readings, origin, slip time."""
+    """Readings are x, y, z, distance. ``sensor`` (12,): from the base to the sensors (turn row by row, shift in mm).
+
+    ``settings``: rod spacing, pole pitch, three home readings, origin of time, slip times of point, joints and sensors.
+    """
 
     def __new__(
-        cls, geometry: _Floats, target_offset: _Floats, assembly_mode: str, settings: _Floats
+        cls, geometry: _Floats, target_offset: _Floats, assembly_mode: str, sensor: _Floats, settings: _Floats
     ) -> DeltaModel: ...
 
 @final
@@ -222,21 +224,20 @@ class SphericalModel(_Model):
         """Measured joints minus the inverse kinematics of the readings (n, 2), rad (Eq. 6); by (n, 2, free)."""
 
     def solve_inverse(
-        self, solver: Solver, values: _Floats, free: list[int], block: _Block, readings: _Floats, weights: _Floats,
-        priors: bool,
-    ) -> tuple[str, list[int]]:  # fmt: skip
+        self, solver: Solver, values: _Floats, free: list[int], block: _Block, readings: _Floats, weights: _Floats
+    ) -> tuple[str, list[int]]:
         """As ``solve``, over the paper's residuals of the joints; weights are 1/rad."""
 
 @final
 class SerialModel(_Model):
-    """A serial arm of k joints, at most nine; readings are x, y, z of its target, mm, in the frame of the tracker.
+    """A serial arm of k joints, at most nine; readings are x, y, z of its target, mm, in the frame of the sensor.
 
     ``joints`` (k, 19): of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides, by
     how much it follows the one before, home reading, mass and the centre of it (mm). ``targets`` (t, 3) behind the last
     joint and ``centres`` (c, 3) of distances in the base frame, mm, up to four of each; ``planes`` (p, 6) a point and
-    the normal of up to four more; ``tracker`` (12,): from base to tracker.
-    ``settings``: direction of the weight (3), period of the encoders, origin of time, slip times of target and tracker
-    (s).
+    the normal of up to four more; ``sensor`` (12,): from base to sensor.
+    ``settings``: direction of the weight (3), period of the encoders, origin of time, slip times of target, joints and
+    sensor (s).
     """
 
     def __new__(
@@ -245,15 +246,20 @@ class SerialModel(_Model):
         targets: _Floats,
         centres: _Floats,
         planes: _Floats,
-        tracker: _Floats,
+        sensor: _Floats,
         settings: _Floats,
     ) -> SerialModel: ...
 
 @final
 class SerialCalibrated:
-    """Where the target of a calibrated arm is in the base frame, mm. Covariates as those of others."""
+    """Where the target of a calibrated arm is in a ``frame``, "base" or "sensor", mm. Covariates as those of others."""
 
-    def __new__(cls, model: SerialModel, values: _Floats, low: _Floats, high: _Floats) -> SerialCalibrated: ...
+    def __new__(
+        cls, model: SerialModel, values: _Floats, low: _Floats, high: _Floats, frame: str = "base"
+    ) -> SerialCalibrated: ...
+    def sensor(self) -> _Floats:
+        """From the base to the sensor (12,): the turn row by row, the shift in mm."""
+
     def flat(self) -> _Floats:
         """All that makes it as a row of numbers (n,), for a control loop in another language."""
 
@@ -315,7 +321,10 @@ class Solver:
         step_tolerance: float = 1e-5,
         rank_tolerance: float = 1e-9,
         single_step: bool = False,
-    ) -> Solver: ...
+        known: list[bool] | None = None,
+    ) -> Solver:
+        """``known``: which parameters have a row of their own, zero give or take their size; none unless given."""
+
     @property
     def trial(self) -> _Floats: ...
     def clear(self) -> None: ...
@@ -335,14 +344,21 @@ class Bernstein:
 
 @final
 class Calibrated(_Calibrated):
-    """Where the measured point of a delta is, mm; a part is a model, the values of its parameters, a correction."""
+    """Where the measured point of a delta is in a ``frame``, "sensor" or "base", mm.
+
+    A part is a model, the values of its parameters, a correction, which like the region is of the base frame.
+    """
 
     def __new__(
         cls,
         whole: tuple[DeltaModel, _Floats, Bernstein | None],
         local: tuple[DeltaModel, _Floats, Bernstein | None] | None,
         region: tuple[_Floats, _Floats, float] | None,
+        frame: str = "sensor",
     ) -> Calibrated: ...
+    def sensor(self) -> _Floats:
+        """From the base to the sensors (12,): the turn row by row, the shift in mm."""
+
     def inverse(self, position: _Floats, covariates: list[float]) -> _Floats: ...
     def inverse_batch(self, positions: _Floats, covariates: list[float]) -> tuple[_Floats, _Bools]: ...
 

@@ -95,6 +95,10 @@ class ExperimentError(SherkitError):
     """A laboratory, an experiment or a run file that cannot be used as it is."""
 
 
+class WorkerLost(SherkitError):
+    """A process that was to do a task ended before it answered, and the next one too."""
+
+
 #: Bytes of an exchange that a sentence shows; the attributes keep them all.
 _SHOWN_BYTES = 60
 

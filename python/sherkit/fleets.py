@@ -11,7 +11,8 @@ import concurrent.futures as futures
 import os
 import uuid
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -22,6 +23,7 @@ import scipy
 
 from .base.arguments import Level, Seed, as_annotated
 from .base.names import listed
+from .base.workers import Outcome, run_tasks
 from .data.noise import MAD
 from .data.reader import RunLike
 from .diagnosis import diagnose
@@ -195,8 +197,10 @@ def fleet(
     pool, a cluster; without one they are done here, one after the other. What the tasks need is sent to them, so runs
     given by their paths must be readable there. ``progress`` is told how many of how many are done.
 
-    A run that cannot be used is a machine that says why. Raises :class:`~sherkit.errors.FitError` where there is no
-    run, or two of one name; :class:`~sherkit.errors.RobotError` for a robot that is none.
+    A run that cannot be used is a machine that says why. So is one whose process was killed twice, the second time with
+    nothing else to do: where a pool breaks, what is done is kept and the rest goes on in a new one. Raises
+    :class:`~sherkit.errors.FitError` where there is no run, or two of one name; :class:`~sherkit.errors.RobotError` for
+    a robot that is none.
 
         machines = sk.fleet(["demo/whole.csv", "demo/local.csv"], "demo/robot.toml")
         print(machines)
@@ -217,24 +221,15 @@ def fleet(
         _Task(call, name, nominal, run, columns, inside, tuple(own), level, seed)
         for name, run in zip(names, runs, strict=True)
     ]
-    made: list[Machine] = []
     told = progress or (lambda done, total: None)
     told(0, len(tasks))
-    if executor is None:
-        for task in tasks:
-            made.append(_machine(task))
+    made: dict[int, Machine] = {}
+    with closing(_here(tasks) if executor is None else run_tasks(_machine, tasks, executor)) as outcomes:
+        for one in outcomes:
+            name = names[one.number]
+            made[one.number] = one.answer or Machine(name, failed=_unanswered(name, one.error))
             told(len(made), len(tasks))
-        return Fleet(tuple(made))
-    waiting = [executor.submit(_machine, task) for task in tasks]
-    try:
-        for future in waiting:
-            made.append(future.result())
-            told(len(made), len(tasks))
-    except BaseException:
-        for future in waiting:
-            future.cancel()
-        raise
-    return Fleet(tuple(made))
+    return Fleet(tuple(made[k] for k in range(len(tasks))))
 
 
 @dataclass(frozen=True)
@@ -253,6 +248,17 @@ class _Task:
     seed: int
 
 
+def _here(tasks: Sequence[_Task]) -> Generator[Outcome[Machine], None, None]:
+    for k, task in enumerate(tasks):
+        yield Outcome(k, _machine(task))
+
+
+def _unanswered(name: str, error: BaseException | None) -> str:
+    """Why a machine has no verdict where no sentence on its run says so."""
+    said = " ".join(str(error).split())
+    return f"{name}: {said if isinstance(error, SherkitError) else f'{type(error).__name__}: {said}'}"
+
+
 def _machine(task: _Task) -> Machine:
     """Numbers and words alone come back: no rows travel."""
     with warnings.catch_warnings(record=True) as said:
@@ -263,6 +269,8 @@ def _machine(task: _Task) -> Machine:
             found = diagnose(fit, effects=task.own, level=task.level, seed=task.seed)
         except SherkitError as error:
             return Machine(task.name, failed=str(error), remarks=_said(said))
+        except (Exception, SystemExit) as error:  # an effect of the user's, memory: of this machine alone
+            return Machine(task.name, failed=_unanswered(task.name, error), remarks=_said(said))
     names = [p.name for p in found.fit.parameters]
     return Machine(
         **vars(found.summary),

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from .base.arguments import as_annotated
 from .base.types import Floats
 from .calibration import calibrate
 from .data import Measurements
@@ -30,7 +31,7 @@ from .errors import SherkitError
 from .fit import identify
 from .model.base import missing_columns
 from .model.chain import ChainModel
-from .model.kinds import Kind, Robot, known_kinds, model_of, register
+from .model.kinds import Kind, Robot, kind_of, known_as, model_of
 from .model.robot_file import save_robot
 from .robots.calibrated import load_calibration
 from .study import Study
@@ -98,6 +99,9 @@ def _require(holds: bool, what: str) -> None:
 def _names(a: _Asked) -> None:
     """The kind has a name, columns of runs with units, and coordinates that are columns."""
     _require(a.kind.name == a.robot.kind, f"kind: robots say '{a.robot.kind}', the Kind is '{a.kind.name}'")
+    own = kind_of(a.robot)
+    same = own.model is a.kind.model and own.robot is a.kind.robot and own.calibration is a.kind.calibration
+    _require(same, "brings: the robot brings a Kind of its own, which is used for it; give that one")
     _require(bool(a.kind.layouts), "layouts: expected the columns of a run, at least one set")
     for layout in a.kind.layouts:
         names = (*layout.joints, *layout.coordinates)
@@ -239,30 +243,30 @@ _OF_ROBOTS: tuple[Callable[[_Asked], None], ...] = (_names, _file, _there_and_ba
 _OF_RUNS: tuple[Callable[[_Asked], None], ...] = (_zero_is_none, _derivatives, _geometry, _quiet, _deployed, _studied)
 
 
+@as_annotated
 def check_robot(kind: Kind, robot: Robot | None = None) -> tuple[str, ...]:
     """Asks a kind of robot everything that sherkit relies on; ``robot`` is one of the kind, by default its ``example``.
 
     Returns the statements that hold, in words. Those about runs are asked of kinds that bring a virtual robot; it must
     not share its formulas with the model, or nothing is shown by them. Raises :class:`AssertionError` with all
-    statements that do not hold, and why.
+    statements that do not hold, and why. The kind that is given is asked, also where another is known by its name.
     """
     one = kind.example if robot is None else robot
     if one is None:
         raise AssertionError(f"{kind.name}: has no example; give a robot: check_robot(KIND, robot)")
-    if kind.name not in known_kinds():
-        register(kind)
     asked = _Asked(kind if kind.own_layouts is None else replace(kind, layouts=kind.own_layouts(one)), one)
     held, failed = [], []
-    for check in _OF_ROBOTS if kind.virtual is None else (*_OF_ROBOTS, *_OF_RUNS):
-        said = " ".join((check.__doc__ or "").split())
-        try:
-            check(asked)
-            held.append(said)
-        except _NotAskedError:
-            continue
-        except Exception as error:
-            why = str(error) if isinstance(error, AssertionError | SherkitError) else f"{type(error).__name__}: {error}"
-            failed.append(f"{said}\n    {why}")
+    with known_as(kind):
+        for check in _OF_ROBOTS if kind.virtual is None else (*_OF_ROBOTS, *_OF_RUNS):
+            said = " ".join((check.__doc__ or "").split())
+            try:
+                check(asked)
+                held.append(said)
+            except _NotAskedError:
+                continue
+            except (Exception, SystemExit) as error:
+                is_told = isinstance(error, AssertionError | SherkitError)
+                failed.append(f"{said}\n    {error if is_told else f'{type(error).__name__}: {error}'}")
     if failed:
         raise AssertionError(f"{kind.called or kind.name}: {len(failed)} of {len(held) + len(failed)} do not hold\n- "
                              + "\n- ".join(failed))  # fmt: skip

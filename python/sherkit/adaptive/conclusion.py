@@ -23,11 +23,12 @@ from ..diagnosis.answers import Check
 from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..errors import FitError, SherkitError
 from ..fit.identify import Fit, identify, residuals
-from ..fit.set_up import set_up_mistakes
 from . import rule
 from .choice import are_beyond, later
 from .look import FAR, Look
 from .rule import Unseen, is_silent, sentences
+from .unread import mistaken
+from .vouching import structure_of, told_of
 
 #: Sets that are still a tie; more are no answer.
 _MOST_TIED = 6
@@ -56,8 +57,11 @@ class Held:
     required_um: float | None
     level: float
     seed: int
-    #: Columns that are not in every row.
+    #: Columns that are not in every row; what speaks against the rows as witnesses that nothing is missing.
     incomplete: tuple[str, ...] = ()
+    against: tuple[str, ...] = ()
+    #: Why nothing could be fitted at the last look; empty where it could.
+    blind: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,30 +99,39 @@ def conclude(loop: Held) -> Conclusion:
         data = replace(data, pose=np.random.default_rng(loop.seed).permutation(len(data)) + 1, repeat=None)
         return diagnose(identify(loop.robot, data.mark_outliers(aside) if len(aside) else data), seed=loop.seed)
 
-    if found is None:
-        return Conclusion(make=make)
     spent = _spent(loop)
+    if found is None or loop.blind:
+        notes = [*loop.against, *([loop.blind] if loop.blind else [])]
+        why = f"{spent}; {notes[0]}" if spent and notes else spent
+        return Conclusion(done=bool(spent), why=why, notes=tuple(notes), make=make)
     verdict, done, why = state.verdict, state.done, state.why
     effects: tuple[str, ...] = state.named
     tied: tuple[tuple[str, ...], ...] = ()
-    notes = list(sentences(loop.seen, found.data.layout.unit, found.data.layout.per_unit, found.family.untestable))
+    apart = told_of(found)
+    first = [*([apart] if apart else []), *loop.against]
+    notes = list(first)
+    notes += list(sentences(loop.seen, found.data.layout.unit, found.data.layout.per_unit, found.family.untestable))
     notes += _unsure(found)
     notes += [f"{name} is not in every row: nothing was made to depend on it" for name in loop.incomplete]
     # a verdict of silence rests on what would have been seen; beside a name it is only told
     accuracy = None
-    if verdict == "unexplained":
-        # what a wrong column leaves is no physics, and looks like much of it
-        mistakes = set_up_mistakes(found.family.model, found.data, found.fit.values)
-        looks_like = [name for name, _ in found.shapes[0][0] if found.family.by_name[name].is_shape]
-        why = f"{why}: what is left looks like {' & '.join(looks_like)}" if looks_like else why
-        why = "; ".join(one.sentence for one in mistakes) or why
-        effects = ()
     if not done and (spent or _is_beyond(loop, found, state)):
         verdict, effects, tied, why = _at_the_end(loop, found, spent)
         done = True
         if tied:
             notes = [*_would_tell(found), *notes]
-    if done and verdict in _LOUDER and (louder := _louder(found, verdict)):
+    if done and verdict == "unexplained":
+        looks_like = [name for name, _ in found.shapes[0][0] if found.family.by_name[name].is_shape]
+        why = f"{why}: what is left looks like {' & '.join(looks_like)}" if looks_like else why
+        why = "; ".join((why, *loop.against))
+    if done and verdict != "adequate" and (mistakes := mistaken(found.family.model, found.data, found.fit.values)):
+        # what a wrong column leaves is no physics, and looks like much of it
+        verdict, effects, tied, why = "unexplained", (), (), "; ".join(mistakes)
+    if (
+        done
+        and verdict in _LOUDER
+        and (louder := structure_of(found, loop.seed) or "; ".join(loop.against) or _louder(found, verdict))
+    ):
         verdict, why = _LOUDER[verdict], louder
     if verdict == "explained" and (done or state.done):
         lead = found.lead
@@ -137,7 +150,7 @@ def conclude(loop: Held) -> Conclusion:
     best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.leading]
     return Conclusion(
         verdict, done, why if done else "", effects if done or state.named else (), tied,
-        tuple(notes) if done else (), tuple(best), accuracy, make,
+        tuple(notes) if done else tuple(first), tuple(best), accuracy, make,
     )  # fmt: skip
 
 
@@ -188,6 +201,8 @@ def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ..
     """Verdict, effects, ties and reason where nothing stands alone and no more is read."""
     why = spent or "no reachable pose, and no later moment, tells what is left apart"
     if found.log_evidence < -np.log(loop.level):
+        if loop.against:
+            return "undecided", (), (), f"{why}; {loop.against[0]}"
         if found.readings >= rule.FEWEST and is_silent(loop.seen):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
@@ -293,7 +308,10 @@ class Progress:
 def progress(before: Look | None, now: Look, seed: int) -> Progress:
     """How far it is at a look, by what the one before it held."""
     fit = now.lead.fit if now.lead is not None else now.fit
-    accuracy = accuracy_by_covariance_um(now, fit, seed)
+    try:
+        accuracy = accuracy_by_covariance_um(now, fit, seed)
+    except SherkitError:  # a fit by which the robot reaches nothing
+        accuracy = None
     if before is None:
         return Progress(now.readings, float("nan"), float("nan"), accuracy)
     geometry = _missed(before.fit, before, now)
@@ -305,7 +323,10 @@ def _missed(fit: Fit, before: Look, now: Look) -> float:
     """Root mean square of what a fit leaves at the rows that were read after it."""
     axes = list(now.family.axes)
     new = slice(before.readings, now.readings)
-    left = residuals(fit.model, now.data, fit.values)[new][:, axes]
+    try:
+        left = residuals(fit.model, now.data, fit.values)[new][:, axes]
+    except SherkitError:  # a fit by which the robot reaches less than it was seen to
+        return float("nan")
     left = left[now.data.used[new][:, axes] & np.isfinite(left)]
     return float(now.data.layout.per_unit * np.sqrt(np.mean(np.square(left)))) if len(left) else float("nan")
 

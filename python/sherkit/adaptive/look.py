@@ -26,7 +26,7 @@ from .family import Family
 from .hypotheses import Key
 
 #: A row farther off than so many robust deviations, beside the best explanation, is set aside.
-_GROSS = 7.0
+GROSS = 7.0
 _ROUNDS = 3
 #: Readings beyond the parameters from which rows can be told to be wrong; noise that is the same.
 _BEYOND, _SAME = 6, 0.1
@@ -342,7 +342,9 @@ class _View:
         taken = self.data.taken[:, self.axes]
         beside = np.where(taken, np.nan_to_num(fit.residuals[:, self.axes]), 0.0) / self.over
         off = np.where(self.used, left, beside)
-        return np.flatnonzero((np.abs(np.where(taken, off, 0.0)) > _GROSS * spread).any(axis=1))
+        wrong = np.flatnonzero((np.abs(np.where(taken, off, 0.0)) > GROSS * spread).any(axis=1))
+        # what most rows do is no accident of a few: a channel that sticks, one that is read a row late
+        return wrong if 2 * len(wrong) <= len(off) else wrong[:0]
 
     def noise(self, fit: Fit) -> tuple[Floats, float]:
         """The noise of each axis (m,), drawn towards that of all while rows are few, and ρ from row to row."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, Self
@@ -17,31 +16,28 @@ from ..base.arguments import Count, Level, NotNegative, Positive, Seed, as_annot
 from ..data import Measurements
 from ..data.columns import POSE, REASON, REPEAT, TIME
 from ..data.files import write_whole
+from ..data.lock import FileLock
 from ..diagnosis import Diagnosis
-from ..errors import ExperimentError
+from ..errors import ArgumentError, MeasurementError, SherkitError
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, model_of, robot_from_tables
 from ..model.kinds import required_um as stated_um
 from ..model.robot_file import RobotLike, load_robot
 from . import rule, told
-from .choice import choose, rivals
-from .conclusion import Conclusion, Held, Progress, conclude, progress
+from .batch import Batches, next_pose
+from .conclusion import Conclusion, Held, Progress, accuracy_by_covariance_um, conclude, progress
 from .family import Family
+from .kept import asked_in, held_in, lock, text_of
 from .look import Look, look
-from .region import Places, Region
+from .region import Region
 from .rule import State, Unseen, outlook
+from .unread import mistaken, unread_cells
+from .vouching import against, told_of
 
 #: Readings to begin with at least, and those beyond the parameters.
 _START, _BEYOND = 12, 8
 #: Readings in a batch and in all, unless it is said.
 BATCH, BUDGET = 4, 400
-#: Readings over which the rest of the span is spread where nothing shows, and from which on.
-_SPREAD_TO, _SPREAD_FROM = 60, 24
-#: The share of readings that are poses read once more.
-_ONCE_MORE = 0.125
-#: Moments over the span that are driven to where rivals live in time.
-_MOMENTS = 75
-_WHERE = "sherkit adaptive loop"
 
 
 class Adaptive:
@@ -84,6 +80,7 @@ class Adaptive:
         self.minutes = minutes
         self.box = {name: [float(end) for end in ends] for name, ends in (box or {}).items()}
         self.region = Region.of(self.model, self.layout, self.box)
+        self._batches = Batches(self.robot, self.layout, self.region, self.batch, self.span_min, self.seed)
         self._frame = pl.DataFrame()
         self._begin_anew()
 
@@ -93,6 +90,11 @@ class Adaptive:
         self._progress: list[Progress] = []
         self._asked: list[dict[str, Any]] = []
         self._asked_at = -1
+        self._looked = 0
+        self._blind = ""
+        self._against: tuple[str, ...] = ()
+        self._stuck: tuple[str, ...] = ()
+        self._concluded: tuple[int, Conclusion] | None = None
 
     # -- what it holds -----------------------------------------------------------------------------------
 
@@ -110,7 +112,7 @@ class Adaptive:
     @property
     def data(self) -> Measurements:
         """What was told, in the order of time. Raises :class:`~sherkit.errors.MeasurementError` before that."""
-        return told.rows_in_time(self._read(self._frame))
+        return told.in_time(self._frame, self.robot, self.model, self.layout)
 
     @property
     def last(self) -> Look | None:
@@ -202,10 +204,17 @@ class Adaptive:
             unit, led = self.layout.unit, new.by_lead < new.by_geometry
             without = f" ({new.by_geometry:.3g} {unit} by the geometry alone)" if led else ""
             off = f"; off by {new.by_lead:.3g} {unit} at the readings since the look before{without}"
+        off += "".join(f"; {one}" for one in self._first)
         return (
             f"{self.readings} readings: {self.verdict}{known}; evidence that something is missing 1e{evidence:.1f}; "
             f"leading (powers of ten): {leading or 'nothing yet'}{off}"
         )
+
+    @property
+    def _first(self) -> tuple[str, ...]:
+        """What is to be looked at, said before all else."""
+        apart = told_of(self.last) if self.last is not None else ""
+        return tuple(one for one in (*self._stuck, *self._against[:1], self._blind, apart) if one)
 
     def told(self) -> tuple[str, ...]:
         """What it found, in sentences for people."""
@@ -224,15 +233,15 @@ class Adaptive:
     def conclusion(self) -> Conclusion:
         """All of the above, made once for the rows that there are."""
         if self._concluded is None or self._concluded[0] != self.readings:
+            # of the rows and not of this loop, which would then outlive who forgets it, and its lock with it
+            data = partial(told.in_time, self._frame, self.robot, self.model, self.layout)
             held = Held(
-                self.robot, lambda: self.data, self.readings, self.last, self.state, self.seen, self.budget,
+                self.robot, data, self.readings, self.last, self.state, self.seen, self.budget,
                 self.minutes, self.span_min, self.required_um, self.level, self.seed,
-                tuple(told.incomplete(self._frame, self.layout)),
+                tuple(told.incomplete(self._frame, self.layout)), (*self._stuck, *self._against), self._blind,
             )  # fmt: skip
             self._concluded = (self.readings, conclude(held))
         return self._concluded[1]
-
-    _concluded: tuple[int, Conclusion] | None = None
 
     # -- asking ------------------------------------------------------------------------------------------
 
@@ -245,7 +254,7 @@ class Adaptive:
         boundary = self._boundary
         if self._asked_at != boundary:
             self._asked, self._asked_at = self._planned(boundary), boundary
-        known = set(self._told_poses())
+        known = set(told.poses(self._frame))
         missing = boundary - self.readings
         left = [one for one in self._asked if (one[POSE], one[REPEAT]) not in known]
         return left[:missing] if len(left) >= missing else [*left, *self._more(missing - len(left), boundary)]
@@ -253,100 +262,24 @@ class Adaptive:
     @property
     def _boundary(self) -> int:
         """How many rows there are at the next look."""
-        looked = self.last.readings if self.last else 0
-        return min(looked + self.batch if looked else self.start, self.budget)
-
-    def _told_poses(self) -> list[tuple[int, int]]:
-        if not {POSE, REPEAT} <= set(self._frame.columns):
-            return []
-        return [(int(p), int(r)) for p, r in self._frame.select(POSE, REPEAT).iter_rows() if p is not None]
-
-    def _next_pose(self) -> int:
-        return max([0, *(pose for pose, _ in self._told_poses())]) + 1
+        return min(self._looked + self.batch if self._looked else self.start, self.budget)
 
     def _planned(self, boundary: int) -> list[dict[str, Any]]:
         rng = np.random.default_rng([self.seed, boundary])
-        found = self.last
-        if found is None:
-            places = self.region.spread(boundary, self.seed)
-            order = rng.permutation(boundary)
-            return [self._row(places.pick([k]), "start", self._next_pose() + i) for i, k in enumerate(order)]
-        count = boundary - found.readings
-        rows = self._again(found)[: max(count // 2, 1)]
-        rows += self._once_more(found, boundary, count - len(rows), rng)
-        pace_s, waits = self._pace(found, self.state)
-        chosen = choose(found, count - len(rows), self.state.alarmed, rng, pace_s)
-        first = self._next_pose()
-        rows += [self._row(one.places, "time" if waits and one.reason in ("all", "confirm") else one.reason, first + i)
-                 for i, one in enumerate(chosen)]  # fmt: skip
-        if waits:
-            clock = float(self.data.time_s.max())  # type: ignore[union-attr]
-            for i, row in enumerate(rows):
-                row["not_before_s"] = clock + (i + 1) * pace_s
-        return rows
+        taken = told.poses(self._frame)
+        if not self._looked:
+            return self._batches.first(boundary, taken, rng)
+        count = boundary - self._looked
+        if self.last is None or self._blind:
+            # nothing is known that could choose: what was read may come right again
+            return self._batches.anywhere(count, next_pose(taken), rng)
+        return self._batches.chosen(self.last, self.state, count, boundary, taken, self.data, rng)
 
     def _more(self, count: int, boundary: int) -> list[dict[str, Any]]:
         """Rows anywhere in place of those that came back as others than were asked."""
         rng = np.random.default_rng([self.seed, boundary, self.readings])
-        places = self.region.anywhere(count, rng)
-        first = max([self._next_pose() - 1, *(one[POSE] for one in self._asked)]) + 1
-        return [self._row(places.pick([k]), "explore", first + k) for k in range(count)]
-
-    def _row(self, places: Places, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
-        row: dict[str, Any] = {POSE: pose, REPEAT: repeat}
-        row |= dict(zip(self.layout.joints, places.joints[0].tolist(), strict=True))
-        row |= dict(zip(self.region.targets, places.targets[0].tolist(), strict=True))
-        row |= {name: 1 + pose % count for name, count in _apart(self.robot, self.layout.apart).items()}
-        return row | {REASON: reason, "not_before_s": 0.0}
-
-    def _again(self, found: Look) -> list[dict[str, Any]]:
-        """Rows that were set aside, driven once more each."""
-        data, out = found.data, []
-        if data.pose is None or data.repeat is None:
-            return []
-        for row in found.aside.tolist():
-            pose = int(data.pose[row])
-            repeats = [r for p, r in self._told_poses() if p == pose]
-            if len(repeats) == 1:
-                places = Places(data.joints[[row]], self.region.reached_at(data.joints[[row]]))
-                out.append(self._row(places, "again", pose, max(repeats) + 1))
-        return out
-
-    def _once_more(self, found: Look, boundary: int, most: int, rng: np.random.Generator) -> list[dict[str, Any]]:
-        """Poses that were read once, driven once more so that they are their share of all: what differs then is noise,
-        and nothing else tells it from physics that is finer than the poses."""
-        if found.data.pose is None:
-            return []
-        count = min(int(_ONCE_MORE * boundary) - len(found.data) + len(np.unique(found.data.pose)), most)
-        _, first, times = np.unique(found.data.pose, return_index=True, return_counts=True)
-        once = np.setdiff1d(first[times == 1], found.aside)
-        out = []
-        for row in rng.permutation(once)[: max(count, 0)].tolist():
-            joints = found.data.joints[[row]]
-            pose = int(found.data.pose[row])
-            out.append(self._row(Places(joints, self.region.reached_at(joints)), "again", pose, 2))
-        return out
-
-    def _pace(self, found: Look, state: State) -> tuple[float, bool]:
-        """Seconds between rows to come, and whether they are worth waiting for."""
-        time_s, span_s = found.data.time_s, 60.0 * self.span_min
-        if time_s is None or len(time_s) < 2:
-            return 0.0, False
-        driven = float(np.ptp(time_s))
-        own = driven / (len(time_s) - 1)
-        if state.confirmed:
-            return max((span_s - driven) / self.batch, own), True
-        if state.alarmed:
-            by_name = found.family.by_name
-            near = rivals(found)
-            effects = [keys for keys in near if not found.is_shape(keys)]
-            lives = any(by_name[name].in_time for keys in effects[:3] for name, _ in keys)
-            pace = max(span_s, 1800.0) / _MOMENTS
-            return (pace, True) if lives and pace > own else (own, False)
-        if found.readings >= _SPREAD_FROM and driven < span_s:
-            pace = (span_s - driven) / max(_SPREAD_TO - self.batch - found.readings, self.batch)
-            return (pace, True) if pace > own else (own, False)
-        return own, False
+        first = max([next_pose(told.poses(self._frame)) - 1, *(one[POSE] for one in self._asked)]) + 1
+        return self._batches.anywhere(count, first, rng)
 
     # -- telling -----------------------------------------------------------------------------------------
 
@@ -367,6 +300,8 @@ class Adaptive:
             self._begin_anew()
         self._frame = whole
         self._advance()
+        if self._lock is not None and self.done:
+            self.close()
 
     def _read(self, frame: pl.DataFrame) -> Measurements:
         return told.measurements(frame, self.robot, self.model, self.layout)
@@ -374,19 +309,37 @@ class Adaptive:
     @linalg.one_thread()
     def _advance(self) -> None:
         """Looks wherever a batch is whole."""
-        while self.readings >= self._boundary and (not self._looks or self.last.readings < self._boundary):  # type: ignore[union-attr]
-            data = self.data
-            some = data.select(np.arange(self._boundary))
-            if self._family is None:
-                axes = axes_of(some)
-                self._family = Family.of(
-                    self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0)
-                )
-            found = look(self._family, some, self.last)
-            seen = outlook(found, self.level)
-            spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
-            state = rule.after(self.state, found, seen, spanned=spanned, level=self.level)
-            self._looks.append((found, state, seen))
+        while self.readings >= self._boundary > self._looked:
+            boundary = self._boundary
+            some = self.data.select(np.arange(boundary))
+            stuck = unread_cells(self.model, self.region, some)
+            self._stuck, self._blind, self._against = stuck.sentences, "", ()
+            if stuck.too_many(self.batch):
+                self._blind = "what is left of these readings tells nothing"
+            else:
+                try:
+                    self._look_at(stuck.without(some))
+                except SherkitError as error:
+                    self._against = mistaken(self.model, some)
+                    self._blind = f"{boundary} readings cannot be fitted: {error}"
+            self._looked = boundary
+
+    def _look_at(self, some: Measurements) -> None:
+        if self._family is None:
+            axes = axes_of(some)
+            self._family = Family.of(
+                self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0)
+            )
+        found = look(self._family, some, self.last)
+        seen = outlook(found, self.level)
+        spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
+        accuracy = accuracy_by_covariance_um(found, found.fit, self.seed)
+        against_it = against(found, seen, self.required_um, accuracy, silent=found.log_evidence < -np.log(self.level))
+        state = rule.after(
+            self.state, found, seen, spanned=spanned, vouched=not against_it, level=self.level
+        )  # fmt: skip
+        self._against = against_it
+        self._looks.append((found, state, seen))
 
     @property
     def seen(self) -> tuple[Unseen, ...]:
@@ -397,45 +350,83 @@ class Adaptive:
 
     @as_annotated
     def save(self, path: str | Path) -> None:
-        """Writes robot, settings and rows as JSON, whole or not at all."""
-        frame = self._frame
-        text = json.dumps(
-            {
-                "kind": _WHERE,
-                "robot": self.robot.to_tables(),
-                "settings": {
-                    "required_um": self.required_um, "budget": self.budget, "span_min": self.span_min, "box": self.box,
-                    "level": self.level, "batch": self.batch, "seed": self.seed, "minutes": self.minutes,
-                },
-                "rows": {name: frame[name].to_list() for name in frame.columns},
-            },
-            indent=1,
-        )  # fmt: skip
-        write_whole(path, text + "\n")
+        """Writes robot, settings, rows and the batch that was asked for as JSON, whole or not at all. Until the loop is
+        done, or its program ends, no other loop can have the file: raises :class:`~sherkit.errors.ExperimentError`
+        where one has it."""
+        where = Path(path)
+        if self._lock is None or not self._lock.is_of(where):
+            # what another loop has is not written over, and one that was held goes once this one is
+            self._lock = lock(where)
+        write_whole(where, text_of(self.robot, self._settings(), self._rows(), self._batch()))
+        if self.done:
+            self.close()
+
+    _lock: FileLock | None = None
+
+    def close(self) -> None:
+        """Gives back the file that it was loaded from or saved to; it does so by itself once it is done."""
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def _settings(self) -> dict[str, Any]:
+        return {
+            "required_um": self.required_um, "budget": self.budget, "span_min": self.span_min, "box": self.box,
+            "level": self.level, "batch": self.batch, "seed": self.seed, "minutes": self.minutes,
+        }  # fmt: skip
+
+    def _rows(self) -> dict[str, list[Any]]:
+        return {name: self._frame[name].to_list() for name in self._frame.columns}
+
+    def _batch(self) -> dict[str, Any]:
+        return {"rows": self._asked, "at": self._asked_at}
+
+    def _with(self, rows: Mapping[str, list[Any]], asked: Sequence[dict[str, Any]], at: int) -> Self:
+        """This loop with what another one held."""
+        if rows:
+            self.tell(rows)
+        self._asked, self._asked_at = list(asked), at
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # all that it holds follows from the rows, and a lock has one owner
+        batch = self._batch()
+        return _made_again, (type(self), self.robot, self._settings(), self._rows(), batch["rows"], batch["at"])
 
     @classmethod
     @as_annotated
     def load(cls, path: str | Path, robot: RobotLike | None = None) -> Self:
-        """The loop of a file, as it was; ``robot`` is only needed for a machine that is no file. Raises
-        :class:`~sherkit.errors.ExperimentError` for what is no such file."""
+        """The loop of a file, as it was; ``robot`` is only needed for a machine that is no file. Until it is done, no
+        other loop can have the file. Raises :class:`~sherkit.errors.ExperimentError` for what is no such file, and for
+        one that another loop has, and :class:`~sherkit.errors.MeasurementError` where what it holds cannot be used."""
         where = Path(path)
+        # a file that is not there leaves no lock behind
+        held_in(where)
+        mine = lock(where)
         try:
-            held = json.loads(where.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ExperimentError(f"{where}: cannot be read: {error.strerror or error}") from None
-        except ValueError as error:
-            raise ExperimentError(f"{where}: is no JSON: {error}") from None
-        if not isinstance(held, dict) or held.get("kind") != _WHERE or not {"robot", "settings", "rows"} <= set(held):
-            raise ExperimentError(f"{where}: is no file of an adaptive loop, as its save() writes one")
-        loop = cls(
-            robot if robot is not None else robot_from_tables(held["robot"], f"{where}: robot"), **held["settings"]
-        )
-        if held["rows"]:
-            loop.tell(held["rows"])
+            held = held_in(where)
+            if robot is None:
+                robot = robot_from_tables(held["robot"], f"{where}: robot")
+            try:
+                loop = cls(robot, **held["settings"])
+            except (ArgumentError, TypeError) as error:
+                raise MeasurementError(f"{where}: settings: {error}") from None
+            rows, at = asked_in(held, where, {POSE, REPEAT, *loop.layout.joints, *loop.region.targets})
+            try:
+                loop._with(held["rows"], rows, at)
+            except MeasurementError as error:
+                raise MeasurementError(f"{where}: rows: {error}") from None
+        except BaseException:
+            mine.release()
+            raise
+        loop._lock = mine
+        if loop.done:
+            loop.close()
         return loop
 
 
-def _apart(robot: Any, names: tuple[str, ...]) -> dict[str, int]:
-    """Columns that number what is read, and how many there are, where there are several."""
-    targets = len(getattr(robot, "targets_mm", (0,)))
-    return {"target": targets} if "target" in names and targets > 1 else {}
+def _made_again(
+    cls: type[Adaptive], robot: Any, settings: dict[str, Any], rows: dict[str, list[Any]], asked: list[Any], at: int
+) -> Adaptive:
+    """A loop that was pickled."""
+    return cls(robot, **settings)._with(rows, asked, at)

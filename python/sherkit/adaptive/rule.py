@@ -29,7 +29,8 @@ _DIRECTIONS = 48
 @dataclass(frozen=True)
 class Unseen:
     """An effect that could hide in these rows: with what ``power`` it would be seen where it leaves as much as the
-    noise, and from which root mean square of the readings on, in their unit, it would be seen (0.95)."""
+    noise, and from which root mean square of the readings on, in their unit, it would be seen (0.95); ``most_rms`` is
+    what it leaves at most at sizes that are plausible."""
 
     name: str
     power: float
@@ -37,6 +38,7 @@ class Unseen:
     in_time: bool
     #: Whether it leaves as much as the noise at sizes that are plausible at all.
     visible: bool
+    most_rms: float = float("inf")
 
 
 def outlook(found: Look, level: float) -> tuple[Unseen, ...]:
@@ -55,9 +57,10 @@ def _outlook(found: Look, h: Hypothesis, noise: float, level: float) -> Unseen:
     family, evidence = found.family, found.evidence
     key = (h.name, h.settings[len(h.settings) // 2])
     # three plausible sizes at most
-    visible = PLAUSIBLE / family.scales[h.name] >= noise
+    most = PLAUSIBLE / family.scales[h.name]
+    visible = most >= noise
     if h.name not in evidence.place:
-        return Unseen(h.name, 0.0, float("inf"), h.in_time, visible)
+        return Unseen(h.name, 0.0, float("inf"), h.in_time, visible, most)
     columns = evidence.left(key)
     squares = columns.T @ columns
     reference = family.reference[h.name]
@@ -77,7 +80,7 @@ def _outlook(found: Look, h: Hypothesis, noise: float, level: float) -> Unseen:
     times = float(
         np.exp(np.interp(POWER, powers[max(first - 1, 0) : first + 1], np.log(sizes[max(first - 1, 0) : first + 1])))
     )
-    return Unseen(h.name, at_noise, times * noise if enough.any() else float("inf"), h.in_time, visible)
+    return Unseen(h.name, at_noise, times * noise if enough.any() else float("inf"), h.in_time, visible, most)
 
 
 def _outlook_rough(found: Look, noise: float, level: float) -> Unseen:
@@ -94,7 +97,7 @@ def _outlook_rough(found: Look, noise: float, level: float) -> Unseen:
 
     sizes = np.geomspace(0.5, 100.0, 24)
     first = next((size for size in sizes if power(float(size)) >= POWER), float("inf"))
-    return Unseen(ROUGH, power(1.0), float(first) * noise, False, False)
+    return Unseen(ROUGH, power(1.0), float(first) * noise, False, False, 0.0)
 
 
 def is_silent(seen: tuple[Unseen, ...]) -> bool:
@@ -145,13 +148,14 @@ class State:
     confirmed: bool = False
 
 
-def after(state: State, found: Look, seen: tuple[Unseen, ...], *, spanned: bool, level: float) -> State:
-    """The state once this look is taken; ``spanned`` whether the run is as long as it is to be judged over, one over
-    the ``level`` the evidence that is an alarm."""
+def after(state: State, found: Look, seen: tuple[Unseen, ...], *, spanned: bool, vouched: bool, level: float) -> State:
+    """The state once this look is taken; ``spanned`` whether the run is as long as it is to be judged over, ``vouched``
+    whether nothing speaks against its rows as witnesses, one over the ``level`` the evidence that is an alarm."""
     lead, n = found.lead, found.readings
     alarm = found.log_evidence >= -np.log(level)
     if not alarm:
         quiet = found.log_evidence < min(_QUIET, -np.log(level)) and n >= FEWEST and spanned and is_silent(seen)
+        quiet = quiet and vouched
         why = "nothing is missing that these rows would have shown" if quiet else ""
         return State("adequate" if quiet else "undecided", quiet, why)
     stands = lead is not None and _stands(found, lead)

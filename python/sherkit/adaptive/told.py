@@ -15,8 +15,9 @@ from ..data import Measurements, from_frame, read_measurements
 from ..data.columns import OUTLIER, POSE, REASON, REPEAT, TIME, Layout
 from ..data.frames import to_polars
 from ..data.rows import directions
-from ..errors import MeasurementError
+from ..errors import FitError, MeasurementError
 from ..model.base import ModelWithEffects
+from ..model.chain import ChainModel
 from ..model.robot_file import run_for
 
 _WHERE = "the rows told"
@@ -31,6 +32,13 @@ def frame_of(rows: Any) -> pl.DataFrame:
     if isinstance(rows, str | PathLike):
         return read_measurements(Path(rows)).to_frame()
     return to_polars(rows)
+
+
+def poses(frame: pl.DataFrame) -> list[tuple[int, int]]:
+    """Numbers of the poses that were told, and of their repeats."""
+    if not {POSE, REPEAT} <= set(frame.columns):
+        return []
+    return [(int(p), int(r)) for p, r in frame.select(POSE, REPEAT).iter_rows() if p is not None]
 
 
 def taken(
@@ -88,6 +96,11 @@ def measurements(frame: pl.DataFrame, robot: Any, model: ModelWithEffects, layou
     frame = _elsewhere(frame, layout)
     read = from_frame(frame.drop(REASON, *incomplete(frame, layout), strict=False), _WHERE)
     data = model.as_declared(run_for(robot, read))
+    if isinstance(model, ChainModel):
+        try:
+            model.require_own(data)
+        except FitError as error:
+            raise MeasurementError(str(error)) from None
     unknown = [k for k, name in enumerate(layout.directions) if name not in frame.columns]
     if unknown:
         # nobody knows from which side the first pose was approached; without a clock, rows are told in their order
@@ -116,6 +129,7 @@ def _elsewhere(frame: pl.DataFrame, layout: Layout) -> pl.DataFrame:
     return frame if out == poses else frame.with_columns(pl.Series(POSE, out))
 
 
-def rows_in_time(data: Measurements) -> Measurements:
-    """The rows in the order in which they were read."""
+def in_time(frame: pl.DataFrame, robot: Any, model: ModelWithEffects, layout: Layout) -> Measurements:
+    """As :func:`measurements`, in the order in which they were read."""
+    data = measurements(frame, robot, model, layout)
     return data.select(np.argsort(data.order, kind="stable"))

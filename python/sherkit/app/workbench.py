@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import getpass
+import itertools
 import json
 import warnings
 from collections.abc import Callable, Sequence
@@ -284,7 +285,8 @@ class Workbench:
         def work(study: Study, _: Progress) -> None:
             if not content:
                 raise MeasurementError(f"{name}: is empty; expected a CSV or Parquet file with the run's columns")
-            path = self.folder / f"added_{len(study.history)}_{Path(name).name}"
+            names = (f"added_{k}_{Path(name).name}" for k in itertools.count(len(study.history)))
+            path = next(one for one in map(self.folder.joinpath, names) if not one.exists())
             write_whole(path, content)
             try:
                 # the file that a person dropped, not the copy of it

@@ -6,12 +6,16 @@ each kind, and what it is called in Python.
 
 from __future__ import annotations
 
+import os
+import sys
 import warnings
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout, suppress
 from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
 from ..errors import SherkitWarning
+from .names import brief
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -21,6 +25,8 @@ if TYPE_CHECKING:
 ROBOTS, INSTRUMENTS, IMPORTERS, VERBS = (f"sherkit.{n}" for n in ("robots", "instruments", "importers", "verbs"))
 #: What one of them is called in a sentence.
 _CALLED = {ROBOTS: "robot", INSTRUMENTS: "instrument", IMPORTERS: "importer", VERBS: "verb"}
+#: The package whose entries nobody takes the place of.
+_OWN = "sherkit"
 
 _Value = TypeVar("_Value")
 
@@ -29,38 +35,83 @@ _Value = TypeVar("_Value")
 def declared(group: str) -> dict[str, EntryPoint]:
     """What packages declare in a group, by name and not loaded yet: sherkit's own first, then by name. A name that two
     packages have is the first one's, and a warning."""
-    from importlib.metadata import entry_points  # takes as long as all else that the command loads to begin
-
     out: dict[str, EntryPoint] = {}
-    own_first = sorted(entry_points(group=group), key=lambda e: (not e.value.startswith("sherkit."), e.name))
-    for entry in own_first:
+    for entry in sorted(_entries(group), key=lambda e: (_package(e) != _OWN, e.name, _package(e))):
         if entry.name in out and entry.value != out[entry.name].value:
-            _warn(group, entry, f"is not used: {out[entry.name].value} has that name")
+            leave_out(group, entry, f"is not used: {out[entry.name].value} has that name")
         out.setdefault(entry.name, entry)
     return out
 
 
+def _entries(group: str) -> Iterable[EntryPoint]:
+    from importlib.metadata import distributions, entry_points  # takes as long as all else that is loaded to begin
+
+    try:
+        return entry_points(group=group)
+    except Exception:  # one package whose metadata cannot be read ends it for all
+        found: dict[str, list[EntryPoint]] = {}
+        for one in distributions():
+            try:
+                found.setdefault(one.name, [e for e in one.entry_points if e.group == group])
+            except Exception as error:
+                said = f"a package has metadata that cannot be read ({type(error).__name__}: {brief(error)})"
+                warnings.warn(f"{said}; mend or uninstall it: {brief(getattr(one, '_path', one))}", SherkitWarning,
+                              stacklevel=2)  # fmt: skip
+        return [entry for entries in found.values() for entry in entries]
+
+
+def _package(entry: EntryPoint) -> str:
+    """The package that declares it, by its own word and not by where its value stands."""
+    return (entry.dist.name or "").lower() if entry.dist is not None else ""
+
+
 def _brought(group: str, name: str, what: type[_Value]) -> _Value | None:
     """The value of a name, loaded now; None, and a warning, where it cannot be loaded or is no ``what``: a package that
-    is broken takes nothing with it but what it brings."""
+    is broken takes nothing with it but what it brings.
+
+    What it prints goes where messages go, not into what a program reads.
+    """
     entry = declared(group)[name]
     try:
-        value = entry.load()
-    except Exception as error:
-        _warn(group, entry, f"cannot be loaded ({type(error).__name__}: {error}); mend or uninstall it")
+        with nullcontext() if _package(entry) == _OWN else _kept_apart():
+            value = entry.load()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit too: a package that ends itself does not end us
+        leave_out(group, entry, f"cannot be loaded ({type(error).__name__}: {brief(error)}); mend or uninstall it")
         return None
     if not isinstance(value, what):
-        _warn(group, entry, f"is {type(value).__name__}, expected {what.__name__}")
+        leave_out(group, entry, f"is {type(value).__name__}, expected {what.__name__}")
         return None
     return value
 
 
+@contextmanager
+def _kept_apart() -> Iterator[None]:
+    """What is printed within it is a message, by whatever way it goes; what is set of warnings is forgotten."""
+    with redirect_stdout(sys.stderr), warnings.catch_warnings(), ExitStack() as undo:
+        with suppress(OSError, ValueError, AttributeError):  # a program without one of the two has nothing to mix up
+            kept = os.dup(1)
+            undo.callback(os.close, kept)
+            sys.__stdout__.flush()  # type: ignore[union-attr]
+            os.dup2(2, 1)
+            undo.callback(os.dup2, kept, 1)
+            undo.callback(sys.__stdout__.flush)  # type: ignore[union-attr]
+        yield
+
+
 def brought_beside(own: Collection[str], group: str, what: type[_Value]) -> dict[str, _Value]:
-    """All that packages bring in a group, by name, but for names that sherkit's ``own`` have."""
-    found = {name: _brought(group, name, what) for name in declared(group) if name not in own}
-    return {name: value for name, value in found.items() if value is not None}
+    """All that packages bring in a group, by name, but for names that sherkit's ``own`` have: those are a warning."""
+    found: dict[str, _Value] = {}
+    for name, entry in declared(group).items():
+        if name in own:
+            leave_out(group, entry, f"is not used: sherkit's own {_CALLED[group]} has that name")
+        elif (value := _brought(group, name, what)) is not None:
+            found[name] = value
+    return found
 
 
-def _warn(group: str, entry: EntryPoint, why: str) -> None:
-    package = entry.dist.name if entry.dist is not None else "a package"
-    warnings.warn(f"{package}: its {_CALLED[group]} '{entry.name}' ({entry.value}) {why}", SherkitWarning, stacklevel=2)
+def leave_out(group: str, entry: EntryPoint, why: str) -> None:
+    """Warns that what a package declares is not used, and why."""
+    package = _package(entry) or "a package"
+    warnings.warn(f"{package}: its {_CALLED[group]} '{entry.name}' ({entry.value}) {why}", SherkitWarning, stacklevel=3)

@@ -8,8 +8,8 @@ evidence that something is still left exceeds one hundred.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from os import PathLike
 from typing import Any
 
@@ -20,6 +20,7 @@ from ..adaptive.look import FAR
 from ..base import linalg
 from ..base.arguments import as_annotated
 from ..base.figures import finite
+from ..base.names import listed
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
@@ -27,16 +28,27 @@ from ..data.columns import TEMPERATURE
 from ..data.reader import RunLike
 from ..errors import FitError, MeasurementError
 from ..model.effect import Effect
-from ..model.kinds import required_um
 from ..model.robot_file import RobotLike, load_robot
-from .comparison import ALARM, SHAPES, joined_runs
+from .comparison import QUIET, SHAPES
 from .joined import Joined, told_as
+from .pool import ALARM, Pool, read_runs, sees_of, unchanged_advice
+from .vouching import error_of
 
 STEP, ONCE, RAMP, SEASON = "", "once", "ramp", "season"
 _MOST = 4
 #: What cannot be told from a change is named, as far as so many.
 _MOST_TIED = 4
 _MONTH_S = 30.4375 * 86400.0
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+#: A clock that shows more counts from 1970 (one that was set to zero would have run for three years).
+_CLOCK_S = 1e8
+#: What to do, by the verdict; of what was found it is said with it.
+_ADVICE = {
+    "undecided": "measure more poses: these are too few to say whether anything has changed",
+    "changed": "calibrate again what has changed",
+    "partly explained": "calibrate again, all of it: what is named does not explain all that is seen",
+    "unexplained": "calibrate again, all of it: no change explains what is seen",
+}
 #: The columns in which a run may say when it was taken.
 _DATES = ("date", "datetime", "taken_at")
 
@@ -78,8 +90,10 @@ class Course:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class History(Shown):
     """The course of a machine: ``changes`` in the order in which they were found, ``verdict`` as of a comparison,
-    ``runs`` with date and error of each by the model of the first (``error``) and with what was found (``left``), in
-    ``unit``; ``stood_still`` names candidates of which nothing was seen."""
+    ``runs`` with date and error of each by the model of the first (``error``), in ``unit``, and why it was
+    ``left_out``; ``stood_still`` names candidates of which nothing was seen, ``silent`` the runs that cannot speak.
+    ``unchanged`` are runs that would have shown an error of ``smallest_found`` where the robot works in 95 of 100
+    cases."""
 
     verdict: str
     changes: tuple[Course, ...]
@@ -87,16 +101,30 @@ class History(Shown):
     unit: str
     values: dict[str, list[tuple[float, float]]]
     stood_still: tuple[str, ...]
+    smallest_found: float | None = None
+    silent: dict[str, str] = field(default_factory=dict)
+    advice: str = ""
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one line, and which runs cannot speak."""
+        return "; ".join([self.verdict, *(f"{name}: {why}" for name, why in self.silent.items())])
+
+    @property
+    def sees(self) -> str:
+        """What these runs would have shown, where they show nothing."""
+        return sees_of(self.smallest_found, self.unit)
 
     def __repr__(self) -> str:
-        return "\n".join([self.verdict, *(f"  {one}" for one in self.changes)])
+        return "\n".join([self.headline, *(f"  {one}" for one in self.changes)])
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         return {
             "verdict": self.verdict, "changes": [one.to_json() for one in self.changes], "runs": list(self.runs),
             "unit": self.unit, "values": {k: [list(p) for p in v] for k, v in self.values.items()},
-            "stood_still": list(self.stood_still),
+            "stood_still": list(self.stood_still), "smallest_found": self.smallest_found, "silent": self.silent,
+            "advice": self.advice,
         }  # fmt: skip
 
 
@@ -106,11 +134,12 @@ def history(
     robot: RobotLike, runs: Sequence[RunLike], *, dates: Sequence[str | float] = (),
     effects: Sequence[str | Effect] | None = None,
 ) -> History:  # fmt: skip
-    """The course over runs of one machine. ``dates`` are ISO dates or seconds, one for each run; left out, those of a
-    column ``date``, or the runs' own clocks where these are seconds since 1970, else their order, a month apart.
+    """The course over runs of one machine. ``dates`` are ISO dates or seconds since 1970, one for each run; left out,
+    those of a column ``date``, or the runs' own clocks where these are such seconds; where no run knows its date, their
+    order, a month apart.
 
     Raises :class:`~sherkit.errors.FitError` for fewer than two runs and
-    :class:`~sherkit.errors.MeasurementError` for dates that are none.
+    :class:`~sherkit.errors.MeasurementError` for dates that are none, and where some runs know theirs and some do not.
 
         found = sk.history("demo/robot.toml", ["demo/whole.csv", "demo/local.csv"], dates=["2026-01-10", "2026-04-09"])
         print(found)
@@ -119,49 +148,66 @@ def history(
         raise FitError(f"history: expected two runs or more, got {len(runs)}")
     if dates and len(dates) != len(runs):
         raise MeasurementError(f"dates: expected one for each of {len(runs)} runs, got {len(dates)}")
-    robot = load_robot(robot) if isinstance(robot, str | PathLike) else robot
-    joined, data = joined_runs(robot, runs, effects)
+    made = load_robot(robot) if isinstance(robot, str | PathLike) else robot
+    data = read_runs(made, runs)
     at_s, told = _dates(data, dates)
-    order = np.argsort(at_s, kind="stable")
-    if not np.array_equal(order, np.arange(len(order))):
-        return history(robot, [runs[k] for k in order], dates=[float(at_s[k]) for k in order], effects=effects)
-    return _told(joined, data, at_s, told, required_um(robot))
+    order = [int(k) for k in np.argsort(at_s, kind="stable")]
+    given = [data[k] for k in order]
+    return concluded(Pool.of(made, given, effects), given, at_s[order], [told[k] for k in order])
 
 
 def _dates(data: Sequence[Measurements], given: Sequence[str | float]) -> tuple[Floats, list[str]]:
-    """When each run was taken (R,), s since 1970, and how that is told."""
-    if given:
-        at = [_seconds(one) for one in given]
-    else:
-        at = []
-        for k, one in enumerate(data):
-            named = next((name for name in _DATES if name in one.labels), None)
-            if named is not None:
-                at.append(_seconds(str(one.labels[named][0])))
-            elif one.begins_s > 1e8:
-                at.append(one.begins_s)
-            else:
-                at.append(k * _MONTH_S)
-    values = np.array(at)
-    known = values.min() > 1e8
-    told = [datetime.fromtimestamp(v, UTC).date().isoformat() if known else f"run {k + 1}" for k, v in enumerate(at)]
-    return values, told
+    """When each run was taken (R,), s since 1970, or in their order, and how that is told."""
+    at = [_seconds(one, "dates") for one in given] if given else [_own_date(one) for one in data]
+    known = [one for one in at if one is not None]
+    if not known:
+        return _MONTH_S * np.arange(len(data), dtype=float), [f"run {k + 1}" for k in range(len(data))]
+    if len(known) < len(at):
+        without = [one.source for one, when in zip(data, at, strict=True) if when is None]
+        raise MeasurementError(
+            f"history: {listed(without)} {'says' if len(without) == 1 else 'say'} no date, the other runs do; give one "
+            f"for each (--dates 2026-01-10,…)"
+        )
+    return np.array(known), [(_EPOCH + timedelta(seconds=one)).date().isoformat() for one in known]
 
 
-def _seconds(one: str | float) -> float:
-    if isinstance(one, str):
-        try:
-            made = datetime.fromisoformat(one)
-        except ValueError:
-            raise MeasurementError(f"dates: '{one}' is no date; expected 2026-03-31") from None
-        return (made if made.tzinfo else made.replace(tzinfo=UTC)).timestamp()
-    return float(one)
+def _own_date(data: Measurements) -> float | None:
+    """When a run says that it was taken, s since 1970."""
+    named = next((name for name in _DATES if name in data.labels), None)
+    if named is not None:
+        return _seconds(str(data.labels[named][0]), f"{data.source}: {named}")
+    return data.begins_s if data.begins_s > _CLOCK_S else None
 
 
-def _told(
-    joined: Joined, data: Sequence[Measurements], at_s: Floats, dates: Sequence[str], needed: float | None
-) -> History:
-    count = len(data)
+def _seconds(one: str | float, where: str) -> float:
+    try:
+        if not isinstance(one, str):
+            _EPOCH + timedelta(seconds=float(one))
+            return float(one)
+        made = datetime.fromisoformat(one)
+    except (ValueError, OverflowError):
+        raise MeasurementError(f"{where}: '{one}' is no date; expected 2026-03-31") from None
+    return ((made if made.tzinfo else made.replace(tzinfo=UTC)) - _EPOCH).total_seconds()
+
+
+def concluded(pool: Pool, every: Sequence[Measurements], at_s: Floats, dates: Sequence[str]) -> History:
+    """What follows from runs in the order of time: of those that can speak."""
+    if pool.joined is None:
+        return History(
+            verdict="undecided", changes=(), runs=_runs(pool, every, dates), unit=pool.unit, values={}, stood_still=(),
+            silent={name: str(one) for name, one in pool.silent.items()}, advice="; ".join(pool.to_measure),
+        )  # fmt: skip
+    found = _told(pool, at_s, dates)
+    if found.verdict in ("unchanged", "undecided") and (speaking := pool.speaking()) is not pool:
+        # what says nothing may hide what others say
+        return concluded(speaking, every, at_s, dates)
+    return replace(found, runs=_runs(pool, every, dates))
+
+
+def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
+    joined, data, needed = pool.joined, pool.data, pool.needed
+    assert joined is not None, "asked of two runs or more"
+    count, at_s, dates = len(data), every_s[list(pool.numbers)], [every_date[k] for k in pool.numbers]
     steps = [np.array([float(k >= since) for k in range(count)]) for since in range(1, count)]
     courses: dict[str, Sequence[Floats]] = {STEP: steps}
     if count > 2:
@@ -182,7 +228,8 @@ def _told(
     tied: list[tuple[str, ...]] = []
     evidence = joined.evidence(courses, waves=False)
     taken: list[Key] = []
-    verdict = "unchanged" if evidence.alone.log_mean < ALARM else "unexplained"
+    alone = evidence.alone.log_mean
+    verdict = "unexplained" if alone >= ALARM else "unchanged" if alone < QUIET else "undecided"
     for _ in range(_MOST):
         weighed = evidence.alone if not taken else evidence.beside(taken)
         if weighed.log_mean < ALARM:
@@ -201,14 +248,19 @@ def _told(
         tied.append(tuple(called[other] for other in causes[1:] if value[other] > value[name] - FAR)[:_MOST_TIED])
         verdict = "changed"
     changes = tuple(
-        replace(one, or_else=other)
+        replace(one, or_else=other, since=None if one.since is None else pool.numbers[one.since])
         for one, other in zip(_courses(joined, found, dates, months, needed), tied, strict=True)
     )
     values = {bare: _by_run(joined, bare) for bare, _, _, _ in found}
     still = [c.name for c in joined.candidates if c.name not in values]
+    quiet = verdict == "unchanged"
     return History(
-        verdict=verdict, changes=changes, runs=_runs(joined, data, dates), unit=data[0].layout.unit, values=values,
-        stood_still=tuple(still),
+        verdict=verdict, changes=changes, runs=(), unit=pool.unit, values=values, stood_still=tuple(still),
+        smallest_found=pool.smallest if quiet else None, silent={name: str(one) for name, one in pool.silent.items()},
+        advice="; ".join([
+            unchanged_advice(float(joined.fit.error.rms), needed, pool.unit) if quiet else _ADVICE[verdict],
+            *pool.to_measure,
+        ]),
     )  # fmt: skip
 
 
@@ -259,11 +311,14 @@ def _by_run(joined: Joined, name: str) -> list[tuple[float, float]]:
     return [(0.0, 0.0), *later]
 
 
-def _runs(joined: Joined, data: Sequence[Measurements], dates: Sequence[str]) -> tuple[dict[str, Any], ...]:
+def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tuple[dict[str, Any], ...]:
+    """All runs; of those that were left out there is no error."""
+    seen = {} if pool.joined is None else dict(zip(pool.numbers, pool.joined.runs, strict=True))
     out = []
-    for run, given, date in zip(joined.runs, data, dates, strict=True):
-        left = np.where(run.used, run.stand.residual, 0.0)
-        rms = float(np.sqrt(np.square(left).sum() / max(int(run.used.any(axis=1).sum()), 1)))
-        out.append({"run": given.source, "date": date, "rows": len(given), "error": finite(rms * given.layout.per_unit),
-                    "stand": run.stand.moved})  # fmt: skip
+    for k, (given, date) in enumerate(zip(every, dates, strict=True)):
+        run, silent = seen.get(k), pool.silent.get(pool.names[k])
+        out.append({"run": given.source, "date": date, "rows": len(given),
+                    "error": None if run is None else finite(error_of(run)),
+                    "stand": {} if run is None else run.stand.moved,
+                    "left_out": "" if silent is None else str(silent)})  # fmt: skip
     return tuple(out)

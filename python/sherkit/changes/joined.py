@@ -171,7 +171,8 @@ class Joined:
             aside = np.union1d(aside, wrong)
             used = used & ~np.isin(np.arange(len(used)), wrong)[:, None]
         columns = self._columns(data, model, values, every)
-        sigma, rho = (noise_of_repeats(data, axes) or sigma, rho) if before is None else (before.sigma, before.rho)
+        own_sigma = noise_of_repeats(data.mark_outliers(aside), axes) or sigma
+        sigma, rho = (own_sigma, rho) if before is None else (before.sigma, before.rho)
         return SeenRun(data, used, stand, own, columns, sigma, rho, aside)
 
     def _columns(self, data: Measurements, model: ModelWithEffects, values: Floats, own: Floats) -> dict[str, Floats]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..adaptive.evidence import Evidence
+from ..base import linalg
 from ..base.types import Floats
 from ..diagnosis.linearised import orthonormal
 
@@ -39,45 +40,62 @@ class Broken:
 def broken(evidence: Evidence, stand: Floats, promised: float, level: float) -> Broken:
     """Tests a promise of a reading (root mean square, in its unit) with the candidates of ``evidence``, whose first
     rows are the readings; ``stand`` (n, s) are the columns of where the sensor stands."""
-    columns, share = _ways(evidence, stand, promised)
-    if not len(share) or evidence.free < 2 or not evidence.residual.any():
+    ways, share = _ways(evidence, stand, promised)
+    residual, free = evidence.residual, evidence.free
+    if not len(share) or free < 2 or not residual.any():
         return Broken(1.0, np.inf)
-    rng, residual, free = np.random.default_rng(0), evidence.residual, evidence.free
-    drawn = rng.normal(size=(len(residual), _DRAWS))
-    drawn = drawn - evidence.basis @ (evidence.basis.T @ drawn)
+    # noise is drawn along the columns (normal) and by the square of the rest (χ²): no draw has as many numbers as rows
+    value, vector = linalg.eigh(evidence.columns.T @ evidence.columns)
+    kept = np.flatnonzero(value > _ROUNDING**2 * value.max())[-free:]
+    along = ways.T @ (vector[:, kept] * np.sqrt(value[kept]))
+    gram = along @ along.T
+    rng = np.random.default_rng(0)
+    drawn = rng.normal(size=(len(kept), _DRAWS))
+    rest = rng.chisquare(free - len(kept), _DRAWS) if free > len(kept) else np.zeros(_DRAWS)
+    answers, left = along @ drawn, np.square(drawn).sum(axis=0) + rest
+    squares = np.diag(gram)[:, None]
     whole = float(residual @ residual)
-    still = _ratio(columns, share, np.sqrt(whole / free) * drawn, free)
+    seen = ways.T @ (evidence.columns.T @ residual)
+    scale = np.sqrt(whole / free)
+    still = _ratio(squares, share, scale * answers, scale**2 * left, free)
     # the draw that is seen counts too
-    chance = float((still >= _ratio(columns, share, residual[:, None], free)[0]).sum() + 1) / (_DRAWS + 1)
+    told_by = _ratio(squares, share, seen[:, None], np.array([whole]), free)[0]
+    chance = float((still >= told_by).sum() + 1) / (_DRAWS + 1)
     # what would have been found is asked of the noise alone
-    told = float((np.square(columns.T @ residual) / np.square(columns).sum(axis=0)).max())
-    drawn = np.sqrt(max(whole - told, 1e-12 * whole) / (free - 1)) * drawn
-    limit = float(np.quantile(_ratio(columns, share, drawn, free), 1.0 - level))
+    told = float((np.square(seen) / squares[:, 0]).max())
+    scale = np.sqrt(max(whole - told, 1e-12 * whole) / (free - 1))
+    answers, left = scale * answers, scale**2 * left
+    limit = float(np.quantile(_ratio(squares, share, answers, left, free), 1.0 - level))
     which = rng.choice(len(share), _DRAWS, p=share / share.sum())
     signs = rng.choice([-1.0, 1.0], _DRAWS)
+    own = answers[which, np.arange(_DRAWS)]
     for size in _TOLD:
-        moved = drawn + size * signs * columns[:, which]
-        if float(np.mean(_ratio(columns, share, moved, free) > limit)) >= _FOUND:
+        moved = left + 2.0 * size * signs * own + size**2 * squares[which, 0]
+        found = _ratio(squares, share, answers + size * signs * gram[:, which], moved, free)
+        if float(np.mean(found > limit)) >= _FOUND:
             return Broken(chance, size)
     return Broken(chance, np.inf)
 
 
 def _ways(evidence: Evidence, stand: Floats, promised: float) -> tuple[Floats, Floats]:
-    """What is left (N, v) of every candidate, each way an error of one promise, and the share of each."""
+    """Coefficients (k, v) of all columns of the evidence, each way an error of one promise, and the share of each."""
     rng = np.random.default_rng(0)
-    basis = orthonormal(stand)
-    columns, share = [np.zeros((len(evidence.residual), 0))], []
-    for name in evidence.place:
+    basis, count = orthonormal(stand), len(stand)
+    ways, share = [np.zeros((evidence.columns.shape[1], 0))], []
+    for name, at in evidence.place.items():
         raw = evidence.tried[name][:, 0]
-        ways = np.ones((1, 1)) if raw.shape[1] == 1 else rng.normal(size=(raw.shape[1], _WAYS))
-        whole = raw @ ways
-        size = shows(whole[: len(stand)], basis)
+        mine = np.ones((1, 1)) if raw.shape[1] == 1 else rng.normal(size=(raw.shape[1], _WAYS))
+        shown = raw[:count] - basis @ (basis.T @ raw[:count])
+        size, whole = (
+            np.sqrt(np.einsum("iv,ij,jv->v", mine, one.T @ one, mine).clip(0.0) / len(one)) for one in (shown, raw)
+        )
         # what this stand or the calibration's own doubts take up is no error that could be seen
-        known = size > _ROUNDING * np.sqrt(np.square(whole).mean(axis=0))
-        unit = whole[:, known] * (promised / size[known])
-        columns.append(unit - evidence.basis @ (evidence.basis.T @ unit))
+        known = (size > _ROUNDING * whole) & (np.square(evidence.columns[:, at] @ mine).sum(axis=0) > 0)
+        every = np.zeros((evidence.columns.shape[1], int(known.sum())))
+        every[at] = mine[:, known] * (promised / size[known])
+        ways.append(every)
         share += [1.0 / max(known.sum(), 1)] * int(known.sum())
-    return np.concatenate(columns, axis=1), np.array(share)
+    return np.concatenate(ways, axis=1), np.array(share)
 
 
 def shows(columns: Floats, basis: Floats) -> Floats:
@@ -85,11 +103,9 @@ def shows(columns: Floats, basis: Floats) -> Floats:
     return np.asarray(np.sqrt(np.square(columns - basis @ (basis.T @ columns)).mean(axis=0)))
 
 
-def _ratio(columns: Floats, share: Floats, residuals: Floats, free: int) -> Floats:
-    """Logarithms (d,) of the mean likelihood ratio for each of the residuals (N, d), but for a constant."""
-    answers = columns.T @ residuals
-    squares = np.square(columns).sum(axis=0)[:, None]
-    left = np.square(residuals).sum(axis=0)
+def _ratio(squares: Floats, share: Floats, answers: Floats, left: Floats, free: int) -> Floats:
+    """Logarithms (d,) of the mean likelihood ratio for each of d residuals, but for a constant: by the ``squares``
+    (v, 1) of the ways, the ``answers`` (v, d) of the residuals to them, and their own square ``left`` (d,)."""
     every = [
         np.log(share)[:, None] - 0.5 * free * np.log1p((size**2 * squares - 2.0 * sign * size * answers) / left)
         for size in _SIZES for sign in (-1.0, 1.0)

@@ -17,42 +17,47 @@ import scipy
 
 from ..adaptive.choice import showing
 from ..adaptive.evidence import SIZES, Evidence
+from ..adaptive.gate import Power, Silent, power_of, silence
 from ..adaptive.hypotheses import Hypotheses, Hypothesis, weighted
 from ..adaptive.look import FAR
 from ..adaptive.region import Region, planned
 from ..base import linalg
 from ..base.arguments import Count, Seed, as_annotated
-from ..base.figures import finite
+from ..base.figures import finite, number
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
 from ..diagnosis.linearised import orthonormal
-from ..errors import FitError
+from ..errors import FitError, SherkitError
 from ..fit.error import axes_of
-from ..model.kinds import kind_of
+from ..model.kinds import kind_of, required_um
 from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration, load_calibration
-from .comparison import ALARM, SHAPES, Moved
+from .comparison import SHAPES, Moved
 from .joined import Candidate, candidates_of, columns_of, noise_of_repeats
+from .pool import ALARM
 from .promise import broken, shows
 from .stand import stand_of
+from .vouching import Work, sights_of, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
 _REFUSED, _CHANGED = 0.005, 0.015
 #: Degrees of freedom of a noise that a calibration knows.
 _OF_CALIBRATION = 200
 _SHARE, _POWER = 0.95, 0.9
+#: An error, in promises, of which it is said whether a check finds it.
+_SURE = 1.5
 _CANDIDATES, _RIDGE = 240, 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Verification(Shown):
-    """``valid`` is whether the error that was promised still holds (None: too few rows to say), ``error`` what was
-    ``seen`` beyond noise, what was ``promised``, and the ``smallest_found``, an error that would have been called not
-    valid in 95 of 100 checks (root mean squares of rows), in ``unit``. ``changed`` names what has moved, with
-    ``parameters``; ``would_show`` and ``would_not`` are the changes of plausible size that these poses would have shown
-    and would not."""
+    """``valid`` is whether the error that was promised still holds (None: this run cannot say, and ``silent`` why),
+    ``error`` what was ``seen`` beyond noise, what was ``promised``, and the ``smallest_found``, an error that would
+    have been called not valid in 95 of 100 checks (root mean squares of rows), in ``unit``. ``changed`` names what has
+    moved, with ``parameters``; ``would_show`` and ``would_not`` are the changes of plausible size that these poses
+    would have shown and would not."""
 
     valid: bool | None
     error: dict[str, float | None]
@@ -65,6 +70,7 @@ class Verification(Shown):
     would_show: tuple[str, ...]
     would_not: tuple[str, ...]
     advice: str
+    silent: str = ""
 
     @property
     def verdict(self) -> str:
@@ -77,10 +83,23 @@ class Verification(Shown):
         seen, promised = self.error["seen"], self.error["promised"]
         told = "" if seen is None or promised is None else f": {seen:.3g} {self.unit} are seen, {promised:.3g} promised"
         moved = "; ".join(map(str, self.parameters))
-        return f"{self.verdict}{told}{f'; {moved}' if moved else ''}"
+        return f"{self.verdict}{told}{f'; {moved}' if moved else ''}{f'; {self.silent}' if self.silent else ''}"
+
+    @property
+    def sees(self) -> list[str]:
+        """What a check by these rows finds and what it cannot, in words; a refusal needs none."""
+        least, promised = self.error["smallest_found"], self.error["promised"]
+        if self.silent or promised is None or (least is None and self.valid is False):
+            return []
+        if least is None:
+            return [f"these rows cannot tell an error of {_SURE:g} × the promise, nor one of any size"]
+        found = f"an error of {number(least)} {self.unit} would have been found in 95 of 100 such checks"
+        if least <= _SURE * promised * (1.0 + 1e-9):
+            return [found]
+        return [f"these rows cannot tell an error of {_SURE:g} × the promise: {found}, {number(least / promised)} × it"]
 
     def __repr__(self) -> str:
-        return f"{self.headline}\n  {self.advice}"
+        return "\n".join([self.headline, *(f"  {one}" for one in (*self.sees, self.advice))])
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -95,6 +114,7 @@ class Verification(Shown):
             "stand": self.stand,
             "would_show": list(self.would_show),
             "would_not": list(self.would_not),
+            "silent": self.silent,
             "advice": self.advice,
         }
 
@@ -139,6 +159,9 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     axes = axes_of(data)
     if not axes:
         raise FitError(f"{data.source}: verification needs coordinates; these rows are distances only")
+    mute = silence(data, axes, 2 * len(axes), _predicted(known, data))
+    if mute is not None:
+        return _unsaid(known, data, mute)
     model = model.for_run(data)
     used = data.used[:, list(axes)]
     stand = stand_of(model, data, known.values, axes, used)
@@ -164,6 +187,11 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
             seen = max(seen, _of_lead(evidence, flat))
         allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(_REFUSED, freedom, noise_freedom))
         valid = bool(square <= allowed and (found.chance > _CHANGED or seen <= promised))
+        if valid:
+            power = _power_at_work(known, model, data, axes, evidence, candidates, noise, promised)
+            if not power.speaks:
+                read = noise or float(np.sqrt(evidence.residual @ evidence.residual / max(evidence.free, 1)))
+                valid, mute = None, unable(power, read * per_row, data.layout.unit)
     names, ties, moved = _moved(evidence, candidates)
     shown = {one.name: _power(evidence, one) for one in candidates}
     return Verification(
@@ -181,8 +209,51 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         stand=stand.moved,
         would_show=tuple(name for name, power in shown.items() if power >= _POWER),
         would_not=tuple(name for name, power in shown.items() if power < _POWER),
-        advice=_advice(valid, names, ties, evidence.alone.log_mean),
+        advice=mute.measure if mute is not None else _advice(valid, names, ties, evidence.alone.log_mean),
+        silent="" if mute is None else f"{data.source}: {mute}",
     )
+
+
+def _predicted(known: _Known, data: Measurements) -> Floats | None:
+    """What the calibrated model says of a run; None where it does not reach all of it."""
+    try:
+        return np.asarray(known.model.predict(data, known.values))
+    except SherkitError:
+        return None
+
+
+def _unsaid(known: _Known, data: Measurements, why: Silent) -> Verification:
+    """Of a run that says nothing by its rows alone."""
+    candidates = candidates_of(known.model, [data])
+    return Verification(
+        valid=None, error={"seen": None, "promised": None, "smallest_found": None}, unit=data.layout.unit, changed=(),
+        indistinguishable=(), parameters=(), evidence=0.0, stand={}, would_show=(),
+        would_not=tuple(one.name for one in candidates), advice=why.measure, silent=f"{data.source}: {why}",
+    )  # fmt: skip
+
+
+def _power_at_work(
+    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], evidence: Evidence,
+    candidates: Sequence[Candidate], noise: float, promised: float,
+) -> Power:  # fmt: skip
+    """How often a change would have shown that is three times as large as needed, or as promised, where the robot
+    works."""
+    work = Work.of(model, data, known.values, axes)
+    own = model.linearised(work.rows, known.values).parameters[:, list(axes)]
+    at = columns_of(model, known.values, work.rows, axes, candidates, own)
+    columns = {name: evidence.tried[name][:, 0] / float(evidence.family.by_name[name].settings[0] or 1.0)
+               for name in evidence.place}  # fmt: skip
+    off = float(np.sqrt(evidence.residual @ evidence.residual / max(evidence.free, 1)))
+    needed = required_um(known.calibration.robot) if data.layout.unit == "µm" else None
+    if needed is None:
+        # as where runs are compared: what was left of the run that it was calibrated with
+        part: Any = known.calibration.parts_made[0]
+        left = part.residual_covariance + (part.scatter if part.scatter.size else 0.0)
+        same = len(left) == len(axes) and part.readings == data.layout.coordinates
+        needed = float(np.sqrt(np.trace(left))) * data.layout.per_unit if same else 0.0
+    required = max(needed, promised * float(np.sqrt(len(axes))) * data.layout.per_unit)
+    sights = sights_of(columns, work.errors(at), evidence.basis, max(noise, off))
+    return power_of(sights, required, evidence.free, ALARM)
 
 
 def _noise(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float, int]:

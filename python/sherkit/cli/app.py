@@ -9,17 +9,23 @@ import click
 
 from ..data.files import write_whole
 from . import output
+from .file_kinds import BEGUN_FROM, STUDY, TABLE, TYPED
 from .machine_file import own_way_of
+from .paths import InputFile, OutputFolder
 
 #: The file in the study's folder by which a browser finds the page.
 _LEADS = ".page.html"
+#: What a study's folder holds. Tables that were dropped into the page get names that no file has.
+STUDY_FOLDER = OutputFolder(
+    {"study.json": STUDY, "sources.json": BEGUN_FROM, "typed_effects.py": TYPED, "rows-*.parquet": TABLE}
+)
 
 
 @click.command()
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
-@click.option("--study", "folder", type=click.Path(path_type=Path), help="Folder of the study; default: beside RUN.")
+@click.argument("robot", type=InputFile())
+@click.argument("run", type=InputFile())
+@click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")
+@click.option("--study", "folder", type=STUDY_FOLDER, help="Folder of the study; default: beside RUN.")
 @click.option("--fresh", is_flag=True, help="Begin anew where the folder holds a study.")
 @click.option("--run-typed", is_flag=True, help="Run lines again that were typed into the page before.")
 @click.option("--follow", is_flag=True, help="Read RUN again whenever it grows.")
@@ -41,7 +47,7 @@ def app(
     from ..app.server import PageServer, is_loopback  # Bokeh takes a second to load
     from ..app.workbench import Workbench
 
-    folder = folder or run.parent / f"{run.stem}.study"
+    folder = folder or STUDY_FOLDER.checked(run.parent / f"{run.stem}.study", "the study beside RUN; --study")
     trusted = is_loopback(address)
     bench = Workbench.open(
         robot, run, folder, files=files, fresh=fresh, trusted=trusted, run_typed=run_typed, follow=follow

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import shlex
-import shutil
 import sys
 from pathlib import Path
 
 import click
 
+from ..data.files import write_whole
 from ..errors import SherkitError
 from . import output
+from .paths import OutputFolder
 
 HOME = Path(__file__).resolve().parents[1] / "c"
 
@@ -32,7 +33,7 @@ def archive() -> Path:
 @click.option("--shared", is_flag=True, help="With --libs: the shared library, found at run time where it stands.")
 @click.option("--cmake", is_flag=True, help="The folder for -Dsherkit_DIR=.")
 @click.option("--pkgconfig", is_flag=True, help="The folder for PKG_CONFIG_PATH.")
-@click.option("--example", type=click.Path(path_type=Path), metavar="FOLDER", help="Write a 1 kHz loop there.")
+@click.option("--example", type=OutputFolder({}), metavar="FOLDER", help="Write a 1 kHz loop there.")
 def c_library(cflags: bool, libs: bool, shared: bool, cmake: bool, pkgconfig: bool, example: Path | None) -> None:
     """Say where header and library for C and C++ are.
 
@@ -43,9 +44,13 @@ def c_library(cflags: bool, libs: bool, shared: bool, cmake: bool, pkgconfig: bo
     """
     static = archive()
     if example is not None:
+        files = {file.name: file.read_bytes() for file in sorted((HOME / "example").iterdir())}
+        for name, content in files.items():
+            if (example / name).exists() and (example / name).read_bytes() != content:
+                raise SherkitError(f"{example / name}: is another file; give --example a folder of its own")
         example.mkdir(parents=True, exist_ok=True)
-        for file in sorted((HOME / "example").iterdir()):
-            shutil.copy(file, example / file.name)
+        for name, content in files.items():
+            write_whole(example / name, content)
         output.say(f"{example}: a 1 kHz loop; it reads robot.h, from sherkit export c calibrated.toml -o robot.h")
         return
     words: list[str] = []

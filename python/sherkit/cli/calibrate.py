@@ -25,22 +25,24 @@ from ..robots.delta import paper
 from ..robots.machine import robot_at
 from ..study import Study
 from . import output
+from .file_kinds import CALIBRATION, TOOL
 from .machine_file import own_way_of
 from .output import out, report_option, table
+from .paths import InputFile, OutputFile, require_kind
 
 NOT_CONVERGED = 3
 
 
 @click.command()
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option("--local", type=click.Path(path_type=Path), help="A second run inside the region of interest.")
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the calibration here.")
+@click.argument("robot", type=InputFile())
+@click.argument("run", type=InputFile())
+@click.option("--local", type=InputFile(), help="A second run inside the region of interest.")
+@click.option("-o", "--output", "destination", type=OutputFile(CALIBRATION, TOOL), help="Write the calibration here.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option("--loss", type=click.Choice(LOSSES), default="linear", show_default=True, help="Against outliers.")
 @click.option("--free", default="", help="Parameters to identify, separated by commas; default: those of its kind.")
 @click.option("--effect", "added", multiple=True, help="A physical effect to identify too; see sherkit effects.")
-@click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
+@click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")
 @click.option("--priors", is_flag=True, help="Take plausible sizes as knowledge, not only where nothing is observed.")
 @click.option("--linear", is_flag=True, help="The paper's single linear step instead of the nonlinear minimum.")
 @click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
@@ -73,6 +75,8 @@ def calibrate(
     if (own_way := own_way_of(robot, "calibrate")) is not None:
         own_way(run, destination)
         return 0
+    if destination is not None:
+        require_kind(destination, "--output", (CALIBRATION,))
     if report is not None:
         output.require_view()
     nominal, for_runs = robot_at(robot)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import concurrent.futures as futures
 import glob
-import multiprocessing
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,6 +12,7 @@ import click
 from rich.markup import escape
 
 from ..base.names import CALIBRATED
+from ..base.workers import processes
 from ..changes import Comparison, History, Verification
 from ..changes import compare as compare_runs
 from ..changes import history as history_of
@@ -24,7 +23,9 @@ from ..model.effect import load_effects
 from ..model.kinds import Robot
 from ..robots.machine import robot_at
 from . import output
+from .file_kinds import PAGE
 from .output import out, table
+from .paths import InputFile, OutputFile
 
 Told = TypeVar("Told", Comparison, History)
 
@@ -33,13 +34,13 @@ INVALID = 3
 
 
 @click.command()
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("before", type=click.Path(path_type=Path))
-@click.argument("after", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="AFTER [MORE]...")
+@click.argument("robot", type=InputFile())
+@click.argument("before", type=InputFile())
+@click.argument("after", type=InputFile(), nargs=-1, required=True, metavar="AFTER [MORE]...")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model of all runs; default: those "
               "that a diagnosis of BEFORE names.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
-@click.option("--report", type=click.Path(path_type=Path), help="Write a page with before and after beside each other.")
+@click.option("--report", type=OutputFile(PAGE), help="Write a page with before and after beside each other.")
 def compare(
     robot: Path, before: Path, after: tuple[Path, ...], added: tuple[str, ...], as_json: bool, report: Path | None
 ) -> None:
@@ -79,7 +80,10 @@ def _tell(found: Told, say: Callable[[Told], None], as_json: bool, report: Path 
 
 def _say(found: Comparison) -> None:
     output.out.rule("Has anything changed?")
-    output.say(f"{found.headline} (evidence 1e{found.evidence:.1f})")
+    _say_silent(found.silent)
+    if found.sees:
+        output.say(found.sees)
+    output.say(f"{found.verdict_and_what} (evidence 1e{found.evidence:.1f})")
     if found.where:
         output.say(f"it shows: {found.where}")
     made = table(
@@ -88,7 +92,8 @@ def _say(found: Comparison) -> None:
     for name, value in found.error.items():
         if value is not None:
             made.add_row(name, f"{value:.4g}")
-    out.print(made)
+    if found.error["before"] is not None:
+        out.print(made)
     if found.parameters:
         moved = table("What has changed", "parameter", "change", "deviation", "unit", "since run")
         for one in found.parameters:
@@ -109,13 +114,18 @@ def _say(found: Comparison) -> None:
     output.say(f"\n{found.advice}")
 
 
+def _say_silent(silent: Mapping[str, str]) -> None:
+    for name, why in silent.items():
+        output.say(f"left out: {name}: {why}")
+
+
 @click.command()
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("runs", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RUN MORE...")
+@click.argument("robot", type=InputFile())
+@click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN MORE...")
 @click.option("--dates", default="", help="When each run was taken (2026-03-31), separated by commas.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model of all runs.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
-@click.option("--report", type=click.Path(path_type=Path), help="Write a page with the course of what has changed.")
+@click.option("--report", type=OutputFile(PAGE), help="Write a page with the course of what has changed.")
 def history(
     robot: Path, runs: tuple[Path, ...], dates: str, added: tuple[str, ...], as_json: bool, report: Path | None
 ) -> None:
@@ -128,20 +138,26 @@ def history(
 
 def _say_course(found: History) -> None:
     output.out.rule("The course")
+    _say_silent(found.silent)
+    if found.sees:
+        output.say(found.sees)
     output.say(found.verdict)
     for one in found.changes:
         output.say(f"  {one}")
     made = table("Runs", "run", "date", "rows", f"error {found.unit}",
                  note="by the model of the first, from where each run's sensor stands")  # fmt: skip
     for run in found.runs:
-        made.add_row(run["run"], run["date"], str(run["rows"]), f"{run['error']:.4g}")
+        error = "left out" if run["error"] is None else f"{run['error']:.4g}"
+        made.add_row(run["run"], run["date"], str(run["rows"]), error)
     out.print(made)
-    output.say(f"{len(found.stood_still)} parameters and effects stood still")
+    if found.verdict != "undecided":
+        output.say(f"{len(found.stood_still)} parameters and effects stood still")
+    output.say(f"\n{found.advice}")
 
 
 @click.command()
-@click.argument("calibration", type=click.Path(path_type=Path))
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("calibration", type=InputFile())
+@click.argument("run", type=InputFile())
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of sentences.")
 @click.option("--fail-if-invalid", is_flag=True, help=f"End with the exit code {INVALID} where it no longer holds.")
 @click.pass_context
@@ -157,12 +173,12 @@ def verify(ctx: click.Context, calibration: Path, run: Path, as_json: bool, fail
 
 
 def _say_verified(found: Verification) -> None:
+    # what the run can see stands before what was seen
+    for line in found.sees:
+        output.say(line)
     output.say(found.headline)
     for tie in found.indistinguishable:
         output.say(f"  {' or '.join(tie)}: these poses cannot tell")
-    least = found.error["smallest_found"]
-    if least is not None:
-        output.say(f"an error of {least:.3g} {found.unit} would have been found in 95 of 100 such checks")
     output.say(f"these poses would have shown, at its plausible size: {', '.join(found.would_show) or 'nothing'}")
     if found.would_not:
         output.say(f"and would not have shown: {', '.join(found.would_not)}")
@@ -173,16 +189,16 @@ def _say_verified(found: Verification) -> None:
 
 
 @click.command("fleet")
-@click.argument("runs", nargs=-1, required=True, metavar="RUN...")
-@click.option("--robot", type=click.Path(path_type=Path), required=True, help="The drawing that all are built from.")
+@click.argument("runs", type=InputFile(words=r".*[*?\[].*", folders=True), nargs=-1, required=True, metavar="RUN...")
+@click.option("--robot", type=InputFile(), required=True, help="The drawing that all are built from.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model of all already.")
-@click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
+@click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes at a time; default: one for each core.")
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of each test.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules folds and flips.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 def fleet_command(
-    runs: tuple[str, ...], robot: Path, added: tuple[str, ...], files: tuple[Path, ...], workers: int | None,
+    runs: tuple[Path | str, ...], robot: Path, added: tuple[str, ...], files: tuple[Path, ...], workers: int | None,
     level: float, seed: int, as_json: bool,
 ) -> None:  # fmt: skip
     """Diagnose every RUN (CSV or Parquet) of machines built alike: what they share, and who stands out.
@@ -190,9 +206,9 @@ def fleet_command(
     A pattern such as runs/*.csv may stand for many. A run that cannot be used is a line that says why.
     """
     own = [effect for path in files for effect in load_effects(path)]
-    paths = [path for run in runs for path in (sorted(glob.glob(run)) if _is_pattern(run) else [run])]
+    paths = [path for run in map(str, runs) for path in (sorted(glob.glob(run)) if _is_pattern(run) else [run])]
     if not paths:
-        raise SherkitError(f"{' '.join(runs)}: no such file")
+        raise SherkitError(f"{' '.join(map(str, runs))}: no such file")
     count = min(workers or os.cpu_count() or 1, len(paths))
     with output.steps(len(paths) + 1) as step:
 
@@ -202,14 +218,15 @@ def fleet_command(
         if count == 1:
             found = fleet(paths, robot, effects=added, own=own, level=level, seed=seed, progress=told)
         else:
-            # fresh processes: a copy of one that has threads can hang
-            with futures.ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
+            with processes(count) as pool:
                 found = fleet(paths, robot, effects=added, own=own, level=level, seed=seed, executor=pool,
                               progress=told)  # fmt: skip
     if as_json:
         output.print_json(found.to_json())
-        return
-    _print(found)
+    else:
+        _print(found)
+    if not found.diagnosed:
+        raise SherkitError(f"none of the {len(paths)} runs could be used; each says why above")
 
 
 def _is_pattern(run: str) -> bool:

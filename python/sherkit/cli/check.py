@@ -9,19 +9,22 @@ from pathlib import Path
 import click
 from rich.markup import escape
 
-from ..data.columns import Columns, Layout, in_toml
+from ..data import Measurements
+from ..data.columns import in_toml
 from ..data.file_check import FileCheck, check_file, said_of
-from ..model.kinds import kind_of
+from ..model.kinds import kind_of, model_of
 from ..model.robot_file import columns_of
 from ..robots.machine import is_machine, robot_at
 from . import output
+from .file_kinds import TABLE
 from .output import out, table
+from .paths import InputFile, OutputFile
 
 
 @click.command()
-@click.argument("run", type=click.Path(path_type=Path))
-@click.argument("robot", type=click.Path(path_type=Path), required=False)
-@click.option("--write", "destination", type=click.Path(path_type=Path), metavar="CLEAN.CSV",
+@click.argument("run", type=InputFile())
+@click.argument("robot", type=InputFile(), required=False)
+@click.option("--write", "destination", type=OutputFile(TABLE), metavar="CLEAN.CSV",
               help="Write the rows, all mended, under the names and in the units that sherkit reads.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool) -> None:
@@ -30,13 +33,18 @@ def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool
     ROBOT is the file of the machine that was measured: it says which columns there may be. Ends with 1 where the file
     cannot be read as it is, or what is asked for cannot be written.
     """
-    columns: Columns = {}
-    layouts: tuple[Layout, ...] = ()
     if robot is not None:
         nominal, _ = robot_at(robot)
         columns = getattr(nominal, "columns", {}) if is_machine(robot) else columns_of(robot)
         layouts = kind_of(nominal).layouts
-    found = check_file(run, columns=columns, layouts=layouts)
+        whose = f"{robot} ({nominal.kind})"
+
+        def require(data: Measurements) -> None:
+            model_of(nominal).require_own(data.read_as(layouts[0]) if is_machine(robot) else data)
+
+        found = check_file(run, columns=columns, layouts=layouts, whose=whose, require=require)
+    else:
+        found = check_file(run)
     written = destination is not None and found.data is not None and found.is_mended
     if written and destination is not None and found.data is not None:
         found.data.save(destination)
@@ -47,7 +55,7 @@ def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool
         _next(found, robot, destination if written else None)
     if not (written if destination is not None else found.is_good):
         what = (
-            "not all of it can be mended, nothing was written" if destination is not None else "cannot be read as it is"
+            "not all of it can be mended, nothing was written" if destination is not None else "cannot be used as it is"
         )
         output.fail(f"{run}: {what}")
         sys.exit(1)

@@ -28,13 +28,18 @@ from ..study import Study
 from . import output
 from .calibrate import print_accuracy, print_result
 from .diagnose import print_diagnosis
+from .file_kinds import CALIBRATION, PAGE, ROBOT, TABLE
 from .output import out, say
+from .paths import OutputFolder
 
 EXAMPLE: Delta = delta.KIND.example
+_FOLDER = OutputFolder(
+    {"robot.toml": ROBOT, "whole.csv": TABLE, "local.csv": TABLE, "calibrated.toml": CALIBRATION, "report.html": PAGE}
+)
 
 
 @click.command()
-@click.option("-o", "--output", "folder", type=click.Path(path_type=Path), default=Path("demo"), show_default=True)
+@click.option("-o", "--output", "folder", type=_FOLDER, default=Path("demo"), show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=6, show_default=True)
 @click.option("--tables", "with_tables", is_flag=True, help="Print the paper's tables and the diagnosis too.")
 def demo(folder: Path, seed: int, with_tables: bool) -> None:

@@ -21,20 +21,22 @@ from ..diagnosis.next_poses import SEPARATION
 from ..fit.identify import identify
 from ..model.effect import effects_by_name, load_effects
 from . import output
+from .file_kinds import TEMPLATE, TOOL
 from .machine_file import machine_at
 from .output import out, report_option, table
+from .paths import InputFile, OutputFile
 
 
 @click.command()
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("runs", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RUN [MORE]...")
+@click.argument("robot", type=InputFile())
+@click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN [MORE]...")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option("--checks", "every_check", is_flag=True, help="List everything that was checked, not only what fails.")
-@click.option("--effects", "files", type=click.Path(path_type=Path), multiple=True, help="Python file of your effects.")
+@click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model already.")
-@click.option("-o", "--output", "written", type=click.Path(path_type=Path),
+@click.option("-o", "--output", "written", type=OutputFile(TOOL),
               help="Of a flexible tool: write it with the effects of --effect and those that were named.")  # fmt: skip
-@click.option("--template", "destination", type=click.Path(path_type=Path), help="Write an effect of the shape found.")
+@click.option("--template", "destination", type=OutputFile(TEMPLATE), help="Write an effect of the shape found.")
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of random splits.")
 @report_option

@@ -143,6 +143,9 @@ def doctor(as_json: bool) -> int:
 
     Ends with code 1 only where something is missing that nothing works without.
     """
+    root = click.get_current_context().find_root()
+    if isinstance(root.command, click.Group):
+        root.command.list_commands(root)  # warns of verbs of other packages that are not used
     found = list(findings())
     if as_json:
         output.print_json([vars(one) for one in found])

@@ -21,7 +21,9 @@ from ..robots.tool.tool import KIND
 from ..robots.tool.virtual import EXPERIMENTS
 from . import output
 from .demo import EXAMPLE
+from .file_kinds import DRAWN, PICTURE, PLANTED, PLANTED_BY, TABLE
 from .machine_file import machine_at, own_way_of
+from .paths import InputFile, OutputFile, OutputFolder
 from .vision import require_vision
 
 _OF_TOOL = "the flexible tool and its camera"
@@ -29,11 +31,11 @@ _OF_TOOL = "the flexible tool and its camera"
 
 @click.command()
 @click.argument("name", required=False)
-@click.option("--robot", type=click.Path(path_type=Path), help="The robot to draw the effect on; default: an example.")
+@click.option("--robot", type=InputFile(), help="The robot to draw the effect on; default: an example.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option(
     "--picture",
-    type=click.Path(path_type=Path),
+    type=OutputFile(DRAWN),
     help="Draw the effect on this robot: its card (.html), or what it leaves at the poses (.svg).",
 )
 def effects(name: str | None, robot: Path | None, as_json: bool, picture: Path | None) -> None:
@@ -157,20 +159,20 @@ class _Simulate(click.Command):
 
 
 @click.command(cls=_Simulate)
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True, help="CSV or Parquet.")
+@click.argument("robot", type=InputFile())
+@click.option("-o", "--output", "destination", type=OutputFile(TABLE), required=True, help="CSV or Parquet.")
 @click.option("--poses", type=click.Choice(("whole", "local")), default="whole", show_default=True)
 @click.option("--repeats", type=click.IntRange(min=1), default=5, show_default=True)
 @click.option("--order", type=click.Choice(("planes", "shuffled")), default="planes", show_default=True)
 @click.option("--errors", type=click.FloatRange(min=0), default=1.0, show_default=True,
               help="Size of the geometric errors, 1 = as in the paper's tables.")  # fmt: skip
-@click.option("--pictures", type=click.Path(path_type=Path), help="With a camera: draw pictures into this folder, and "
-              "read the pixels from them.")  # fmt: skip
+@click.option("--pictures", type=OutputFolder({"picture_*.png": PICTURE}),
+              help="With a camera: draw pictures into this folder, and read the pixels from them.")  # fmt: skip
 @click.option("--experiment", type=click.Choice((*EXPERIMENTS, "free", "bench")), default="vessels", show_default=True,
               help="Flexible tool: one of the paper's, free (unbent), bench (known loads).")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(min=2), default=60.0, show_default=True, help="Flexible tool.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Draws the robot and the noise.")
-@click.option("--truth", type=click.Path(path_type=Path), help="Write the planted errors here (TOML).")
+@click.option("--truth", type=OutputFile(PLANTED), help="Write the planted errors here (TOML).")
 def simulate(
     robot: Path, destination: Path, poses: str, repeats: int, order: str, errors: float, seed: int,
     truth: Path | None, experiment: str, seconds: float, **given: Any,
@@ -184,7 +186,7 @@ def simulate(
     data.save(destination)
     output.say(f"{len(data)} rows written to {destination}", destination)
     if truth is not None:
-        write_whole(truth, tomli_w.dumps(planted))
+        write_whole(truth, PLANTED_BY + tomli_w.dumps(planted))
         output.say(f"planted errors written to {truth}", destination)
 
 

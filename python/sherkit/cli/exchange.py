@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from ..base.extensions import IMPORTERS, brought_beside
+from ..base.extensions import IMPORTERS
 from ..data import Measurements, from_bluesky, from_rosbag
 from ..data.files import write_whole
 from ..errors import MeasurementError, RobotError, SherkitError
@@ -15,25 +15,22 @@ from ..model.robot_file import load_robot, save_robot
 from ..robots.c_header import calibration_header
 from ..robots.calibrated import Calibration, load_calibration
 from ..robots.printer import import_duet, import_klipper, import_marlin
-from ..robots.printer.calibration import PrinterCalibration, commands, held, write_klipper_config
+from ..robots.printer.calibration import PrinterCalibration, commands, held, klipper_config
 from ..robots.printer.robot import FIRMWARES, Found
 from ..robots.serial import Serial, points_of_poses
 from ..robots.serial.imported import CONVENTIONS, import_dh, import_urdf
 from . import output
+from .file_kinds import COMMANDS, HEADER, KLIPPER, ROBOT, TABLE
+from .groups import OpenGroup
 from .machine_file import own_way_of
+from .paths import InputFile, OutputFile, OutputFolder, require_kind
 from .printer import turned
 
 
-class _Importers(click.Group):
+class _Importers(OpenGroup):
     """Those below, and those of other packages."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*super().list_commands(ctx), *brought_beside(self.commands, IMPORTERS, click.Command)]
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        return super().get_command(ctx, cmd_name) or brought_beside(self.commands, IMPORTERS, click.Command).get(
-            cmd_name
-        )
+    declared = IMPORTERS
 
 
 @click.group("import", cls=_Importers)
@@ -42,7 +39,12 @@ def import_group() -> None:
 
 
 _FOLDER = click.option(
-    "-o", "--output", "folder", type=click.Path(path_type=Path), required=True, help="Folder to write to."
+    "-o",
+    "--output",
+    "folder",
+    required=True,
+    help="Folder to write to.",
+    type=OutputFolder({"robot.toml": ROBOT, "run.csv": TABLE}),
 )
 _PLATE = click.option(
     "--plate", "plates", multiple=True, metavar="NAME=DEGREES", help="How far the plate was turned under a mesh."
@@ -50,7 +52,7 @@ _PLATE = click.option(
 
 
 @import_group.command("klipper")
-@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("config", type=InputFile())
 @_PLATE
 @_FOLDER
 def klipper(config: Path, plates: tuple[str, ...], folder: Path) -> None:
@@ -59,8 +61,8 @@ def klipper(config: Path, plates: tuple[str, ...], folder: Path) -> None:
 
 
 @import_group.command("reprapfirmware")
-@click.argument("config", type=click.Path(path_type=Path))
-@click.argument("maps", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="HEIGHTMAP...")
+@click.argument("config", type=InputFile())
+@click.argument("maps", type=InputFile(), nargs=-1, required=True, metavar="HEIGHTMAP...")
 @_PLATE
 @_FOLDER
 def reprapfirmware(config: Path, maps: tuple[Path, ...], plates: tuple[str, ...], folder: Path) -> None:
@@ -69,7 +71,7 @@ def reprapfirmware(config: Path, maps: tuple[Path, ...], plates: tuple[str, ...]
 
 
 @import_group.command("marlin")
-@click.argument("text", type=click.Path(path_type=Path))
+@click.argument("text", type=InputFile())
 @_PLATE
 @_FOLDER
 def marlin(text: Path, plates: tuple[str, ...], folder: Path) -> None:
@@ -87,12 +89,12 @@ def _write_printer(found: Found, folder: Path) -> None:
 
 
 _ROBOT_FILE = click.option(
-    "-o", "--output", "destination", type=click.Path(path_type=Path), required=True, help="The robot file to write."
+    "-o", "--output", "destination", type=OutputFile(ROBOT), required=True, help="The robot file to write."
 )
 
 
 @import_group.command("urdf")
-@click.argument("urdf", type=click.Path(path_type=Path))
+@click.argument("urdf", type=InputFile())
 @click.option("--base", help="Link at which the arm begins; left out, the root of the file.")
 @click.option("--tip", help="Link whose origin is the target; left out, the only end that the file has.")
 @_ROBOT_FILE
@@ -102,7 +104,7 @@ def urdf(urdf: Path, base: str | None, tip: str | None, destination: Path) -> No
 
 
 @import_group.command("dh")
-@click.argument("table", type=click.Path(path_type=Path))
+@click.argument("table", type=InputFile())
 @click.option("--convention", type=click.Choice(CONVENTIONS), default=CONVENTIONS[0], show_default=True)
 @_ROBOT_FILE
 def dh(table: Path, convention: str, destination: Path) -> None:
@@ -119,8 +121,8 @@ def _write_arm(robot: Serial, destination: Path) -> None:
 
 
 @import_group.command("poses")
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("robot", type=InputFile())
+@click.argument("run", type=InputFile())
 @click.option("--lever-mm", type=float, default=100.0, show_default=True, help="How far two more points lie off.")
 @_FOLDER
 def poses(robot: Path, run: Path, lever_mm: float, folder: Path) -> None:
@@ -137,12 +139,12 @@ def poses(robot: Path, run: Path, lever_mm: float, folder: Path) -> None:
 
 
 _RUN_FILE = click.option(
-    "-o", "--output", "destination", type=click.Path(path_type=Path), required=True, help="The CSV or Parquet to write."
+    "-o", "--output", "destination", type=OutputFile(TABLE), required=True, help="The CSV or Parquet to write."
 )
 
 
 @import_group.command("bluesky")
-@click.argument("documents", type=click.Path(path_type=Path))
+@click.argument("documents", type=InputFile())
 @click.option("--column", "columns", multiple=True, metavar="OURS=KEY", help="A column's key; repeat it.")
 @click.option("--stream", default="primary", show_default=True, help="The stream whose events are rows.")
 @click.option("--each-a-pose", is_flag=True, help="Every event is a pose of its own: no two are repeats.")
@@ -154,7 +156,7 @@ def bluesky(documents: Path, columns: tuple[str, ...], stream: str, each_a_pose:
 
 
 @import_group.command("rosbag")
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=InputFile(folders=True))
 @click.option("--joint", "joints", multiple=True, required=True, metavar="OURS=NAME", help="A joint's name; repeat it.")
 @click.option("--poses", "topic", required=True, metavar="TOPIC", help="What a tracker saw.")
 @click.option("--joint-states", default="/joint_states", show_default=True, metavar="TOPIC", help="Where joints are.")
@@ -202,11 +204,17 @@ def _write_run(run: Measurements, destination: Path) -> None:
 
 
 @click.command()
-@click.argument("what", nargs=-1, required=True, metavar="RUN_FILE | c CALIBRATION | c TOOL | FIRMWARE CALIBRATION")
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True,
+@click.argument(
+    "what",
+    type=InputFile(words="|".join(("c", *FIRMWARES))),
+    nargs=-1,
+    required=True,
+    metavar="RUN_FILE | c CALIBRATION | c TOOL | FIRMWARE CALIBRATION",
+)
+@click.option("-o", "--output", "destination", type=OutputFile(TABLE, HEADER, KLIPPER, COMMANDS), required=True,
               help="CSV or Parquet of a run; a C header; what a printer's firmware takes.")  # fmt: skip
-@click.option("--config", type=click.Path(path_type=Path), help="The printer.cfg to write the numbers into (Klipper).")
-def export(what: tuple[str, ...], destination: Path, config: Path | None) -> None:
+@click.option("--config", type=InputFile(), help="The printer.cfg to write the numbers into (Klipper).")
+def export(what: tuple[str | Path, ...], destination: Path, config: Path | None) -> None:
     """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a calibrated robot or a
     flexible TOOL as a C header for the control loop; with klipper, reprapfirmware or marlin, a printer's CALIBRATION
     for its firmware."""
@@ -214,11 +222,14 @@ def export(what: tuple[str, ...], destination: Path, config: Path | None) -> Non
         # only what reads a run's file needs SQLite
         from ..lab.experiment import export_run
 
-        rows = export_run(Path(what[0]), destination)
+        require_kind(destination, "--output", (TABLE,))
+        rows = export_run(what[0], destination)
         output.say(f"{rows} rows written to {destination}", destination)
     elif len(what) == 2 and what[0] in FIRMWARES:
-        _printer(what[0], Path(what[1]), destination, config)
+        require_kind(destination, "--output", (KLIPPER if what[0] == "klipper" else COMMANDS,))
+        _printer(str(what[0]), Path(what[1]), destination, config)
     elif len(what) == 2 and what[0] == "c":
+        require_kind(destination, "--output", (HEADER,))
         _c(Path(what[1]), destination)
     else:
         raise click.UsageError(
@@ -243,17 +254,16 @@ def _printer(firmware: str, calibration: Path, destination: Path, config: Path |
         raise SherkitError(
             f"{calibration}: is of {made.robot.kind}; only the calibration of a printer goes into a firmware"
         )
-    kept = None
     names = [p.name for p in made.whole.model(made.robot).parameters]
     found = held(made.robot, dict(zip(names, made.whole.values.tolist(), strict=True)))
     if firmware == "klipper":
         if config is None:
             raise SherkitError("--config: name the printer.cfg into which the numbers go")
-        kept = write_klipper_config(config, found.towers, destination)
+        write_whole(destination, klipper_config(config, found.towers))
     else:
         lines = commands(replace(made.robot, firmware=firmware), found.towers)
         write_whole(destination, "\n".join(lines) + "\n")
-    output.say(f"{destination} written" + (f"; as it was, it is kept in {kept}" if kept else ""))
+    output.say(f"{destination} written")
     if made.whole.effects:
         output.say(
             f"{firmware} cannot hold {' and '.join(made.whole.effects)}: {1e3 * found.rms_mm:.0f} µm RMS of the height "

@@ -6,6 +6,8 @@ import signal
 import tempfile
 import threading
 import time
+import tomllib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -20,6 +22,7 @@ from ..calibration import calibrate
 from ..data import read_measurements
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
+from ..errors import ExperimentError
 from ..lab.experiment import Live, RunFile, RunProgress, export_run, load_experiment, run
 from ..lab.laboratory import RunningLaboratory, load_laboratory
 from ..model.robot_file import load_robot
@@ -28,27 +31,36 @@ from ..study import Study
 from . import output
 from .demo import EXAMPLE
 from .diagnose import print_diagnosis
+from .file_kinds import CALIBRATION, PLANNED, PORTS, ROBOT, TABLE
 from .measure import until_diagnosed
+from .paths import InputFile, OutputFile, OutputFolder
 
 _LOOPBACK = ("127.", "localhost")
+_DEMO = Path("demo-lab")
+#: What the demo writes besides its runs.
+_DEMO_FOLDER = OutputFolder({
+    "robot.toml": ROBOT, "lab.toml": PLANNED, "ports.json": PORTS, "twelve.toml": CALIBRATION,
+    "calibrated.toml": CALIBRATION, "local.csv": TABLE, "adaptive.csv": TABLE,
+    **{f"{name}.toml": PLANNED for name in ("local", "check_drawn", "check_twelve", "check_calibrated", "adaptive")},
+})  # fmt: skip
 
 
 @click.command()
-@click.argument("laboratory", type=click.Path(path_type=Path), required=False)
-@click.option("--ports", type=click.Path(path_type=Path), help="Write the addresses into this file (JSON).")
+@click.argument("laboratory", type=InputFile(), required=False)
+@click.option("--ports", type=OutputFile(PORTS), help="Write the addresses into this file (JSON).")
 @click.option("--host", help="Listen on this address of the machine; left out, for programs of this machine alone.")
 @click.option("--time-scale", type=click.FloatRange(min=0, min_open=True), help="Run so much faster than real time.")
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as JSON.")
 @click.option("--demo", is_flag=True, help="Start a laboratory, find what is hidden in its robot, and compensate it.")
-@click.option("-o", "--output", "folder", type=click.Path(path_type=Path), default=Path("demo-lab"), show_default=True,
+@click.option("-o", "--output", "folder", type=_DEMO_FOLDER, show_default=str(_DEMO),
               help="Where --demo puts its files.")  # fmt: skip
 def lab(
     laboratory: Path | None, ports: Path | None, host: str | None, time_scale: float | None, as_json: bool, demo: bool,
-    folder: Path,
+    folder: Path | None,
 ) -> None:  # fmt: skip
     """Start the emulated instruments of LABORATORY (TOML), until Ctrl-C; without one, those of an example."""
     if demo:
-        lab_demo(folder)
+        lab_demo(folder or _DEMO_FOLDER.checked(_DEMO, "--output"))
         return
     if laboratory is None:
         with tempfile.TemporaryDirectory() as example:
@@ -172,6 +184,7 @@ _COMPARED = {
 
 def lab_demo(folder: Path, *, repeats: int = 2, time_scale: float = _TIME_SCALE) -> None:
     """Writes the files, starts the laboratory, measures, diagnoses, calibrates, and measures again."""
+    _anew(folder, experiments(repeats, time_scale))
     write_files(folder, repeats, time_scale)
     with RunningLaboratory(load_laboratory(folder / "lab.toml")) as lab:
         lab.write_ports(folder / "ports.json")
@@ -216,23 +229,45 @@ def write_laboratory(folder: Path, time_scale: float = 1.0) -> Path:
 def write_files(folder: Path, repeats: int, time_scale: float) -> None:
     """Writes the laboratory and the experiments of the demo."""
     write_laboratory(folder, time_scale)
+    for name, text in experiments(repeats, time_scale).items():
+        write_whole(folder / f"{name}.toml", text)
+
+
+def experiments(repeats: int, time_scale: float) -> dict[str, str]:
+    """The text of each experiment's file, by name."""
     rng = np.random.default_rng(7)
     places = np.round(rng.uniform(-9.0, 9.0, (_CHECKED, 3)), 2).tolist()
     check = f'poses = "list"\nlist_mm = {places}'
-    for name, (what, plan) in _PLANS.items():
-        text = _EXPERIMENT.format(
+    return {
+        name: _EXPERIMENT.format(
             what=what, name=name, settle=2.0 / time_scale,
             plan=plan.format(repeats=repeats, check=check, span_min=_SPAN_MIN / time_scale),
-        )  # fmt: skip
-        write_whole(folder / f"{name}.toml", text)
+        )
+        for name, (what, plan) in _PLANS.items()
+    }  # fmt: skip
+
+
+def _anew(folder: Path, texts: Mapping[str, str]) -> None:
+    """Takes the runs of an earlier demo away: those that were measured by its very experiments.
+
+    Raises :class:`~sherkit.errors.ExperimentError`, before anything is taken away, for a run of somebody else's.
+    """
+    runs = [folder / f"{name}.sqlite" for name in texts]
+    for run_path, text in zip(runs, texts.values(), strict=True):
+        if run_path.exists() and run_path.stat().st_size:
+            with RunFile.open(run_path) as file:
+                if file.about("experiment") != tomli_w.dumps(tomllib.loads(text)):
+                    raise ExperimentError(
+                        f"{run_path}: holds a run that is none of this demo's; give -o another folder"
+                    )
+    for run_path in runs:
+        for ending in ("", "-wal", "-shm", ".lock"):
+            Path(f"{run_path}{ending}").unlink(missing_ok=True)
 
 
 def _measured(folder: Path, name: str) -> float:
     """Runs an experiment from the beginning; returns seconds."""
     experiment = load_experiment(folder / f"{name}.toml")
-    for ending in ("", "-wal", "-shm"):
-        # the demo starts anew each time
-        Path(f"{experiment.run_path}{ending}").unlink(missing_ok=True)
     live = Live(experiment.robot, experiment.plan, experiment.goal) if name == "local" else None
     began = time.monotonic()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[model]}"))
@@ -257,8 +292,6 @@ def _measured(folder: Path, name: str) -> float:
 def _until_known(folder: Path) -> None:
     """The same robot, which chooses its poses itself."""
     experiment = load_experiment(folder / "adaptive.toml")
-    for ending in ("", "-wal", "-shm"):
-        Path(f"{experiment.run_path}{ending}").unlink(missing_ok=True)
     until_diagnosed(experiment, folder / "adaptive.toml", experiment.run_path)
     export_run(experiment.run_path, folder / "adaptive.csv")
 

@@ -22,14 +22,16 @@ from ..lab.experiment import AdaptiveRun, Control, Experiment, Live, Plan, RunFi
 from ..lab.instruments import AxisController
 from ..model.kinds import kind_of
 from . import output
+from .file_kinds import PAGE, RUN
+from .paths import InputFile, OutputFile
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
 _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 @click.command()
-@click.argument("experiment", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path),
+@click.argument("experiment", type=InputFile())
+@click.option("-o", "--output", "destination", type=OutputFile(RUN),
               help="The run file (SQLite); by default the one that the experiment names.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with a run that was interrupted, at its first missing step.")
 @click.option("--accept", is_flag=True, help="With --resume: rows that were marked as in doubt are right.")
@@ -41,10 +43,10 @@ _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 )
 @click.option(
     "--report",
-    type=click.Path(path_type=Path),
+    type=OutputFile(PAGE),
     help="With --until: a page that shows the run while it goes on, and its story afterwards.",
 )
-@click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
+@click.option("--ports", type=InputFile(), help="Addresses by instrument, as 'sherkit lab' wrote them.")
 @output.OWN_INSTRUMENTS
 def measure(
     experiment: Path, destination: Path | None, resume: bool, accept: bool, is_live: bool, until: str | None,
@@ -58,7 +60,7 @@ def measure(
     """
     output.say_that_code_runs(python)
     chosen = load_experiment(experiment, ports, python=python)
-    path = destination or chosen.run_path
+    path = destination or OutputFile(RUN).checked(chosen.run_path, f"the run file that {experiment} names")
     if until is not None:
         if report is not None:
             output.require_view()
@@ -265,10 +267,10 @@ def listening(pressed: Callable[[str], None]) -> Iterator[bool]:
 
 
 @click.command()
-@click.argument("experiment", type=click.Path(path_type=Path))
+@click.argument("experiment", type=InputFile())
 @click.option("--at", metavar="Q1,Q2,…", help="Where the axes stand now, by you; left out: where the plan begins.")
 @click.option("--yes", is_flag=True, help="Do not ask: the way is free, or the robot stands where --at says.")
-@click.option("--ports", type=click.Path(path_type=Path), help="Addresses by instrument, as 'sherkit lab' wrote them.")
+@click.option("--ports", type=InputFile(), help="Addresses by instrument, as 'sherkit lab' wrote them.")
 @output.OWN_INSTRUMENTS
 def home(experiment: Path, at: str | None, yes: bool, ports: Path | None, python: tuple[Path, ...]) -> None:
     """Set the zero of the axes that EXPERIMENT (TOML) moves, and drive to where its plan begins.

@@ -19,6 +19,8 @@ from rich.table import Table
 
 from ..data.files import is_output
 from ..errors import SherkitError
+from .file_kinds import PAGE
+from .paths import InputFile, OutputFile
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -33,7 +35,7 @@ err = Console(stderr=True, highlight=False)
 
 #: For commands that drive an experiment: Python of the user's own, named here and nowhere else.
 OWN_INSTRUMENTS = click.option(
-    "--python", type=click.Path(path_type=Path), multiple=True, help="Python file of your instruments; it is run."
+    "--python", type=InputFile(), multiple=True, help="Python file of your instruments; it is run."
 )
 
 
@@ -137,7 +139,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 def report_option(command: F) -> F:
     """Adds ``--report FILE`` to a command."""
     made: F = click.option(
-        "--report", "report", type=click.Path(path_type=Path, dir_okay=False),
+        "--report", "report", type=OutputFile(PAGE),
         help="Write the story as one HTML file that opens without a network.",
     )(command)  # fmt: skip
     return made

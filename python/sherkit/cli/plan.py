@@ -19,7 +19,9 @@ from ..planning.effect_power import LEVEL, POWER, EffectPower, Planning, plannin
 from ..planning.power import EffectSize, Found, study_power
 from ..robots.machine import robot_at
 from . import output
+from .file_kinds import RESULTS
 from .output import out, table
+from .paths import InputFile, OutputFile
 
 #: Standard deviation of a reading by the unit that people read.
 _NOISE = {"µm": 5.0, "px": 0.1}
@@ -29,8 +31,8 @@ _SIGNS = 8
 
 
 @click.command()
-@click.argument("robot", type=click.Path(path_type=Path))
-@click.argument("experiment", type=click.Path(path_type=Path), required=False)
+@click.argument("robot", type=InputFile())
+@click.argument("experiment", type=InputFile(), required=False)
 @click.option(
     "--verify",
     is_flag=True,
@@ -41,7 +43,7 @@ _SIGNS = 8
 @click.option("--noise-px", type=click.FloatRange(min=0, min_open=True), help="Of a reading in px; default 0.1.")
 @click.option("--effect", "effects", multiple=True, help="An effect that is in the model already.")
 @click.option("--study", "runs", type=click.IntRange(min=1), help="Check the promise on so many simulated robots.")
-@click.option("--keep", type=click.Path(path_type=Path), help="Keep the study's results here; it can be interrupted.")
+@click.option("--keep", type=OutputFile(RESULTS), help="Keep the study's results here; it can be interrupted.")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes of the study; by default one per processor.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def plan(
@@ -49,6 +51,11 @@ def plan(
     effects: tuple[str, ...], runs: int | None, keep: Path | None, workers: int | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
+    if verify and experiment is not None:
+        raise click.UsageError(
+            f"--verify lists the poses of a check and takes no experiment, found {experiment}: leave it out, or leave "
+            f"out --verify"
+        )
     if verify:
         _verifying(robot, poses, as_json=as_json)
         return

@@ -9,18 +9,20 @@ from rich.markup import escape
 
 from ..data.files import write_whole
 from ..errors import SherkitError
-from ..robots.printer.calibration import write_klipper_config
+from ..robots.printer.calibration import klipper_config
 from ..robots.printer.examined import examine, files_of
 from . import output
+from .file_kinds import KLIPPER
 from .output import out, report_option
+from .paths import InputFile, OutputFile
 
 
 @click.command()
-@click.argument("config", type=click.Path(path_type=Path))
-@click.argument("maps", type=click.Path(path_type=Path), nargs=-1, metavar="[HEIGHTMAP]...")
+@click.argument("config", type=InputFile())
+@click.argument("maps", type=InputFile(), nargs=-1, metavar="[HEIGHTMAP]...")
 @click.option("--plate", "plates", multiple=True, metavar="NAME=DEGREES",
               help="The plate was turned by so much, anticlockwise seen from above, under the mesh NAME.")  # fmt: skip
-@click.option("-o", "--output", "written", type=click.Path(path_type=Path),
+@click.option("-o", "--output", "written", type=OutputFile(KLIPPER),
               help="Write CONFIG with the better numbers here (Klipper).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of sentences.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules folds and flips.")
@@ -41,8 +43,7 @@ def printer(
     if written is not None:
         if found.robot.firmware != "klipper":
             raise SherkitError("--output: is for Klipper's printer.cfg; the commands of other firmwares are printed")
-        if kept := write_klipper_config(config, examined.new.towers, written):
-            output.warn(f"{config}: as it was, it is kept in {kept}")
+        write_whole(written, klipper_config(config, examined.new.towers))
     if report is not None:
         from ..report.printer import page
 

@@ -22,6 +22,8 @@ from ..robots.tool.model import Applied
 from ..robots.tool.runs import read_tool_run, require_camera, summary
 from ..robots.tool.tool import FlexibleTool, load_tool
 from . import output
+from .file_kinds import PICTURE, TABLE, TOOL
+from .paths import InputFile, OutputFile
 
 #: Filters by the name that a person gives, and by what a tool file calls their noise.
 _FILTERS = {"rod": "propagated", "paper": "ebrahimi_2020", "paper-of-force": "ebrahimi_2020_of_force"}
@@ -31,11 +33,9 @@ _KNOWLEDGE = ("rows", "95 % cover", "NEES", "99 % band", "largest / σ", "verdic
 
 
 @click.command()
-@click.argument("tool", type=click.Path(path_type=Path))
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the estimates (CSV, Parquet)."
-)
+@click.argument("tool", type=InputFile())
+@click.argument("run", type=InputFile())
+@click.option("-o", "--output", "destination", type=OutputFile(TABLE), help="Write the estimates (CSV, Parquet).")
 @click.option(
     "--filter",
     "which",
@@ -43,7 +43,7 @@ _KNOWLEDGE = ("rows", "95 % cover", "NEES", "99 % band", "largest / σ", "verdic
     help="Whose estimates are written: of the rod about its pivot, or the paper's own filters.",
 )
 @click.option("--both", is_flag=True, help="Write the paper's filters beside, as columns of their own.")
-@click.option("--report", "picture", type=click.Path(path_type=Path, dir_okay=False),
+@click.option("--report", "picture", type=OutputFile(PICTURE),
               help="Draw estimate, band, truth and force over time (HTML, PNG or SVG).")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 def estimate(
@@ -283,9 +283,9 @@ def print_calibration(result: ToolCalibration) -> None:
 
 
 @click.command()
-@click.argument("tool", type=click.Path(path_type=Path))
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the tool file here.")
+@click.argument("tool", type=InputFile())
+@click.argument("run", type=InputFile())
+@click.option("-o", "--output", "destination", type=OutputFile(TOOL), help="Write the tool file here.")
 @click.option("--longest-delay-s", type=click.FloatRange(min=0, min_open=True), default=0.5, show_default=True)
 def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: float) -> None:
     """Frame and clock of the camera from RUN, in which the unbent TOOL was led around freely."""

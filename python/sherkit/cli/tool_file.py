@@ -25,7 +25,9 @@ from ..robots.tool.runs import read_tool_run
 from ..robots.tool.tool import KIND, load_tool
 from ..robots.tool.virtual import VirtualTool
 from . import output
+from .file_kinds import PAGE, TOOL
 from .output import refuse_given
+from .paths import OutputFile, require_kind
 from .tool import calibrate_tool, sentences_of, write_tool_report
 
 
@@ -75,6 +77,8 @@ class ToolFile:
 
     def _calibrate(self, loads: Path, destination: Path | None) -> None:
         refuse_given("robot", "run", "destination", why="is not for the known loads of a flexible tool")
+        if destination is not None:
+            require_kind(destination, "--output", (TOOL,))
         calibrate_tool(self.path, loads, destination)
 
     def _app(self, run: Path, files: Sequence[Path], *, opened: bool) -> None:
@@ -85,13 +89,13 @@ class ToolFile:
             why=f"{self.path}: the page of a flexible tool's run is one file, beside RUN; give TOOL and RUN, and "
             "--effects for effects of your own",
         )  # fmt: skip
+        page = OutputFile(PAGE).checked(run.parent / f"{run.stem}.story.html", "the page beside RUN")
         own = tuple(effect for file in files for effect in load_effects(file))
         with output.steps(14) as step:
             step(f"reading {run}")
             model, data = self.read((run,))
             step("fitting the camera's offset")
             found = run_diagnosis(identify(model, data), effects=own, step=step)
-            page = run.parent / f"{run.stem}.story.html"
             step("depth and tip")
             self.report(page, f"{self.path.stem} on {run.name}", found)
         output.say(f"{found.headline}\nthe page is {page}")

@@ -25,6 +25,8 @@ from ..robots.tool.runs import ToolRun, read_tool_run, require_camera
 from ..robots.tool.tare import Tare, tare
 from ..robots.tool.tool import FlexibleTool, load_tool
 from . import output
+from .file_kinds import TOOL
+from .paths import InputFile, OutputFile
 from .tool import (
     number,
     print_alignment,
@@ -37,11 +39,11 @@ from .tool import (
 
 
 @click.command("tool")
-@click.argument("bench", type=click.Path(path_type=Path))
-@click.argument("free", type=click.Path(path_type=Path))
-@click.argument("run", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), required=True, help="The tool file.")
-@click.option("--drawing", type=click.Path(path_type=Path),
+@click.argument("bench", type=InputFile())
+@click.argument("free", type=InputFile())
+@click.argument("run", type=InputFile())
+@click.option("-o", "--output", "destination", type=OutputFile(TOOL), required=True, help="The tool file.")
+@click.option("--drawing", type=InputFile(),
               help="A tool file with what no table tells, as where sections are; default: the paper's.")  # fmt: skip
 @click.option("--longest-delay-s", type=click.FloatRange(min=0, min_open=True), default=0.5, show_default=True)
 @output.report_option

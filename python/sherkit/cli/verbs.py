@@ -13,9 +13,10 @@ import click
 
 import sherkit._core as _core
 
-from ..base.extensions import VERBS, brought_beside
+from ..base.extensions import VERBS
 from ..base.starting import loaded
 from ..errors import MeasurementError, SherkitError
+from .groups import OpenGroup, told
 
 # -- What a help ends with --------------------------------------------------------------------------------------------
 
@@ -132,16 +133,15 @@ _GROUPS = {
 _VERBS = {name: place for group in _GROUPS.values() for name, (place, _) in group.items()}
 
 
-class _Verbs(click.Group):
-    """A group that knows the names of its commands; each is loaded when it is called, or told of in a help. Other
-    packages may bring more."""
+class _Verbs(OpenGroup):
+    """Knows the names of its commands; each is loaded when it is called, or told of in a help."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*_VERBS, *brought_beside(_VERBS, VERBS, click.Command)]
+    declared = VERBS
+    own = _VERBS
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _VERBS:
-            return brought_beside(_VERBS, VERBS, click.Command).get(cmd_name)
+            return super().get_command(ctx, cmd_name)
         file, _, name = _VERBS[cmd_name].partition(".")
         command: click.Command = getattr(import_module(f".{file}", __package__), name)
         command.epilog = epilog(cmd_name)
@@ -152,9 +152,9 @@ class _Verbs(click.Group):
         for title, group in _GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(name, said) for name, (_, said) in group.items()])
-        if more := brought_beside(_VERBS, VERBS, click.Command):
+        if more := self.brought:
             with formatter.section("Of other packages"):
-                formatter.write_dl([(name, command.get_short_help_str(80)) for name, command in more.items()])
+                formatter.write_dl([(name, told(command)) for name, command in more.items()])
 
 
 @click.group(

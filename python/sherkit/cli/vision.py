@@ -17,6 +17,8 @@ from ..data.tables import read_table, write_table
 from ..errors import MeasurementError, SherkitError
 from ..robots.spherical.robot import SPHERICAL_JOINTS
 from . import output
+from .file_kinds import CAMERA, PRINTED, TABLE
+from .paths import InputFile, OutputFile
 
 if TYPE_CHECKING:
     from ..vision.pictures import CameraPicture
@@ -34,9 +36,9 @@ def require_vision() -> None:
 
 
 @click.command()
-@click.argument("sources", nargs=-1)
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="CSV or Parquet.")
-@click.option("--joints", type=click.Path(path_type=Path), help="CSV with theta1_rad, theta2_rad: one row for each "
+@click.argument("sources", type=InputFile(words=r"\d+", folders=True), nargs=-1)
+@click.option("-o", "--output", "destination", type=OutputFile(TABLE), help="CSV or Parquet.")
+@click.option("--joints", type=InputFile(), help="CSV with theta1_rad, theta2_rad: one row for each "
               "picture in their order, or for a video with time_s, joined by time.")  # fmt: skip
 @click.option("--marker", type=click.Choice(_MARKERS), default="corner", show_default=True)
 @click.option("--identity", type=int, help="Number of the tag, where several may be seen, or to be printed.")
@@ -44,12 +46,12 @@ def require_vision() -> None:
 @click.option("--longest-gap-s", type=click.FloatRange(min=0), default=0.1, show_default=True,
               help="Joint readings on both sides of a picture may be this far apart.")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(min=0), help="How long to film with a live camera.")
-@click.option("--print", "paper", type=click.Path(path_type=Path), metavar="FILE", help="Write the --marker to print "
+@click.option("--print", "paper", type=OutputFile(PRINTED), metavar="FILE", help="Write the --marker to print "
               "(.pdf or .png) instead of looking for it.")  # fmt: skip
 @click.option("--size-mm", type=click.FloatRange(min=0, min_open=True), default=24.0, show_default=True,
               help="With --print: diameter of the corner marker, side of the black square of a tag.")  # fmt: skip
 def markers(
-    sources: tuple[str, ...], destination: Path | None, joints: Path | None, marker: str, identity: int | None,
+    sources: tuple[Path | str, ...], destination: Path | None, joints: Path | None, marker: str, identity: int | None,
     delay_s: float, longest_gap_s: float, seconds: float | None, paper: Path | None, size_mm: float,
 ) -> None:  # fmt: skip
     """Find the marker in SOURCES: pictures, folders of them, a video, or the number of a camera.
@@ -67,7 +69,7 @@ def markers(
     from ..robots.spherical.pictures import WHY, joined_by_time, marker_rows, run_of
     from ..vision.pictures import pictures_from
 
-    pictures, timed = pictures_from(sources, seconds)
+    pictures, timed = pictures_from([str(one) for one in sources], seconds)
     names: list[str] = []
     unreadable: dict[str, str] = {}
 
@@ -135,12 +137,12 @@ def _joints(path: Path) -> pl.DataFrame:
 
 
 @click.command()
-@click.argument("pictures", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("pictures", nargs=-1, required=True, type=InputFile(folders=True))
 @click.option("--chessboard", metavar="COLUMNSxROWS", help="Inner corners of a chessboard, as 9x6.")
 @click.option("--charuco", metavar="COLUMNSxROWS", help="Squares of a ChArUco board (5×5 tags), as 8x5.")
 @click.option("--square-mm", type=click.FloatRange(min=0, min_open=True), required=True, help="Side of a square.")
 @click.option("--marker-mm", type=click.FloatRange(min=0, min_open=True), help="Side of a tag of a ChArUco board.")
-@click.option("-o", "--output", "destination", type=click.Path(path_type=Path), help="Write the table [camera] here.")
+@click.option("-o", "--output", "destination", type=OutputFile(CAMERA), help="Write the table [camera] here.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of a table.")
 def intrinsics(
     pictures: tuple[Path, ...], chessboard: str | None, charuco: str | None, square_mm: float, marker_mm: float | None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from ..base.names import brief, closest, listed
-from ..errors import MeasurementError, SherkitWarning
+from ..errors import FitError, MeasurementError, SherkitWarning
 from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, known_layouts, meanings, stated, unit_in
 from .frames import clean
 from .raw_table import NOTHING, WITH_UNIT, RawTable, Wrong, is_number, raw_table
@@ -86,15 +86,23 @@ class FileCheck:
         }
 
 
-def check_file(path: str | Path, *, columns: Columns | None = None, layouts: Sequence[Layout] = ()) -> FileCheck:
+def _anybody(_: Measurements) -> None:
+    """A run of whatever robot."""
+
+
+def check_file(
+    path: str | Path, *, columns: Columns | None = None, layouts: Sequence[Layout] = (), whose: str = "",
+    require: Callable[[Measurements], None] = _anybody,
+) -> FileCheck:  # fmt: skip
     """Reads a file of measurements as far as it can be read, and says all that is wrong with it.
 
-    ``columns`` are the names that a robot file gives, ``layouts`` the kinds of run that its robot may have; left out,
-    all that are known. Raises :class:`~sherkit.errors.MeasurementError` where there is no file, or no table in it.
+    ``columns`` are the names that a robot file gives, ``layouts`` the kinds of run that its robot, called ``whose``,
+    may have; left out, all that are known. ``require`` raises where the rows are none of this robot. Raises
+    :class:`~sherkit.errors.MeasurementError` where there is no file, or no table in it.
     """
     path = checked(path)
     table = _of_parquet(path) if path.suffix.lower() in PARQUET else raw_table(path)
-    return _Checking(table, str(path), columns or {}, tuple(layouts)).result()
+    return _Checking(table, str(path), columns or {}, tuple(layouts), whose, require).result()
 
 
 def _of_parquet(path: Path) -> RawTable:
@@ -112,12 +120,19 @@ class _Checking:
     source: str
     given: Columns
     layouts: tuple[Layout, ...]
+    whose: str
+    require: Callable[[Measurements], None]
     cells: dict[str, list[str]] = field(init=False)
     words: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.cells = {name: self.table.column(name) for name in self.table.names}
         self.wrong = self.table.wrong
+        for ours, theirs in self.given.items():
+            if theirs not in self.cells:
+                said = f"is missing, which is to be read as '{ours}' by the robot's file"
+                cure = "name it there as it is here, or leave it out there"
+                self.wrong.append(Wrong(said, cure, column=theirs, mended=False))
 
     def result(self) -> FileCheck:
         """All of it."""
@@ -149,16 +164,34 @@ class _Checking:
             {ours: name for ours, name in columns.items() if ours != name and ours not in self.given},
         )  # fmt: skip
 
+    def _foreign(self, names: set[str]) -> str:
+        """That these columns are no run of the robot, and which of its own are missing; empty where they may be one."""
+        lacking = [[joint for joint in one.joints if joint not in names] for one in self.layouts]
+        read = [bool(names & {*one.readings}) for one in self.layouts]
+        if not self.layouts or any(seen and not joints for joints, seen in zip(lacking, read, strict=True)):
+            return ""
+        missing = [listed(fewest, 12)] if (fewest := min(lacking, key=len)) else []
+        if not any(read):
+            wanted = dict.fromkeys(name for one in self.layouts for name in one.readings)
+            missing.append(f"at least one of {listed(wanted, 12)}")
+        has = listed(self.table.names, 12)
+        otherwise = [f"'{theirs}' as {ours}" for ours, theirs in self.given.items() if theirs in fewest]
+        has += f", where the robot's file reads {listed(otherwise)}" if otherwise else ""
+        return f"{self.source}: is no run of {self.whose}: lacks {' and '.join(missing)}; the file has {has}"
+
     def _read(self, columns: Columns) -> tuple[Measurements | None, str]:
         renamed = {ours: theirs for ours, theirs in columns.items() if ours != theirs}
         if not self.table.rows:
             return None, f"{self.source}: holds no row of measurements"
+        if foreign := self._foreign({*columns, *(name for name in self.cells if name not in columns.values())}):
+            return None, foreign
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", SherkitWarning)
             try:
                 line = np.array(self.table.line, dtype=np.int64)
                 data = clean(pl.DataFrame(self.cells), self.source, line, "line", renamed)
-            except MeasurementError as error:
+                self.require(data)
+            except (FitError, MeasurementError) as error:
                 return None, str(error)
         doubts = [str(w.message) for w in said if issubclass(w.category, SherkitWarning)]
         for one in doubts:
@@ -365,6 +398,8 @@ def _could_be(name: str, ours: set[str]) -> str:
 
 def said_of(found: FileCheck) -> str:
     """In one line, how many things are wrong and what comes of it."""
+    if found.refused and not found.wrong:
+        return f"{found.source}: cannot be used"
     count = len(found.wrong)
     if found.is_good:
         return f"{found.source}: nothing is wrong, {len(found.data or ())} rows"

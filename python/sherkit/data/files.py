@@ -1,14 +1,15 @@
-"""Files that are whole or not there: all that sherkit writes is written by :func:`write_whole`."""
+"""Files that are whole or not there: all that sherkit writes is written by :func:`write_whole`; and what is no file."""
 
 from __future__ import annotations
 
 import os
 import secrets
+import stat
 import sys
 from contextlib import suppress
 from pathlib import Path
 
-from ..errors import NotWritten
+from ..errors import NotWritten, SherkitError
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
@@ -57,6 +58,30 @@ def _sync(folder: Path) -> None:
             os.fsync(opened)
         finally:
             os.close(opened)
+
+
+#: What is no file, by what the system calls it.
+_NO_FILES = ((stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"), (stat.S_ISSOCK, "a socket"))
+_PIPE = (stat.S_ISFIFO, "a pipe")
+
+
+def refuse_device(path: str | os.PathLike[str], error: type[SherkitError], *, pipes: bool = False) -> None:
+    """Raises ``error`` for a device or a socket, which may never end; with ``pipes`` for a pipe too, which can be read
+    but once. Files, folders and what is not there pass."""
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return
+    for is_one, called in (*_NO_FILES, *([_PIPE] if pipes else [])):
+        if is_one(mode):
+            first = "; write what comes out of it into a file first" if is_one is stat.S_ISFIFO else ""
+            raise error(f"{path}: is {called}, expected a file{first}")
+
+
+def bag_in(folder: Path) -> str:
+    """What to say of a folder that holds a bag where a file was expected; empty where it holds none."""
+    is_bag = any(folder.glob("*.db3")) or any(folder.glob("*.mcap"))
+    return "; it looks like a ROS 2 bag, which sk.from_rosbag and sherkit import rosbag read" if is_bag else ""
 
 
 def is_output(path: str | os.PathLike[str]) -> bool:

@@ -44,10 +44,13 @@ def to_polars(frame: Any) -> pl.DataFrame:
     if isinstance(frame, pl.LazyFrame):
         return frame.collect()
     if isinstance(frame, list | tuple) and all(isinstance(row, Mapping) for row in frame):
-        made = pl.DataFrame([dict(row) for row in frame], infer_schema_length=None, strict=False)
-        if nested := [name for name, of in made.schema.items() if of.is_nested()]:
-            raise MeasurementError(f"frame: column '{nested[0]}' holds lists or tables; expected a number in each row")
-        return made
+        # asked before polars is: it walks down into a cell until the stack ends
+        for row in frame:
+            for name, cell in row.items():
+                if isinstance(cell, Mapping | list | tuple | set) or np.ndim(cell):
+                    told = f"frame: column '{name}' holds lists or tables"
+                    raise MeasurementError(f"{told}; expected a number in each row")
+        return pl.DataFrame([dict(row) for row in frame], infer_schema_length=None, strict=False)
     if not (isinstance(frame, Mapping) or hasattr(frame, "columns")):
         raise MeasurementError(
             "expected a polars or pandas frame, a mapping of columns or a list of dicts, one for each row, "

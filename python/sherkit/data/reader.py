@@ -21,6 +21,7 @@ from ..base.types import Ints
 from ..errors import MeasurementError
 from . import columns as c
 from .columns import Columns
+from .files import bag_in, refuse_device
 from .frames import clean, from_frame
 from .rows import Measurements
 from .tables import PARQUET, read_parquet
@@ -197,14 +198,10 @@ def checked(path: str | Path) -> Path:
     """The path of a file that exists. Raises :class:`~sherkit.errors.MeasurementError`."""
     path = Path(path)
     if path.is_dir():
-        bag = (
-            "; it looks like a ROS 2 bag, which sk.from_rosbag and sherkit import rosbag read"
-            if any(path.glob("*.db3")) or any(path.glob("*.mcap"))
-            else ""
-        )
-        raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file{bag}")
+        raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file{bag_in(path)}")
     if not path.exists():
         raise MeasurementError(f"{path}: there is no such file")
+    refuse_device(path, MeasurementError)
     if not path.is_file():
         return path  # of a pipe nothing can be read twice
     try:

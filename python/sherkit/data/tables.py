@@ -71,8 +71,8 @@ def _tried(path: Path) -> str | None:
     source = _TRIAL.format(path=ascii([p for p in sys.path if p]), file=ascii(str(path.resolve())))
     try:
         done = subprocess.run(
-            [sys.executable, "-I", "-c", source], capture_output=True, text=True, errors="replace", timeout=_TRIAL_S,
-            check=False, stdin=subprocess.DEVNULL,
+            [sys.executable, "-I", "-X", "utf8", "-c", source], capture_output=True, encoding="utf-8", errors="replace",
+            timeout=_TRIAL_S, check=False, stdin=subprocess.DEVNULL,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return f"reading it takes more than {_TRIAL_S:g} s"

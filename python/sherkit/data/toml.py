@@ -17,6 +17,7 @@ from ..base import linalg
 from ..base.names import brief, closest, listed, nearest
 from ..base.types import Floats
 from ..errors import RobotError, SherkitError
+from .files import refuse_device
 
 #: Keys of a table look alike (base_radius_mm, platform_radius_mm); a misspelt one looks more alike still.
 _MISSPELT = 0.75
@@ -31,6 +32,7 @@ def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotErro
     path = Path(path)
     if other := _OTHER.get(path.suffix.lower()):
         raise error(f"{path}: expected a {what} TOML file; {other}")
+    refuse_device(path, error)
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:

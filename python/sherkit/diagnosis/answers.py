@@ -21,7 +21,9 @@ from .where import Dependence
 # -- What a verdict rests on: checks, each made on numbers that the same report shows ------------------------------
 
 #: Checks of which the first line speaks though nothing is decided by them.
-AS_DRAWN, SINGLY, DIGITS, DECLARED = "as_drawn", "apart", "digits", "noise_as_declared"
+AS_DRAWN, DIGITS, DECLARED = "as_drawn", "digits", "noise_as_declared"
+#: The check that rows that are wrong lie as accidents do.
+SINGLY = "apart"
 #: The check that repeats differ by noise alone.
 REPEATS = "repeats_are_noise"
 #: The check that tests lack of fit.
@@ -104,7 +106,7 @@ def headline(checks: Sequence[Check], effects: Sequence[str], not_needed: Sequen
             line += "; " + "; ".join(failing[:_MOST])
     # a wrong column, or an absurd number, moves the drawing as well
     wrong = {check.name for check in checks if check.holds is False}
-    spoken = {SINGLY, DIGITS, DECLARED} | ({AS_DRAWN} if not wrong & _MOVES else set())
+    spoken = {DIGITS, DECLARED} | ({AS_DRAWN} if not wrong & _MOVES else set())
     line += "".join(
         f"; but {check.fails}" for check in checks if check.name in wrong & spoken and check.fails not in line
     )

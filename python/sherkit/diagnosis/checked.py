@@ -7,24 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..base.names import listed, spans
-from ..base.types import Floats, Ints
+from ..base.names import listed
+from ..base.types import Floats
 from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
-from .answers import AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SINGLY, SMALL, Check
+from .answers import AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SMALL, Check
 from .explanation import ABSURD, PLAUSIBLE, largest, sizes_of
 from .fitted_run import FittedRun
 from .held_out import PRAISE, FewEnough, HeldOutGain
 from .lack_of_fit import LackOfFit
 from .named import Named
 from .one_unknown import OneUnknown
-from .outliers import in_one_go
 from .repeats import Repeats
 from .rounded import Rounded, rounded
 from .where import SlowDrift
-
-#: Part of the rows that may be listed as wrong before the rest is no run any more.
-_WRONG = 0.2
 
 
 def checks_of(
@@ -36,7 +32,7 @@ def checks_of(
     unknown: OneUnknown | None,
     needed: Sequence[HeldOutGain],
     level: float,
-    outliers: Ints,
+    wrong: Sequence[Check],
     mistakes: Sequence[Mistake],
     table: Sequence[Doubt],
     digits: Rounded | None,
@@ -49,15 +45,15 @@ def checks_of(
     """Every check about a final fit, those that decide first.
 
     ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
-    of several, ``needed`` what the effects that were in the model earn, ``outliers`` the rows left out, ``mistakes``
-    those of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is
-    most, ``slow_drift`` what is left in the course of time, ``repeats`` what repeats of a pose hold, ``contradicted``
-    by axis the noise that was declared and the one that repeats show; ``by_noise`` gives what noise alone leaves on
-    rows held out of these poses, in noises, and ``enough`` the parameters that are enough there.
+    of several, ``needed`` what the effects that were in the model earn, ``wrong`` what is asked of the rows left out,
+    ``mistakes`` those of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where
+    that is most, ``slow_drift`` what is left in the course of time, ``repeats`` what repeats of a pose hold,
+    ``contradicted`` by axis the noise that was declared and the one that repeats show; ``by_noise`` gives what noise
+    alone leaves on rows held out of these poses, in noises, and ``enough`` the parameters that are enough there.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_set_up(mistakes, final), *_table(table, final), _converged(final, used), _plausible(final, used)]
-    out += [_as_drawn(final, used), _gross(final, outliers), *_apart(final, outliers)]
+    out += [_as_drawn(final, used), *wrong]
     p = found.result.p_left if not found.result.signature else found.result.p_first
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
@@ -169,32 +165,6 @@ def _as_drawn(final: FittedRun, used: str) -> Check:
         AS_DRAWN, tested, used, f"farthest is {told}{more}", holds=far == 0, decisive=False,
         fails=f"{told}{more}: is the robot file that of this robot?",
     )  # fmt: skip
-
-
-def _gross(final: FittedRun, outliers: Ints) -> Check:
-    share = len(outliers) / max(len(final.data), 1)
-    return Check(
-        "gross_errors", "few rows are wrong", f"all {len(final.data)} rows",
-        f"{len(outliers)} are listed as wrong and are in none of these numbers", holds=share <= _WRONG,
-        fails=f"{len(outliers)} of {len(final.data)} rows stand apart from the others",
-    )  # fmt: skip
-
-
-def _apart(final: FittedRun, outliers: Ints) -> list[Check]:
-    if not len(outliers):
-        return []
-    lasting = in_one_go(final.data, outliers)
-    tested, rows = "rows that are wrong are so each for itself", f"the {len(outliers)} rows listed as wrong"
-    if not len(lasting):
-        return [Check(SINGLY, tested, rows, "between them others are right", holds=True, decisive=False)]
-    where = f"{final.data.counted}s {spans(final.data.line[lasting])}"
-    told = f"{where} were read one after another"
-    return [
-        Check(
-            SINGLY, tested, rows, told, holds=False, decisive=False,
-            fails=f"{told}, are wrong and left out: was the instrument or the target knocked, and put back?",
-        )
-    ]  # fmt: skip
 
 
 def _poses(final: FittedRun, fitness: LackOfFit | None, *, followed: bool) -> Check:

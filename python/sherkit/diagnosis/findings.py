@@ -9,7 +9,7 @@ from ..base.figures import in_names, number, stated
 from ..base.names import listed
 from ..model.effect import Effect
 from ..model.kinds import required_um
-from .answers import APART, FILES, MISSING, NEXT, WHERE, WHICH, WRONG, CandidateReport, Diagnosis, Finding
+from .answers import APART, FILES, MISSING, NEXT, SINGLY, WHERE, WHICH, WRONG, CandidateReport, Diagnosis, Finding
 from .outliers import sentences
 from .sensor_pose import pose_in_words
 from .template import indistinguishable, sentence
@@ -120,6 +120,12 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
             f"The model is {off} on poses that it was not fitted to, and that may be because these are too few, or too "
             "close together: nothing shows beside what they leave open.",
             "Measure more poses, out to the rim of the workspace, and ask again.",
+        )
+    failing = [check for check in d.checks if check.forbids_praise]
+    if [check.name for check in failing] == [SINGLY]:
+        return (
+            f"Rows that are wrong lie together: {failing[0].fails}. Without them the model is {off}.",
+            "Look at the machine and the instrument there; what is said of all other rows holds without them.",
         )
     return (
         f"The model is {off}, and no effect that is known explains it: what is left has a pattern.",

@@ -45,10 +45,8 @@ _FEWEST_OF_AN_END = 12
 _OUTLYING_END = 0.8
 #: What a slip leaves of such rows is at most so many times what is left of the others.
 _SLIPPED = 3.0
-#: Wrong rows that follow one another are of something that lasted where they are so many, at so many poses.
-_LASTS, _POSES = 5, 3
-#: Part of the wrong rows that hold one value where that is what is wrong with them.
-_ONE_VALUE = 0.4
+#: Wrong rows that hold one value where that is what is wrong with them: so many at least, and that part of them.
+_LASTS, _ONE_VALUE = 5, 0.4
 #: Chance of a first reading that is off, and of one that is not, from the right side.
 _OFF, _NEAR = 1e-6, 1e-3
 #: What gross errors may add to what a fit leaves before it is said that they decide it.
@@ -217,18 +215,6 @@ def _one_value(data: Measurements, rows: Ints) -> Iterator[str]:
 def _in_large(value: float, unit: str) -> str:
     """A size, in mm from a thousand µm on."""
     return f"{number(1e-3 * value)} mm" if unit == "µm" and value >= 1e3 else f"{number(value)} {unit}"
-
-
-def in_one_go(data: Measurements, rows: Ints) -> Ints:
-    """Those of gross errors (indices of ``data``) that were read one after another, with none between that is right: no
-    accidents of single readings but something that lasted."""
-    outliers = np.zeros(len(data), dtype=bool)
-    outliers[rows] = True
-    order = np.argsort(data.order, kind="stable")
-    order = order[outliers[order] | ~data.outlier[order]]
-    runs = np.split(order, np.flatnonzero(np.diff(outliers[order].astype(int))) + 1)
-    lasting = (r for r in runs if len(r) >= _LASTS and outliers[r[0]] and len(np.unique(data.standing[r])) >= _POSES)
-    return np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *lasting]))
 
 
 def _visits(time: Floats | None, outliers: Bools) -> Bools:

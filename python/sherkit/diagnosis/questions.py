@@ -27,6 +27,7 @@ from .checked import checks_of
 from .explanation import TOLD, implausible, is_plausible
 from .findings import findings_of
 from .fitted_run import FittedRun, enough_of
+from .gathered import checks_of_outliers
 from .held_out import HeldOutError, by_noise_alone, few_enough, held_out
 from .lack_of_fit import lack_of_fit
 from .linearised import orthonormal
@@ -101,7 +102,9 @@ def diagnose(
     run, outliers = (run, np.zeros(0, dtype=np.int64)) if not look else without_outliers(run, every, keep)
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
-    notes += sentences(run.fit, outliers, side=is_first_by_side(run, every, outliers))
+    side = is_first_by_side(run, every, outliers)
+    notes += sentences(run.fit, outliers, side=side)
+    wrong = checks_of_outliers(run, outliers, seed, side=side)
     if run.is_exact:
         notes.append(
             f"every reading is what the model says, to the last digits: {run.data.source} was computed, it seems, not "
@@ -167,7 +170,7 @@ def diagnose(
     unknown = one_unknown(run, final, found.names, run.noise[0], repeated_folds) if many else None
     slow_drift = slow_drift_of(of_all)
     checks = checks_of(
-        final, found, sigma, origin, fitness, unknown, needed, level, outliers, mistakes, table, rounded, slow_drift,
+        final, found, sigma, origin, fitness, unknown, needed, level, wrong, mistakes, table, rounded, slow_drift,
         left, contradicted, lambda: by_noise_alone(final, sigma, repeated_folds, level, seed),
         lambda: few_enough(final, sigma, repeated_folds),
     )  # fmt: skip

@@ -43,8 +43,8 @@ SLACK = 0.05
 class ChainModel(SeenModel):
     """A nominal robot with named errors and effects to identify.
 
-    ``free`` names the geometric errors and numbers of the sensor's pose to identify; left out, those of :attr:`default`.
-    All parameters of ``effects`` are free. Readings have the columns of the rows' layout.
+    ``free`` names the geometric errors and numbers of the sensor's pose to identify; left out, those of
+    :attr:`default`. All parameters of ``effects`` are free. Readings have the columns of the rows' layout.
     """
 
     robot: Any
@@ -185,7 +185,8 @@ class ChainModel(SeenModel):
             ways = " or ".join(", ".join(one.coordinates) for one in self.layouts)
             raise FitError(
                 f"{data.source}: is no run of a {self.robot.kind} robot: expected the columns "
-                f"{', '.join(self.layouts[0].joints)} with {ways}, found {', '.join(data.layout.joints)}"
+                f"{', '.join(self.layouts[0].joints)} with {ways}, found {', '.join(data.layout.joints)} with "
+                f"{', '.join(data.layout.coordinates)}"
             )
 
     # -- parameters --------------------------------------------------------------------------------------

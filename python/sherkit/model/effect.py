@@ -136,7 +136,7 @@ class Effect(Shown):
             out = np.asarray(self.function(rows, p))
         except (EffectError, FitError):
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise EffectError(f"effect '{self.name}' failed: {type(error).__name__}: {error}") from error
         n = len(rows)
         if out.shape != (n, axes):
@@ -157,7 +157,7 @@ class Effect(Shown):
             p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
             try:
                 out = np.asarray(self.derivative(rows, p), dtype=float)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 raise EffectError(
                     f"effect '{self.name}': its derivative failed: {type(error).__name__}: {error}"
                 ) from error

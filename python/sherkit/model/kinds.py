@@ -7,6 +7,7 @@ robot it is.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, overload, runtime_checkable
@@ -15,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base import built_in
-from ..base.names import listed
+from ..base.names import brief, listed
 from ..base.types import Floats, Ints
 from ..data import Measurements
-from ..data.columns import Layout, know
+from ..data.columns import LAYOUTS, Layout, know
 from ..data.toml import Table
 from ..errors import FitError, RobotError, ShapeError
 from .any import Extended, Model
@@ -268,9 +269,36 @@ def known_kinds() -> dict[str, Kind]:
 
 
 def register(kind: Kind) -> None:
-    """Makes a kind known, its runs and its files."""
-    known_kinds()[kind.name] = kind
+    """Makes a kind known, its runs and its files.
+
+    Raises :class:`~sherkit.errors.RobotError` for one that lacks what every verb asks of it.
+    """
+    known = known_kinds()
+    if not (isinstance(kind.model, type) and issubclass(kind.model, ChainModel)):
+        raise RobotError(f"the Kind '{kind.name}': model: expected a class below ChainModel, got {brief(kind.model)}")
+    if not (isinstance(kind.layouts, tuple) and all(isinstance(one, Layout) for one in kind.layouts)):
+        raise RobotError(f"the Kind '{kind.name}': layouts: expected a tuple of Layout, got {brief(kind.layouts)}")
+    if not hasattr(kind.robot, "forward"):
+        raise RobotError(f"the Kind '{kind.name}': robot: expected the class of a robot, got {brief(kind.robot)}")
     know(*kind.layouts)
+    known[kind.name] = kind
+
+
+@contextmanager
+def known_as(kind: Kind) -> Iterator[None]:
+    """Within it this kind has its name, its files and its runs, whoever had them before and has them again after it."""
+    known, held = known_kinds(), known_kinds().get(kind.name)
+    layouts = list(LAYOUTS)
+    LAYOUTS[:] = [one for one in layouts if held is None or one not in held.layouts]
+    try:
+        register(kind)
+        yield
+    finally:
+        LAYOUTS[:] = layouts
+        if held is None:
+            known.pop(kind.name, None)
+        else:
+            known[kind.name] = held
 
 
 def robot_from_tables(values: dict[str, object], where: str) -> Robot:

@@ -1,5 +1,5 @@
-"""A model whose robot is read by a sensor that stands somewhere: how well that is known, where a fit begins, and how what
-is read is seen from the base."""
+"""A model whose robot is read by a sensor that stands somewhere: how well that is known, where a fit begins, and how
+what is read is seen from the base."""
 
 from __future__ import annotations
 
@@ -98,8 +98,8 @@ class SeenModel(ModelWithEffects):
         return out
 
     def registration(self, data: Measurements) -> Floats | None:
-        """By how much the sensor's pose (6,) is off that of the robot's file, rad and mm, where most of these rows are as
-        the drawing has them; None where too few tell it."""
+        """By how much the sensor's pose (6,) is off that of the robot's file, rad and mm, where most of these rows are
+        as the drawing has them; None where too few tell it."""
         self.require_own(data)
         size, pose = data.coordinates, self.sensor_pose
         seen = data.select(np.flatnonzero(data.taken[:, :size].all(axis=1) & ~data.outlier))

@@ -42,9 +42,9 @@ HELD: Triple = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class SensorPose:
-    """Where a sensor sees the base of its robot: the origin at ``origin_mm``, the axes turned by ``rpy_deg`` (URDF's roll,
-    pitch, yaw). ``shift_sd_mm`` and ``turn_sd_deg`` are how well that is known along and about each of its axes, one
-    number for all or three: infinite where it is free, zero where it is held; None leaves it to the kind of robot.
+    """Where a sensor sees the base of its robot: the origin at ``origin_mm``, the axes turned by ``rpy_deg`` (URDF's
+    roll, pitch, yaw). ``shift_sd_mm`` and ``turn_sd_deg`` are how well that is known along and about each of its axes,
+    one number for all or three: infinite where it is free, zero where it is held; None leaves it to the kind of robot.
 
     Raises :class:`~sherkit.errors.RobotError` for numbers that are none of these.
     """
@@ -109,7 +109,8 @@ def _deviations(name: str, given: Any) -> Triple:
         x = y = z = np.nan
     if not min(x, y, z) >= 0 or np.isnan([x, y, z]).any():
         raise RobotError(
-            f"sensor_pose: {name}: expected a number for all axes, or three, none below zero (0 holds an axis, inf frees "
+            f"sensor_pose: {name}: expected a number for all axes, or three, none below zero (0 holds an axis, inf "
+            f"frees "
             f"it), got {given!r}"
         )
     return (x, y, z)

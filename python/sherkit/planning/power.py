@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ import numpy as np
 import scipy
 
 from ..base.types import Floats
+from ..base.workers import processes, run_tasks
 from ..data import Measurements
 from ..data.columns import Layout
 from ..data.files import write_whole
@@ -111,23 +112,22 @@ def study_power(
     done = sum((k, r) in p_values for k in range(len(sought)) for r in range(runs))
     if progress is not None:
         progress(done, total)
-    with _pool(executor, workers) as pool, _kept(path, key) as keep:
-        waiting = {}
-        for k, numbers in todo:
-            waiting[pool.submit(_simulated, _task(planning, sought[k], seed, errors, numbers))] = (k, numbers)
-        try:
-            for future in futures.as_completed(waiting):
-                k, numbers = waiting[future]
-                fresh = {(k, r): p for r, p in zip(numbers, future.result(), strict=True)}
-                keep(fresh)
-                p_values |= fresh
-                done += len(fresh)
-                if progress is not None:
-                    progress(done, total)
-        except BaseException:
-            for future in waiting:
-                future.cancel()
-            raise
+    tasks = [_task(planning, sought[k], seed, errors, numbers) for k, numbers in todo]
+    with (
+        _pool(executor, workers) as pool,
+        _kept(path, key) as keep,
+        closing(run_tasks(_simulated, tasks, pool)) as outcomes,
+    ):
+        for one in outcomes:
+            if one.answer is None:
+                raise one.error or AssertionError
+            k, numbers = todo[one.number]
+            fresh = {(k, r): p for r, p in zip(numbers, one.answer, strict=True)}
+            keep(fresh)
+            p_values |= fresh
+            done += len(fresh)
+            if progress is not None:
+                progress(done, total)
     return tuple(
         Found(one.name, power, sum(p_values[k, r] < planning.level for r in range(runs)), runs)
         for k, (one, power) in enumerate(zip(sought, promised, strict=True))
@@ -218,10 +218,7 @@ def _pool(executor: futures.Executor | None, workers: int | None) -> Iterator[fu
         # whose it is closes it
         yield executor
         return
-    import multiprocessing
-
-    # fresh processes: a copy of one that has threads can hang
-    with futures.ProcessPoolExecutor(workers or os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+    with processes(workers) as pool:
         yield pool
 
 

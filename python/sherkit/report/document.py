@@ -62,8 +62,7 @@ _CONTENTS = (
     ("rests", "What it rests on"), ("measured", "What was measured"), ("good", "How good the model was"),
     ("missing_from", "Is anything missing?"), ("where_it_shows", "Where it shows"), ("alike", "What else was tried"),
     ("apart", "What cannot be told apart"), ("history", "How the error fell"),
-    ("parameters_more", "How well known"), ("next", "What to measure next"), ("use", "How to use it"),
-    ("made", "How this was made"),
+    ("next", "What to measure next"), ("use", "How to use it"), ("made", "How this was made"),
 )  # fmt: skip
 #: Height of a printed page as wide as the pictures (letter, which is the lower), with room for a note; what axis and
 #: title take of a figure, px.

@@ -20,6 +20,7 @@ from bokeh.models import Div
 from bokeh.resources import Resources
 
 from ..base.names import CALIBRATED, state_with
+from ..changes import Comparison, History, Verification
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
 from ..fit.identify import Fit
@@ -122,6 +123,8 @@ def cell(value: Any) -> str | None:
             return _framed(card_page("", [effect_card(value, _example_with(value))]))
         if isinstance(value, Study | Diagnosis | Calibration | Fit | Estimate):
             return _with_bokeh(value, pictures_of(value), _cards(value) if isinstance(value, Diagnosis) else "")
+        if isinstance(value, Comparison | History | Verification):
+            return _framed(card_page("", [_text(value)]))
         return _framed(card_page("", [_text(value), scene_of_robot(value).html()]))
     except SherkitError:
         return None

@@ -103,7 +103,9 @@ def write_page(
     style = "<style>:host{font:15px/1.45 sans-serif}p{margin:.5em 0}</style>"
     head = Div(text=f"{style}<h1>{escape(title)}</h1>{told}{scene}", sizing_mode="stretch_width")
     nonce = fresh_nonce()
-    whole = column(head, *figures, sizing_mode="stretch_width", margin=(10, 30, 30, 30))
+    # what is wider than the screen is moved by itself, and not the page with its sentences
+    framed = [column(one, sizing_mode="stretch_width", styles={"overflow-x": "auto"}) for one in figures]
+    whole = column(head, *framed, sizing_mode="stretch_width", margin=(10, 30, 30, 30))
     # a library of Bokeh's holds the end of a body in a text
     page, _, end = page_of(whole, title, nonce).rpartition("</body>")
     moving = f'<script nonce="{nonce}">{script()}</script>' if "<sherkit-scene" in scene else ""
@@ -182,6 +184,8 @@ def _by_browser(picture: Picture[Any], kind: str, width_px: int) -> bytes:
 
 def _run(command: list[str], program: str) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(command, capture_output=True, timeout=_TIMEOUT_S, check=False, text=True)
+        return subprocess.run(
+            command, capture_output=True, timeout=_TIMEOUT_S, check=False, encoding="utf-8", errors="replace"
+        )
     except subprocess.TimeoutExpired:
         raise SherkitError(f"{program} did not draw the picture within {_TIMEOUT_S} s") from None

@@ -54,16 +54,15 @@ def drawing(examined: Examined) -> str:
         f'<g transform="translate({_GAP + k * (_SIZE + _GAP)},{_TOP})">{one}</g>' for k, one in enumerate(panels)
     )
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {_SIZE + _TOP + 40}" font-family="sans-serif" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {_SIZE + _TOP + 60}" font-family="sans-serif" '
         f'font-size="14"><rect width="100%" height="100%" fill="#fafafa"/>{body}</svg>'
     )
 
 
-def _titled(title: str, parts: Sequence[str], note: str = "") -> str:
+def _titled(title: str, parts: Sequence[str], *notes: str) -> str:
     frame = f'<rect width="{_SIZE}" height="{_SIZE}" fill="#fff" stroke="#bbb"/>'
-    return (
-        f'<text y="-12" font-weight="bold">{escape(title)}</text>{frame}{"".join(parts)}'
-        f'<text y="{_SIZE + 22}">{escape(note)}</text>'
+    return f'<text y="-12" font-weight="bold">{escape(title)}</text>{frame}{"".join(parts)}' + "".join(
+        f'<text y="{_SIZE + 22 + 19 * k}">{escape(line)}</text>' for k, line in enumerate(notes)
     )
 
 
@@ -78,7 +77,7 @@ def _plate(title: str, at: Floats, high: Floats, most: float) -> str:
             'stroke="#999" stroke-width="0.5"/>'
         )
     rms = float(np.sqrt(np.mean((high - high.mean()) ** 2))) if len(high) else 0.0
-    return _titled(title, parts, f"{1e3 * rms:.0f} µm RMS; orange high, blue low, to ± {1e3 * most:.0f} µm")
+    return _titled(title, parts, f"{1e3 * rms:.0f} µm RMS", f"orange high, blue low, to ± {1e3 * most:.0f} µm")
 
 
 def _above(examined: Examined, lean: Floats) -> str:
@@ -97,7 +96,7 @@ def _above(examined: Examined, lean: Floats) -> str:
             f'y2="{_px(-y - dy, reach):.1f}" stroke="rgb(213,94,0)" stroke-width="3"/>'
         )
         parts.append(f'<text x="{_px(1.25 * x, reach) - 5:.1f}" y="{_px(-1.25 * y, reach) + 5:.1f}">{name}</text>')
-    return _titled("from above, front below", parts, "orange: leans of the towers, 20 times as large")
+    return _titled("from above, front below", parts, "orange: leans of the towers,", "20 times as large")
 
 
 def _side(examined: Examined, lean: Floats) -> str:

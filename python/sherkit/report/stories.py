@@ -51,7 +51,7 @@ def before_and_after(found: Comparison) -> Picture[Comparison]:
     Raises :class:`~sherkit.errors.FitError` for a comparison that was read from a file, without its runs.
     """
     joined = _of(found)
-    titles = ["before", "after"] if len(joined.runs) == 2 else [f"run {k + 1}" for k in range(len(joined.runs))]
+    titles = ["before", "after"] if len(joined.runs) == 2 else [run.data.source for run in joined.runs]
     tables = _errors(found)
     sources = sources_of(tables)
     names = [name for name in tables["run_1"] if name != "error"]
@@ -156,7 +156,7 @@ def _line(made: Any, source: Any, colour: str) -> None:
 
 
 def _dates(found: History) -> list[str]:
-    return [f"{k + 1}: {run['date']}" for k, run in enumerate(found.runs)]
+    return [f"{k + 1}: {run['date']}" for k, run in enumerate(found.runs) if run["error"] is not None]
 
 
 def _unit(found: History, name: str) -> tuple[str, float]:
@@ -168,7 +168,7 @@ def _unit(found: History, name: str) -> tuple[str, float]:
 
 def _course(found: History) -> Tables:
     dates: Sequence[str] = _dates(found)
-    out: Tables = {"error": {"date": dates, "value": [run["error"] for run in found.runs]}}
+    out: Tables = {"error": {"date": dates, "value": [r["error"] for r in found.runs if r["error"] is not None]}}
     for name, values in found.values.items():
         times = _unit(found, name)[1]
         at, off = (times * np.array(values)).T
@@ -274,8 +274,12 @@ def write_comparison(path: Path, found: Comparison, title: str) -> None:
 
     Raises :class:`~sherkit.errors.FitError` for a comparison that was read from a file, without its runs.
     """
+    told = [*([found.sees] if found.sees else []), found.headline]
+    told += [f"{' or '.join(tie)}: these runs cannot tell" for tie in found.indistinguishable]
+    if found.joined is None and found.silent:
+        write_page(path, title, [*told, found.advice], [])
+        return
     picture = before_and_after(found)
-    told = [found.headline, *(f"{' or '.join(tie)}: these runs cannot tell" for tie in found.indistinguishable)]
     poses = [", ".join(f"{name} {value:.4g}" for name, value in pose.items()) for pose in found.next_poses]
     drawn = mechanism_with_change(found)
     scene = "" if drawn is None else f"<h2>What has changed</h2>{drawn[0].html()}<p>{escape(drawn[1])}</p>"
@@ -285,8 +289,11 @@ def write_comparison(path: Path, found: Comparison, title: str) -> None:
 
 def write_history(path: Path, found: History, title: str) -> None:
     """The error of each run, and of what has changed its course with deviations; what stood still is left out."""
-    told = [f"{found.verdict}.", *map(str, found.changes), f"{len(found.stood_still)} others stood still."]
-    write_page(path, title, told, [course(found).root])
+    told = [*([found.sees] if found.sees else []), f"{found.headline}.", *map(str, found.changes)]
+    if found.verdict != "undecided":
+        told.append(f"{len(found.stood_still)} others stood still.")
+    seen = [run for run in found.runs if run["error"] is not None]
+    write_page(path, title, [*told, found.advice], [course(found).root] if seen else [])
 
 
 # -- A run of the flexible tool ----------------------------------------------------------------------------------------

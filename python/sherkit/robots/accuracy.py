@@ -36,8 +36,8 @@ class PredictedAccuracy:
     ``radius_mm`` holds for effects that the poses of the run can show; ``addition_mm`` is what effects of the catalogue
     at plausible size could do there besides, unseen between the poses; ``effect`` is the one that does most of it and
     ``advice`` the measurement that would narrow it, both empty where there is none. ``visit_mm`` holds 95 of 100 single
-    readings there, scatter and all. NaN for a place out of reach. All holds at ``temperature_c`` and at ``time_s`` on the
-    run's clock; NaN where nothing that is known of the robot depends on it.
+    readings there, scatter and all. NaN for a place out of reach. All holds at ``temperature_c`` and at ``time_s`` on
+    the run's clock; NaN where nothing that is known of the robot depends on it.
     """
 
     radius_mm: float
@@ -179,7 +179,8 @@ class Accurate(Deployed):
     @abstractmethod
     def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
         """Derivatives (n, d, p) by the identified values of a part of where the robot is with ``joints`` (n, j) at the
-        covariates ``now`` of a loop, as :attr:`frame` sees it. In units of which one makes :attr:`reach_mm` at the tool.
+        covariates ``now`` of a loop, as :attr:`frame` sees it. In units of which one makes :attr:`reach_mm` at the
+        tool.
         """
 
     def counted(self, part: Part, frame: str) -> Bools:
@@ -200,8 +201,8 @@ class Accurate(Deployed):
         """Covariance (n, d, d) of where the robot really is when sent to ``coordinates`` (n, k) of :attr:`frame` by
         ``joints`` (n, j), as ``frame`` counts it.
 
-        Parameter covariance carried there, that of what no reading tells with it, plus that of what the model leaves. In
-        the axes of :attr:`frame`, and in units of which one makes :attr:`reach_mm` at the tool.
+        Parameter covariance carried there, that of what no reading tells with it, plus that of what the model leaves.
+        In the axes of :attr:`frame`, and in units of which one makes :attr:`reach_mm` at the tool.
         """
         where, now = self.frame_of(frame), self._now(temperature_c)
         out = np.empty((len(coordinates), *self.whole.residual_covariance.shape))
@@ -236,13 +237,13 @@ class Accurate(Deployed):
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
         direction: ArrayLike | None = None,
     ) -> float:  # fmt: skip
-        """Radius, mm, within which the mean of many visits to ``coordinates`` (k,) of a ``frame`` is predicted to lie in 95
-        of 100 cases: pose accuracy (ISO 9283). How single visits scatter about it is :meth:`repeatability`.
+        """Radius, mm, within which the mean of many visits to ``coordinates`` (k,) of a ``frame`` is predicted to lie
+        in 95 of 100 cases: pose accuracy (ISO 9283). How single visits scatter about it is :meth:`repeatability`.
 
         The whole of :meth:`predicted_accuracy`: what the poses of the run show, and what they could not have shown.
-        In the frame of the base what no reading tells of where the instrument stood is part of it. At ``temperature_c``, by
-        default the mean of the run, and at its end. Where no pose was measured (:meth:`measured`) this is extrapolation and
-        holds only as far as the model does. Raises as :meth:`inverse`.
+        In the frame of the base what no reading tells of where the instrument stood is part of it. At
+        ``temperature_c``, by default the mean of the run, and at its end. Where no pose was measured (:meth:`measured`)
+        this is extrapolation and holds only as far as the model does. Raises as :meth:`inverse`.
         """
         said = self.predicted_accuracy(coordinates, frame=frame, temperature_c=temperature_c, direction=direction)
         return said.total_mm
@@ -382,7 +383,8 @@ class Accurate(Deployed):
         return out
 
     def moves(self, effect: Effect, frame: str) -> bool:
-        """Whether an effect moves places in a frame: the instrument's do not in that of the base, where there are two."""
+        """Whether an effect moves places in a frame: the instrument's do not in that of the base, where there are
+        two."""
         return effect.link != SENSOR or frame == SENSOR or len(self.frames) == 1
 
     def asked(self, part: Part) -> Asked:
@@ -408,7 +410,8 @@ class Accurate(Deployed):
         return Asked(x, joints, now, counted, self.carried)
 
     def measured(self, coordinates: ArrayLike, *, frame: str | None = None) -> bool:
-        """Whether ``coordinates`` (k,) of a ``frame`` lie in the box in which poses were measured, give or take a tenth."""
+        """Whether ``coordinates`` (k,) of a ``frame`` lie in the box in which poses were measured, give or take a
+        tenth."""
         x = self._own(self._place(coordinates)[None, :], self.frame_of(frame))[0]
         part = self.part_at(x)
         margin = 0.1 * (part.high - part.low)

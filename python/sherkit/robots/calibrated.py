@@ -34,8 +34,8 @@ from .unobserved_effects import Search
 
 #: 2: what the poses of a run could not show is written beside what they did; before, accuracy left that out. 3: under
 #: the key ``unobserved_effects``, which was ``unshown``. 4: how single readings scatter is apart from what the model
-#: leaves; where it is not, as in earlier files, it is counted as that. 5: which frame its places are in; before, where the
-#: instrument stood was not in it as the pose that it is.
+#: leaves; where it is not, as in earlier files, it is counted as that. 5: which frame its places are in; before, where
+#: the instrument stood was not in it as the pose that it is.
 FORMAT = 5
 
 
@@ -69,9 +69,8 @@ def tables_of(path: Path, kind: str | None = None) -> dict[str, Any]:
     before = settings.get("format") if isinstance(settings, dict) else None
     if isinstance(before, int) and not isinstance(before, bool) and 1 <= before < FORMAT:
         raise CalibrationError(
-            f"{path}: was written by an earlier version ([calibration] format = {before}, expected {FORMAT}) and does not "
-            f"say {'what its poses could not show' if before == 1 else 'where its instrument stood as the pose that it is'}; "
-            "calibrate again from the run"
+            f"{path}: was written by an earlier version ([calibration] format = {before}, expected {FORMAT}) and does "
+            "not say in which frame its places are; calibrate again from the run"
         )
     if not isinstance(settings, dict) or settings.get("format") != FORMAT:
         raise CalibrationError(

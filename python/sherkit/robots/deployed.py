@@ -35,8 +35,8 @@ class Deployed(Saved, ABC):
     (``temperature_c``, and ``direction``: the sign of the last motion of each joint) matter only where the model holds
     an effect that needs them; left out, :attr:`Part.now` stands for them.
 
-    Places are given in :attr:`frame` unless another of :attr:`frames` is asked for by name: that of the robot's ``base``,
-    as its drawing has it, or that of the ``sensor``, where the instrument stood that measured it.
+    Places are given in :attr:`frame` unless another of :attr:`frames` is asked for by name: that of the robot's
+    ``base``, as its drawing has it, or that of the ``sensor``, where the instrument stood that measured it.
     """
 
     #: The frame of places unless another is asked for, and why there is no other where there is none.
@@ -72,10 +72,12 @@ class Deployed(Saved, ABC):
             return frame or self.frame
         if frame in (BASE, SENSOR):
             raise CalibrationError(
-                f"frame '{frame}': the places of this {self.robot.kind} robot are those of the frame '{self.frame}' alone: "
-                f"{self.no_other}"
+                f"frame '{frame}': the places of this {self.robot.kind} robot are those of the frame '{self.frame}' "
+                f"alone: {self.no_other}"
             )
-        raise CalibrationError(f"frame: expected '{BASE}' or '{SENSOR}', found '{frame}'{nearest(str(frame), (BASE, SENSOR))}")
+        raise CalibrationError(
+            f"frame: expected '{BASE}' or '{SENSOR}', found '{frame}'{nearest(str(frame), (BASE, SENSOR))}"
+        )
 
     def core_in(self, frame: str | None = None) -> Any:
         """:attr:`core` with places in a frame. Raises as :meth:`frame_of`."""
@@ -126,8 +128,8 @@ class Deployed(Saved, ABC):
         self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
         direction: ArrayLike | None = None,
     ) -> Floats:  # fmt: skip
-        """Coordinates (k,) in a ``frame`` for joint readings (j,). Raises :class:`~sherkit.errors.OutOfReach` with what is
-        wrong, :class:`~sherkit.errors.CalibrationError` for a frame that there is not."""
+        """Coordinates (k,) in a ``frame`` for joint readings (j,). Raises :class:`~sherkit.errors.OutOfReach` with what
+        is wrong, :class:`~sherkit.errors.CalibrationError` for a frame that there is not."""
         return self._one(joints, frame, temperature_c, direction)[0]
 
     def jacobian(
@@ -144,8 +146,8 @@ class Deployed(Saved, ABC):
         """Joint readings (j,) at which the corrected model gives ``coordinates`` (k,), to 1e-6 mm or 1e-12 rad.
 
         Arguments as :meth:`forward`. Raises as that, or :class:`~sherkit.errors.NotConverged` where a correction folds
-        over. Warns once (:class:`~sherkit.errors.SherkitWarning`) of a place that is farther from the poses of the run than
-        these lie apart.
+        over. Warns once (:class:`~sherkit.errors.SherkitWarning`) of a place that is farther from the poses of the run
+        than these lie apart.
         """
         x = self._place(coordinates)
         made: Floats = self.core_in(frame).inverse(x, self._now(temperature_c, direction))

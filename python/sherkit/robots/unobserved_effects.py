@@ -37,8 +37,8 @@ Carry = Callable[[Floats, Floats, Floats], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """What counts in one frame: the ``spread`` (q, d, d) that is known, which of the identified ``values`` (p,) move places
-    there, and which effects do."""
+    """What counts in one frame: the ``spread`` (q, d, d) that is known, which of the identified ``values`` (p,) move
+    places there, and which effects do."""
 
     spread: Floats
     values: Bools
@@ -212,8 +212,8 @@ class LinearFit:
         )
 
     def missed(self, one: UnobservedEffect, effect: Effect, places: Floats, frame: Counted | None = None) -> Floats:
-        """What coordinates miss at the asked places (q, d, k) of an effect whose columns there are ``places`` (q, m, k): in
-        a frame, or as readings are."""
+        """What coordinates miss at the asked places (q, d, k) of an effect whose columns there are ``places`` (q, m,
+        k): in a frame, or as readings are."""
         by_values = self._there[0] if frame is None else np.where(frame.values, self._there[0], 0.0)
         moved = places if frame is None or frame.moves(effect) else np.zeros_like(places)
         missed = one.missed(by_values, moved, self._functions_there)
@@ -338,8 +338,8 @@ class Search:
         return np.array([made.hides(one) for one in missed]), replace(made, places=places, left=left)
 
     def _advised(self, moment: Floats, missed: Floats, read: Floats) -> tuple[Floats, float]:
-        """Asked places (r, d) at which readings, which miss ``read`` (q, d, k) by it, would tell most of what coordinates
-        miss (q, d, k), one after the other, and the part that they leave."""
+        """Asked places (r, d) at which readings, which miss ``read`` (q, d, k) by it, would tell most of what
+        coordinates miss (q, d, k), one after the other, and the part that they leave."""
         noise = self.asked.counted[0].spread.mean(axis=0)
         over = np.tensordot(missed, missed, ([0, 1], [0, 1]))
         before = float(np.trace(over @ moment))

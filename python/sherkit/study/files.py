@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import json
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -68,26 +70,60 @@ _MOST_LINES = 2**53
 
 
 def write_study(folder: Path, state: Mapping[str, Any], data: Measurements) -> None:
-    """Writes steps and rows. Raises :class:`~sherkit.errors.NotWritten`.
+    """Writes steps and rows. Raises :class:`~sherkit.errors.NotWritten`, and
+    :class:`~sherkit.errors.SherkitError` where the folder's ``study.json`` is another program's.
 
-    The rows are there, under a name that follows from what is in them, before the steps that name them: a crash at any
-    moment leaves the old study or the new one.
+    The rows are there, under a name that no file has, before the steps that name them: a crash at any moment leaves the
+    old study or the new one. Of what else is in the folder, only the rows that the old steps name are taken away, and
+    only where they are what was written.
     """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # who measured decides who reads it
     except OSError as error:
         raise NotWritten(folder, error) from None
+    before = _rows_in(folder)
     held = io.BytesIO()
     data.to_frame().write_parquet(held)
-    rows = _name_of(held.getvalue())
+    wanted = _hash(held.getvalue())
+    rows = next(n for n in _names(wanted) if not os.path.lexists(folder / n) or _holds(folder / n, wanted))
     if not (folder / rows).exists():
         write_whole(folder / rows, held.getvalue())
     kept = {"source": data.source, "counted": data.counted, "line": _packed(data.line)}
-    text = json.dumps({"format": _FORMAT, "rows": rows, **kept, **state}, indent=2, allow_nan=False)
-    write_whole(folder / _STATE, text)
-    for old in folder.glob("rows-*.parquet"):
-        if old.name != rows:
-            old.unlink(missing_ok=True)
+    known = {"format": _FORMAT, "rows": rows, "rows_sha256": wanted, **kept}
+    write_whole(folder / _STATE, json.dumps({**known, **state}, indent=2, allow_nan=False))
+    if before is not None and before[0] != rows and _holds(folder / before[0], before[1]):
+        (folder / before[0]).unlink(missing_ok=True)
+
+
+def _rows_in(folder: Path) -> tuple[str, str] | None:
+    """Name and hash of the rows of the study that is in a folder; None where it says neither, as older ones do not."""
+    try:
+        state = json.loads((folder / _STATE).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None  # none there, or cut by hand
+    if not isinstance(state, dict) or not isinstance(state.get("format"), int):
+        raise SherkitError(f"{folder / _STATE}: is no study; give the study another folder")
+    name, wanted = state.get("rows"), state.get("rows_sha256")
+    if not isinstance(name, str) or not isinstance(wanted, str) or name != Path(name).name:
+        return None  # nor is a path that leads elsewhere
+    return name, wanted
+
+
+def _names(wanted: str) -> Iterator[str]:
+    """Names for rows of this hash, from the first on that is free."""
+    return (f"rows-{wanted[:32]}{f'-{k}' if k else ''}.parquet" for k in itertools.count())
+
+
+def _holds(path: Path, wanted: str) -> bool:
+    """Whether a file is the one that was written, by its hash; a link is none that was."""
+    try:
+        return path.is_file() and not path.is_symlink() and _hash(path.read_bytes()) == wanted
+    except OSError:
+        return False
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def read_state(folder: Path) -> Table:
@@ -112,7 +148,10 @@ def read_rows(folder: Path, state: Table) -> Measurements:
         content = (folder / Path(name).name).read_bytes()
     except (OSError, ValueError):
         raise SherkitError(f"{folder}: its rows ({name}) are not there") from None
-    if _name_of(content) != name:
+    found = _hash(content)
+    # older studies have the hash in the name alone
+    written = state.words("rows_sha256") if state.has("rows_sha256") else None
+    if found != written if written is not None else not name.startswith(f"rows-{found[:32]}."):
         raise SherkitError(f"{folder / name}: is damaged: it is not what the study wrote")
     with parquet_errors(folder / name):
         frame = pl.read_parquet(io.BytesIO(content))
@@ -124,10 +163,6 @@ def read_rows(folder: Path, state: Table) -> Measurements:
         raise state.fail("line", f"first and count of stretches that make {len(data)} rows")
     # rows keep the numbers by which people know them
     return replace(data, line=_unpacked(stretches), counted=counted)
-
-
-def _name_of(rows: bytes) -> str:
-    return f"rows-{hashlib.sha256(rows).hexdigest()[:32]}.parquet"
 
 
 def _packed(line: Ints) -> list[list[int]]:

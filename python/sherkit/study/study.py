@@ -374,7 +374,8 @@ class Study(Shown):
     def save(self, folder: str | Path) -> None:
         """Writes robot, rows and steps into a folder that :meth:`load` reads back without loss: all of it or nothing.
 
-        Raises :class:`~sherkit.errors.NotWritten`.
+        Whatever else is in the folder stays. Raises :class:`~sherkit.errors.NotWritten`, and
+        :class:`~sherkit.errors.SherkitError` where the folder's ``study.json`` is another program's.
         """
         state = {
             "robot": self.robot.to_tables(),

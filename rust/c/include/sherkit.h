@@ -14,6 +14,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
+// The base of the robot, as its drawing and its controller have it.
+#define SHERKIT_FRAME_BASE 0
+
+// The instrument that measured the robot, where that stood.
+#define SHERKIT_FRAME_SENSOR 1
+
 // Done.
 #define SHERKIT_OK 0
 
@@ -35,7 +41,7 @@
 // The bounded iteration did not settle.
 #define SHERKIT_NOT_CONVERGED 6
 
-// Numbers that mean nothing: a negative variance, a length of zero, a geometry that is no robot.
+// Numbers that mean nothing: a negative variance, a length of zero, a geometry that is no robot, a frame that is none.
 #define SHERKIT_INVALID 7
 
 // A calibration that this version cannot read.
@@ -70,8 +76,11 @@ typedef int32_t sherkit_result;
 
 // A calibrated delta robot. Its content is nobody's business.
 typedef struct sherkit_delta {
-    uint64_t words[512];
+    uint64_t words[640];
 } sherkit_delta;
+
+// One of the SHERKIT_FRAME codes: where the coordinates of a place are counted from.
+typedef uint32_t sherkit_frame;
 
 // What a reading of the delta depends on beside its joints. NaN where it is not known; an effect that needs it then
 // gives SHERKIT_NOT_FINITE.
@@ -197,7 +206,7 @@ typedef struct sherkit_measurement {
 
 // A calibrated serial arm. Its content is nobody's business.
 typedef struct sherkit_serial {
-    uint64_t words[960];
+    uint64_t words[1024];
 } sherkit_serial;
 
 // What a pose of the arm depends on beside its joints. NaN where it is not known; an effect that needs it then gives
@@ -283,18 +292,26 @@ extern "C" {
 extern void sherkit_has_a_path_to_a_panic(void);
 
 // Loads a calibration: count numbers as sherkit writes them. They are not copied and must stay as they are for as
-// long as the robot is used. Where it fails the robot is not initialised.
+// long as the robot is used. Where it fails the robot is not initialised. Its positions are in the frame of the sensor,
+// see sherkit_delta_use_frame.
 sherkit_result sherkit_delta_init(struct sherkit_delta *robot, const double *numbers, size_t count);
 
-// Position (3, mm) for joint readings (3, mm), and its derivative by them (9, row by row) unless jacobian is null.
-// Covariates may be null.
+// Chooses the frame of positions from now on: SHERKIT_FRAME_SENSOR, which it is after sherkit_delta_init, or
+// SHERKIT_FRAME_BASE. A delta is sent where its instrument sees the tool, because only there the readings promise
+// anything: how the base itself is tilted and shifted against them is no better known than the readings tell.
+// SHERKIT_INVALID for any other value, which changes nothing.
+sherkit_result sherkit_delta_use_frame(struct sherkit_delta *robot, sherkit_frame frame);
+
+// Position (3, mm) for joint readings (3, mm), and its derivative by them (9, row by row) unless jacobian is null,
+// both in the frame that is used. Covariates may be null.
 sherkit_result sherkit_delta_forward(const struct sherkit_delta *robot,
                                      const double *joints,
                                      const struct sherkit_delta_covariates *covariates,
                                      double *position,
                                      double *jacobian);
 
-// Joint readings (3, mm) at which the robot stands at a position (3, mm), to 1 nm. Covariates may be null.
+// Joint readings (3, mm) at which the robot stands at a position (3, mm) of the frame that is used, to 1 nm. Covariates
+// may be null.
 sherkit_result sherkit_delta_inverse(const struct sherkit_delta *robot,
                                      const double *position,
                                      const struct sherkit_delta_covariates *covariates,
@@ -341,23 +358,28 @@ sherkit_result sherkit_sensor_read(const struct sherkit_sensor *sensor,
                                    struct sherkit_measurement *measurement);
 
 // Loads a calibration: count numbers as sherkit writes them. They are copied. Where it fails the robot is not
-// initialised.
+// initialised. Its positions are in the frame of the base, see sherkit_serial_use_frame.
 sherkit_result sherkit_serial_init(struct sherkit_serial *robot, const double *numbers, size_t count);
+
+// Chooses the frame of positions from now on: SHERKIT_FRAME_BASE, which it is after sherkit_serial_init, or
+// SHERKIT_FRAME_SENSOR. An arm's programs are written in its base, from which its controller counts, and the instrument
+// is taken away after the measurement. SHERKIT_INVALID for any other value, which changes nothing.
+sherkit_result sherkit_serial_use_frame(struct sherkit_serial *robot, sherkit_frame frame);
 
 // How many joints it has, 1 to 9.
 sherkit_result sherkit_serial_joints(const struct sherkit_serial *robot, size_t *count);
 
-// Position (3, mm) of the target in the base frame for the readings of its joints (rad, or mm of those that slide), and
-// its derivative by them (3 times as many, row by row) unless jacobian is null. Covariates may be null.
+// Position (3, mm) of the target, in the frame that is used, for the readings of its joints (rad, or mm of those that
+// slide), and its derivative by them (3 times as many, row by row) unless jacobian is null. Covariates may be null.
 sherkit_result sherkit_serial_forward(const struct sherkit_serial *robot,
                                       const double *joints,
                                       const struct sherkit_serial_covariates *covariates,
                                       double *position,
                                       double *jacobian);
 
-// Readings of its joints within their limits at which the target is at a position (3, mm) of the base frame, to 1 nm: of
-// many postures that to which the smallest steps lead from start, which is where the arm stands. SHERKIT_OUT_OF_REACH
-// where they lead nowhere. Covariates may be null; joints and start may be the same array.
+// Readings of its joints within their limits at which the target is at a position (3, mm) of the frame that is used, to
+// 1 nm: of many postures that to which the smallest steps lead from start, which is where the arm stands.
+// SHERKIT_OUT_OF_REACH where they lead nowhere. Covariates may be null; joints and start may be the same array.
 sherkit_result sherkit_serial_inverse(const struct sherkit_serial *robot,
                                       const double *position,
                                       const double *start,

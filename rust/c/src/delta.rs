@@ -1,23 +1,25 @@
 //! The calibrated delta.
 
+use crate::frame::{self, Framed, sherkit_frame};
 use crate::result::sherkit_result;
 use crate::robot::{self, Read, Robot};
 use crate::storage::Opaque;
 use nalgebra::{Matrix3, Vector3};
+use sherkit_core::chain::Frame;
 use sherkit_core::delta::{Calibrated, Covariates};
 use sherkit_core::{Result, flat};
 
 /// A calibrated delta robot. Its content is nobody's business.
 #[repr(C)]
 pub struct sherkit_delta {
-    words: [u64; 512],
+    words: [u64; 640],
 }
 
 // SAFETY: one array of so many words.
 unsafe impl Opaque for sherkit_delta {
     type Value = Calibrated<'static>;
     const MARK: u64 = 0x7368_6b64_656c_7461;
-    const WORDS: usize = 512;
+    const WORDS: usize = 640;
 }
 
 /// What a reading of the delta depends on beside its joints. NaN where it is not known; an effect that needs it then
@@ -70,8 +72,15 @@ impl Robot<3> for sherkit_delta {
     }
 }
 
+impl Framed for sherkit_delta {
+    fn in_frame(robot: &Self::Value, frame: Frame) -> Self::Value {
+        robot.in_frame(frame)
+    }
+}
+
 /// Loads a calibration: count numbers as sherkit writes them. They are not copied and must stay as they are for as
-/// long as the robot is used. Where it fails the robot is not initialised.
+/// long as the robot is used. Where it fails the robot is not initialised. Its positions are in the frame of the sensor,
+/// see sherkit_delta_use_frame.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_delta_init(
     robot: *mut sherkit_delta,
@@ -82,8 +91,21 @@ pub unsafe extern "C" fn sherkit_delta_init(
     unsafe { robot::init(robot, numbers, count) }
 }
 
-/// Position (3, mm) for joint readings (3, mm), and its derivative by them (9, row by row) unless jacobian is null.
-/// Covariates may be null.
+/// Chooses the frame of positions from now on: SHERKIT_FRAME_SENSOR, which it is after sherkit_delta_init, or
+/// SHERKIT_FRAME_BASE. A delta is sent where its instrument sees the tool, because only there the readings promise
+/// anything: how the base itself is tilted and shifted against them is no better known than the readings tell.
+/// SHERKIT_INVALID for any other value, which changes nothing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sherkit_delta_use_frame(
+    robot: *mut sherkit_delta,
+    frame: sherkit_frame,
+) -> sherkit_result {
+    // SAFETY: the caller's word.
+    unsafe { frame::use_frame(robot, frame) }
+}
+
+/// Position (3, mm) for joint readings (3, mm), and its derivative by them (9, row by row) unless jacobian is null,
+/// both in the frame that is used. Covariates may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_delta_forward(
     robot: *const sherkit_delta,
@@ -96,7 +118,8 @@ pub unsafe extern "C" fn sherkit_delta_forward(
     unsafe { robot::forward(robot, joints, covariates, position, jacobian) }
 }
 
-/// Joint readings (3, mm) at which the robot stands at a position (3, mm), to 1 nm. Covariates may be null.
+/// Joint readings (3, mm) at which the robot stands at a position (3, mm) of the frame that is used, to 1 nm. Covariates
+/// may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_delta_inverse(
     robot: *const sherkit_delta,

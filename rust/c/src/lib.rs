@@ -18,6 +18,7 @@
 #![allow(clippy::missing_errors_doc, clippy::doc_markdown)]
 
 mod delta;
+mod frame;
 mod paper;
 mod result;
 mod robot;

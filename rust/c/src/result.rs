@@ -19,7 +19,7 @@ pub const SHERKIT_OUT_OF_REACH: i32 = 4;
 pub const SHERKIT_SINGULAR: i32 = 5;
 /// The bounded iteration did not settle.
 pub const SHERKIT_NOT_CONVERGED: i32 = 6;
-/// Numbers that mean nothing: a negative variance, a length of zero, a geometry that is no robot.
+/// Numbers that mean nothing: a negative variance, a length of zero, a geometry that is no robot, a frame that is none.
 pub const SHERKIT_INVALID: i32 = 7;
 /// A calibration that this version cannot read.
 pub const SHERKIT_UNREADABLE: i32 = 8;

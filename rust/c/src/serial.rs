@@ -1,24 +1,26 @@
 //! The calibrated serial arm. It has as many joints as its calibration says, so arrays of joints are as long as that.
 
+use crate::frame::{self, Framed, sherkit_frame};
 use crate::result::{SHERKIT_NULL, answer, code_of, finite, sherkit_result};
 use crate::robot::{self, Read, known};
 use crate::storage::{Opaque, get, given, wanted};
 use core::slice::{from_raw_parts, from_raw_parts_mut};
 use nalgebra::{SVector, Vector3};
+use sherkit_core::chain::Frame;
 use sherkit_core::serial::{Calibrated, Covariates, JOINTS};
 use sherkit_core::{Result, flat};
 
 /// A calibrated serial arm. Its content is nobody's business.
 #[repr(C)]
 pub struct sherkit_serial {
-    words: [u64; 960],
+    words: [u64; 1024],
 }
 
 // SAFETY: one array of so many words.
 unsafe impl Opaque for sherkit_serial {
     type Value = Calibrated;
     const MARK: u64 = 0x7368_6b73_6572_6961;
-    const WORDS: usize = 960;
+    const WORDS: usize = 1024;
 }
 
 /// What a pose of the arm depends on beside its joints. NaN where it is not known; an effect that needs it then gives
@@ -54,6 +56,12 @@ impl Read for sherkit_serial {
     }
 }
 
+impl Framed for sherkit_serial {
+    fn in_frame(robot: &Self::Value, frame: Frame) -> Self::Value {
+        robot.in_frame(frame)
+    }
+}
+
 /// Joints of an arm from C, the others zero.
 ///
 /// # Safety
@@ -73,7 +81,7 @@ unsafe fn joints_of(
 }
 
 /// Loads a calibration: count numbers as sherkit writes them. They are copied. Where it fails the robot is not
-/// initialised.
+/// initialised. Its positions are in the frame of the base, see sherkit_serial_use_frame.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_serial_init(
     robot: *mut sherkit_serial,
@@ -82,6 +90,18 @@ pub unsafe extern "C" fn sherkit_serial_init(
 ) -> sherkit_result {
     // SAFETY: the caller's word.
     unsafe { robot::init(robot, numbers, count) }
+}
+
+/// Chooses the frame of positions from now on: SHERKIT_FRAME_BASE, which it is after sherkit_serial_init, or
+/// SHERKIT_FRAME_SENSOR. An arm's programs are written in its base, from which its controller counts, and the instrument
+/// is taken away after the measurement. SHERKIT_INVALID for any other value, which changes nothing.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sherkit_serial_use_frame(
+    robot: *mut sherkit_serial,
+    frame: sherkit_frame,
+) -> sherkit_result {
+    // SAFETY: the caller's word.
+    unsafe { frame::use_frame(robot, frame) }
 }
 
 /// How many joints it has, 1 to 9.
@@ -98,8 +118,8 @@ pub unsafe extern "C" fn sherkit_serial_joints(
     answer(run())
 }
 
-/// Position (3, mm) of the target in the base frame for the readings of its joints (rad, or mm of those that slide), and
-/// its derivative by them (3 times as many, row by row) unless jacobian is null. Covariates may be null.
+/// Position (3, mm) of the target, in the frame that is used, for the readings of its joints (rad, or mm of those that
+/// slide), and its derivative by them (3 times as many, row by row) unless jacobian is null. Covariates may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_serial_forward(
     robot: *const sherkit_serial,
@@ -134,9 +154,9 @@ pub unsafe extern "C" fn sherkit_serial_forward(
     answer(run())
 }
 
-/// Readings of its joints within their limits at which the target is at a position (3, mm) of the base frame, to 1 nm: of
-/// many postures that to which the smallest steps lead from start, which is where the arm stands. SHERKIT_OUT_OF_REACH
-/// where they lead nowhere. Covariates may be null; joints and start may be the same array.
+/// Readings of its joints within their limits at which the target is at a position (3, mm) of the frame that is used, to
+/// 1 nm: of many postures that to which the smallest steps lead from start, which is where the arm stands.
+/// SHERKIT_OUT_OF_REACH where they lead nowhere. Covariates may be null; joints and start may be the same array.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_serial_inverse(
     robot: *const sherkit_serial,

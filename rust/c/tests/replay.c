@@ -44,24 +44,30 @@ static void put_one(double number)
     put(&number, 1);
 }
 
-/* Rows: joints 3, covariates 5, position 3. */
+/* Rows: joints 3, covariates 5, position 3 as the sensor sees it, position 3 of the base. */
 static void run_delta(size_t count, size_t rows)
 {
     double *numbers = get_new(count);
-    static sherkit_delta robot;
-    need(sherkit_delta_init(&robot, numbers, count) == SHERKIT_OK, "the delta cannot be read");
+    /* as it is loaded, and in the other frame */
+    static sherkit_delta robots[2];
+    for (int f = 0; f < 2; f++)
+        need(sherkit_delta_init(&robots[f], numbers, count) == SHERKIT_OK, "the delta cannot be read");
+    need(sherkit_delta_use_frame(&robots[1], SHERKIT_FRAME_BASE) == SHERKIT_OK, "the base of the delta");
     for (size_t i = 0; i < rows; i++) {
-        double row[11], x[3] = {0}, j[9] = {0}, q[3] = {0};
+        double row[14];
         sherkit_delta_covariates now;
-        get(row, 11);
+        get(row, 14);
         now.time_s = row[3];
         now.temperature_c = row[4];
         memcpy(now.direction, row + 5, sizeof now.direction);
-        put_one(sherkit_delta_forward(&robot, row, &now, x, j));
-        put(x, 3);
-        put(j, 9);
-        put_one(sherkit_delta_inverse(&robot, row + 8, &now, q));
-        put(q, 3);
+        for (int f = 0; f < 2; f++) {
+            double x[3] = {0}, j[9] = {0}, q[3] = {0};
+            put_one(sherkit_delta_forward(&robots[f], row, &now, x, j));
+            put(x, 3);
+            put(j, 9);
+            put_one(sherkit_delta_inverse(&robots[f], row + 8 + 3 * f, &now, q));
+            put(q, 3);
+        }
     }
     free(numbers);
 }
@@ -88,28 +94,35 @@ static void run_spherical(size_t count, size_t rows)
     }
 }
 
-/* Rows: joints, covariates 2 and one for each joint, position 3, start. */
+/* Rows: joints, covariates 2 and one for each joint, payload, position 3 of the base, position 3 as the sensor sees it,
+ * start. */
 static void run_serial(size_t count, size_t rows)
 {
     double *numbers = get_new(count);
-    static sherkit_serial robot;
+    /* as it is loaded, and in the other frame */
+    static sherkit_serial robots[2];
     size_t k;
-    need(sherkit_serial_init(&robot, numbers, count) == SHERKIT_OK, "the arm cannot be read");
+    for (int f = 0; f < 2; f++)
+        need(sherkit_serial_init(&robots[f], numbers, count) == SHERKIT_OK, "the arm cannot be read");
     free(numbers);
-    need(sherkit_serial_joints(&robot, &k) == SHERKIT_OK && k <= 9, "the arm has no joints");
+    need(sherkit_serial_use_frame(&robots[1], SHERKIT_FRAME_SENSOR) == SHERKIT_OK, "the sensor of the arm");
+    need(sherkit_serial_joints(&robots[0], &k) == SHERKIT_OK && k <= 9, "the arm has no joints");
     for (size_t i = 0; i < rows; i++) {
-        double row[32], x[3] = {0}, j[27] = {0}, q[9] = {0};
+        double row[36];
         sherkit_serial_covariates now = {0};
-        get(row, 6 + 3 * k);
+        get(row, 9 + 3 * k);
         now.time_s = row[k];
         now.temperature_c = row[k + 1];
         memcpy(now.direction, row + k + 2, k * sizeof *row);
         now.payload_kg = row[2 * k + 2];
-        put_one(sherkit_serial_forward(&robot, row, &now, x, j));
-        put(x, 3);
-        put(j, 3 * k);
-        put_one(sherkit_serial_inverse(&robot, row + 3 + 2 * k, row + 6 + 2 * k, &now, q));
-        put(q, k);
+        for (int f = 0; f < 2; f++) {
+            double x[3] = {0}, j[27] = {0}, q[9] = {0};
+            put_one(sherkit_serial_forward(&robots[f], row, &now, x, j));
+            put(x, 3);
+            put(j, 3 * k);
+            put_one(sherkit_serial_inverse(&robots[f], row + 3 + 2 * k + 3 * f, row + 9 + 2 * k, &now, q));
+            put(q, k);
+        }
     }
 }
 

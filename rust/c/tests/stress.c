@@ -178,6 +178,9 @@ static void kinematics(void)
     sherkit_delta_covariates now = {spoilt(0.0), spoilt(20.0), {1.0, spoilt(-1.0), 0.0}};
     for (int k = 0; k < 3; k++)
         q[k] = spoilt(uniform(100.0, 160.0));
+    const sherkit_frame frame = once_in(2) ? SHERKIT_FRAME_BASE : SHERKIT_FRAME_SENSOR;
+    need(sherkit_delta_use_frame(&delta.it, frame) == SHERKIT_OK, "a frame of the delta");
+    need(sherkit_serial_use_frame(&serial.it, frame) == SHERKIT_OK, "a frame of the arm");
     sherkit_result done = sherkit_delta_forward(&delta.it, q, once_in(2) ? &now : NULL, x, j);
     if (done == SHERKIT_OK) {
         need(finite(x, 3) && finite(j, 9), "the delta stands nowhere");
@@ -242,7 +245,10 @@ static void refusals(const sherkit_beam *beam)
     need(sherkit_delta_init(&other, example_delta, count - 1) == SHERKIT_UNREADABLE, "a row too short");
     need(sherkit_delta_init(&other, example_spherical, count) == SHERKIT_UNREADABLE, "another robot's row");
     need(sherkit_delta_init(&other, example_delta, count) == SHERKIT_OK, "the example");
+    need(sherkit_delta_use_frame(&other, 2) == SHERKIT_INVALID, "a frame that is none");
+    need(sherkit_delta_use_frame(NULL, SHERKIT_FRAME_BASE) == SHERKIT_NULL, "a frame of nothing");
     need(sherkit_delta_init(&other, example_delta, 0) == SHERKIT_UNREADABLE, "no row");
+    need(sherkit_delta_use_frame(&other, SHERKIT_FRAME_BASE) == SHERKIT_NOT_INITIALISED, "a frame of no robot");
     need(sherkit_delta_forward(&other, none, NULL, x, NULL) == SHERKIT_NOT_INITIALISED, "a robot that failed moves");
     need(sherkit_paper_filter_step(&empty, 0.0, &here, NULL, &of_paper.it) == SHERKIT_NOT_INITIALISED,
          "an empty filter");

@@ -3,15 +3,22 @@
 mod common;
 
 use common::{
-    Random, Robot, config, derivative, effects, model_of, plausible, robots, some_covariates,
+    Random, Robot, config, derivative, drawn, effects, model_of, plausible, range_of, robots,
+    some_covariates, stand, straight_over_all,
 };
 use nalgebra::Vector3;
 use proptest::prelude::*;
 use sherkit_core::Error;
-use sherkit_core::chain::Robot as _;
 use sherkit_core::chain::effects::Wanted;
+use sherkit_core::chain::{Frame, REFERENCE_TEMPERATURE_C, Robot as _};
 use sherkit_core::delta::correction::{Correction, Domain, coefficients_len};
 use sherkit_core::delta::{Branch, CATALOGUE, Calibrated, PARAMETERS, Values};
+use std::ops::Range;
+
+const BEAM_ALIGNMENT: Range<usize> = range_of(CATALOGUE, "beam_alignment");
+const SENSOR_LINEARITY: Range<usize> = range_of(CATALOGUE, "sensor_linearity");
+const SENSOR_POSE: Range<usize> = range_of(CATALOGUE, "sensor_pose");
+const SENSOR_SLIP: Range<usize> = range_of(CATALOGUE, "sensor_slip");
 
 /// What a random calibrated robot is made of; [`Parts::with`] puts it together.
 #[derive(Clone, Debug)]
@@ -42,29 +49,26 @@ impl Parts {
             local: self
                 .has_local
                 .then(|| (branch(1, &self.local), self.boxes[2])),
+            frame: Frame::Sensor,
         })
     }
 
-    /// Where the identified robots say the point is: the coordinates in which boxes are meant.
+    /// Where the identified robots say the point is in the frame of the base: the coordinates in which boxes are meant.
     fn identified(&self, joints: &Vector3<f64>) -> [Vector3<f64>; 3] {
         self.with(|c| {
+            let now = some_covariates();
             let of = |branch: &Branch<'_>| {
                 let still = Vector3::zeros();
                 let wanted = Wanted::default();
-                branch
-                    .chain
-                    .predict(joints, &some_covariates(), &still, wanted)
-                    .expect("in reach")
-                    .value
+                let seen = branch.chain.predict(joints, &now, &still, wanted);
+                let sensor = branch.sensor_at(&now).expect("the time is known");
+                sensor.apply_inverse(&seen.expect("in reach").value)
             };
             let whole = of(&c.whole);
             let local = c.local.as_ref().map_or(whole, |(branch, _)| of(branch));
-            let corrected = c
-                .whole
-                .forward(joints, &some_covariates())
-                .expect("in reach")
-                .0;
-            [whole, local, corrected]
+            let corrected = c.whole.forward(joints, &now).expect("in reach").0;
+            let sensor = c.sensor_at(&now).expect("the time is known");
+            [whole, local, sensor.apply_inverse(&corrected)]
         })
     }
 
@@ -96,11 +100,15 @@ fn parts() -> impl Strategy<Value = Parts> {
     (robots(), effects(), any::<u64>(), flags).prop_map(
         |(robot, whole, seed, (corrected, corrected_inside, has_local))| {
             let mut random = Random(seed);
-            // the local model differs by a tenth of what is plausible
+            let whole = straight_over_all(&robot, whole);
+            // the local model differs by a tenth of what is plausible; both were seen from one place
             let mut local = whole;
-            for (l, size) in local.iter_mut().zip(plausible::<PARAMETERS>(CATALOGUE)) {
-                *l += 0.1 * size * random.unit();
+            let sizes: Values = plausible(CATALOGUE);
+            for (p, value) in local.iter_mut().enumerate() {
+                let share = if SENSOR_POSE.contains(&p) { 1e-3 } else { 0.1 };
+                *value += share * sizes[p] * random.unit();
             }
+            local[SENSOR_LINEARITY].copy_from_slice(&whole[SENSOR_LINEARITY]);
             let orders = [(); 2]
                 .map(|()| [(); 3].map(|()| usize::try_from(random.next() % 4).expect("small")));
             let coefficients = orders.map(|o| {
@@ -132,15 +140,15 @@ fn parts() -> impl Strategy<Value = Parts> {
 fn joints_near(parts: &Parts, away: &Vector3<f64>) -> Option<Vector3<f64>> {
     let model = model_of(&parts.robot);
     let place = parts.robot.position + model.target_offset + away;
+    let place = parts.with(|c| c.sensor().apply(&place));
     let joints = model.with(&parts.whole).ok()?.rough_inverse(&place).ok()?;
-    let [position, ..] = parts
+    let position = parts
         .with(|c| {
             c.whole
                 .chain
                 .value(&joints, &some_covariates(), &Vector3::zeros())
         })
-        .ok()
-        .map(|p| [p])?;
+        .ok()?;
     // far from the end of the workspace, where nothing is well conditioned
     ((position - place).norm() < 10.0
         && parts
@@ -168,6 +176,48 @@ proptest! {
             let (again, _) = c.forward(&back, &now).unwrap();
             prop_assert!((again - position).norm() < 1e-9, "{}", (again - position).norm());
             prop_assert!((back - joints).amax() < 1e-8, "{}", (back - joints).amax());
+            Ok(())
+        })?;
+    }
+
+    /// A frame that is another one: turned the wrong way, shifted before it is turned, that of the local model, or that of before
+    /// a slip; an inverse that is asked in one frame and answers in the other.
+    #[test]
+    fn both_frames_tell_of_one_place(parts in parts(), away in aways(60.0), slipped in any::<bool>()) {
+        let Some(joints) = joints_near(&parts, &away) else { return Ok(()) };
+        let (model, mut now) = (model_of(&parts.robot), some_covariates());
+        let pose = |values: &Values| -> [f64; 6] {
+            let slip = if slipped { 1.0 } else { 0.0 };
+            std::array::from_fn(|k| values[SENSOR_POSE.start + k] + slip * values[SENSOR_SLIP.start + k])
+        };
+        if !slipped {
+            now.time_s = model.sensor_slip_time_s - 1.0;
+        }
+        let sensor = stand(&model.sensor, &pose(&parts.whole));
+        parts.with(|c| {
+            let seen = c.forward(&joints, &now).unwrap();
+            let based = c.in_frame(Frame::Base);
+            let place = based.forward(&joints, &now).unwrap();
+            prop_assert!((sensor.apply(&place.0) - seen.0).amax() < 1e-11 * (1.0 + seen.0.norm()));
+            prop_assert!((sensor.rotation * place.1 - seen.1).amax() < 1e-12 * (1.0 + seen.1.norm()));
+            for (c, at) in [(c, seen.0), (&based, place.0)] {
+                let back = c.inverse(&at, &now).unwrap();
+                let (again, _) = c.forward(&back, &now).unwrap();
+                prop_assert!((again - at).norm() < 1e-9, "{}", (again - at).norm());
+                prop_assert!((back - joints).amax() < 1e-8, "{}", (back - joints).amax());
+            }
+            Ok(())
+        })?;
+        // straight sensors see the point itself, and where that is in the frame of the base their pose does not matter
+        let mut straight = parts.clone();
+        (straight.corrected, straight.has_local, now.stand_c) = ([false; 2], false, REFERENCE_TEMPERATURE_C);
+        for range in [BEAM_ALIGNMENT, SENSOR_LINEARITY] {
+            straight.whole[range].fill(0.0);
+        }
+        straight.with(|c| {
+            let place = c.in_frame(Frame::Base).forward(&joints, &now).unwrap().0;
+            let point = c.whole.chain.point(&joints, &now, &Vector3::zeros()).unwrap();
+            prop_assert!((place - point).amax() < 1e-11 * (1.0 + point.norm()));
             Ok(())
         })?;
     }
@@ -239,7 +289,8 @@ proptest! {
                 return Ok(());
             };
             let inner = local.forward(&joints, &now).unwrap();
-            let beyond = |k: usize| (region.low[k] - whole.0[k]).max(whole.0[k] - region.high[k]);
+            let at = c.sensor_at(&now).unwrap().apply_inverse(&whole.0);
+            let beyond = |k: usize| (region.low[k] - at[k]).max(at[k] - region.high[k]);
             let farthest = (0..3).map(beyond).fold(f64::NEG_INFINITY, f64::max);
             if farthest <= 0.0 {
                 prop_assert!((all.0 - inner.0).amax() < 1e-11 && (all.1 - inner.1).amax() < 1e-11);
@@ -261,7 +312,9 @@ proptest! {
         bits in prop::array::uniform3(prop_oneof![prop::num::f64::ANY, -2000.0..2000.0_f64]),
     ) {
         let (input, now) = (Vector3::from(bits), some_covariates());
-        parts.with(|c| {
+        for frame in [Frame::Sensor, Frame::Base] {
+            parts.with(|c| {
+            let c = c.in_frame(frame);
             let (forward, inverse) = (c.forward(&input, &now), c.inverse(&input, &now));
             if input.iter().any(|v| !v.is_finite()) {
                 prop_assert!(forward.is_err() && inverse.is_err());
@@ -276,18 +329,15 @@ proptest! {
                 prop_assert!((position - input).norm() < 1e-9);
             }
             Ok(())
-        })?;
+            })?;
+        }
     }
 }
 
 /// A robot without effects, correction or region that is not the identified robot.
 #[test]
 fn a_bare_calibration_is_the_identified_robot() {
-    let robot = Robot {
-        geometry: common::drawing(),
-        position: Vector3::zeros(),
-        joints: Vector3::repeat(200.0),
-    };
+    let robot = drawn();
     let chain = model_of(&robot).with(&[0.0; PARAMETERS]).unwrap();
     let bare = Calibrated {
         whole: Branch {
@@ -295,6 +345,7 @@ fn a_bare_calibration_is_the_identified_robot() {
             correction: None,
         },
         local: None,
+        frame: Frame::Sensor,
     };
     let now = some_covariates();
     let joints = Vector3::new(200.0, 210.0, 190.0);

@@ -3,15 +3,16 @@
 mod common;
 
 use common::{
-    anchor, config, derivative, drawing, effects, joints_at, model_of, plausible, range_of, robots,
-    rods, some_covariates,
+    anchor, config, derivative, drawn, effects, joints_at, model_of, plausible, range_of, robots,
+    rods, some_covariates, stand,
 };
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 use sherkit_core::Error;
 use sherkit_core::chain::effects::Wanted;
 use sherkit_core::chain::{Aim, Columns, Robot as _};
-use sherkit_core::delta::{CATALOGUE, Covariates, LIMBS, PARAMETERS, Row, Values};
+use sherkit_core::delta::{CATALOGUE, Covariates, LIMBS, Model, PARAMETERS, Row, Values};
+use sherkit_core::numbers::rigid::Rigid;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
@@ -22,7 +23,6 @@ const fn of(name: &str) -> Range<usize> {
 
 const BACKLASH: Range<usize> = of("backlash");
 const BEAM_ALIGNMENT: Range<usize> = of("beam_alignment");
-const DATUM: Range<usize> = of("datum");
 const DRIVE_COMPLIANCE: Range<usize> = of("drive_compliance");
 const DRIFT: Range<usize> = of("drift");
 const ENCODER_CYCLIC: Range<usize> = of("encoder_cyclic");
@@ -33,6 +33,8 @@ const LIMB_TWIST: Range<usize> = of("limb_twist");
 const LINK_GROWTH: Range<usize> = of("link_growth");
 const ROD_MISMATCH: Range<usize> = of("rod_mismatch");
 const SENSOR_LINEARITY: Range<usize> = of("sensor_linearity");
+const SENSOR_POSE: Range<usize> = of("sensor_pose");
+const SENSOR_SLIP: Range<usize> = of("sensor_slip");
 const SLIP: Range<usize> = of("slip");
 const THERMAL_GROWTH: Range<usize> = of("thermal_growth");
 const THERMAL_SHIFT: Range<usize> = of("thermal_shift");
@@ -49,13 +51,15 @@ impl Columns<f64, 3> for Together {
 proptest! {
     #![proptest_config(config())]
 
-    /// A column of the 64 that forgets a link behind its own, a sign, or the other end of a distance; at zero
-    /// effects, where many columns come from formulas of their own, and at effects of plausible size.
+    /// A column of all parameters that forgets a link behind its own, a sign, or the other end of a distance; at zero
+    /// effects, where many columns come from formulas of their own, and at effects of plausible size; before the instrument
+    /// slips and after it.
     #[test]
     fn derivatives_are_exact(
         robot in robots(),
         values in effects(),
         quiet in any::<bool>(),
+        slipped in any::<bool>(),
         moves in prop::array::uniform3(3.0..8.0_f64),
         push in prop::array::uniform3(-1.0..1.0_f64),
     ) {
@@ -63,7 +67,9 @@ proptest! {
         let model = model_of(&robot);
         let joints = [robot.joints.x, robot.joints.y, robot.joints.z];
         let to = std::array::from_fn(|i| joints[i] + moves[i]);
-        let row = |to| Row { joints, to, aim: Aim::default(), covariates: some_covariates(), push: Vector3::from(push) };
+        let mut covariates = some_covariates();
+        covariates.time_s = model.sensor_slip_time_s + if slipped { 900.0 } else { -1.0 };
+        let row = |to| Row { joints, to, aim: Aim::default(), covariates, push: Vector3::from(push) };
         let chain = model.with(&values).unwrap();
         // steps that move the reading by a few hundredths of a millimetre
         let place = chain.row_predict(&row(None), Wanted::ALL).unwrap();
@@ -109,17 +115,25 @@ proptest! {
         }
     }
 
-    /// A column that is left out or another one's where rows are computed side by side, of geometry, lean and sensors; rows
-    /// whose effects are solved by iteration that are answered nevertheless.
+    /// A column that is left out or another one's where rows are computed side by side, of geometry, lean and sensors, turned
+    /// or in the axes of the base; rows whose effects are solved by iteration that are answered nevertheless.
     #[test]
     fn rows_side_by_side_equal_rows_alone(
         robot in robots(),
         values in effects(),
         push in prop::array::uniform3(-1.0..1.0_f64),
+        turned in any::<bool>(),
+        off in any::<bool>(),
     ) {
-        let model = model_of(&robot);
-        let one_by_one = [BACKLASH, ENCODER_CYCLIC, JOINT_SCALE, JOINT_SLIP, DRIFT, SLIP, THERMAL_GROWTH, THERMAL_SHIFT, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, LINK_GROWTH, ROD_MISMATCH];
+        let mut model = model_of(&robot);
+        if !turned {
+            model.sensor.rotation = Matrix3::identity();
+        }
+        let one_by_one = [BACKLASH, ENCODER_CYCLIC, JOINT_SCALE, JOINT_SLIP, DRIFT, SLIP, THERMAL_GROWTH, THERMAL_SHIFT, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, LINK_GROWTH, ROD_MISMATCH, SENSOR_SLIP];
         let mut plain = values;
+        if !off {
+            plain[SENSOR_POSE].fill(0.0);
+        }
         for range in &one_by_one {
             plain[range.clone()].fill(0.0);
         }
@@ -167,21 +181,22 @@ proptest! {
         }
     }
 
-    /// A reading without effects that is not where the platform, the target and the datum put it; a distance
-    /// that is none.
+    /// A reading without effects that is not where the platform, the target and the sensor's pose put it, in whichever order of
+    /// turns and shifts; a distance that is none.
     #[test]
     fn without_effects_readings_are_where_the_drawing_says(
         robot in robots(),
-        datum in prop::array::uniform3(-5.0..5.0_f64),
+        off in prop::array::uniform6(-3.0..3.0_f64),
         away in prop::array::uniform3(-20.0..20.0_f64),
     ) {
         let mut values = [0.0; PARAMETERS];
-        values[DATUM].copy_from_slice(&datum);
-        let (model, datum, away) = (model_of(&robot), Vector3::from(datum), Vector3::from(away));
+        values[SENSOR_POSE].copy_from_slice(&off);
+        let (model, away) = (model_of(&robot), Vector3::from(away));
         let chain = model.with(&values).unwrap();
         let (nothing, still) = (Covariates::NONE, Vector3::zeros());
         let found = chain.value(&robot.joints, &nothing, &still).unwrap();
-        prop_assert!((found - robot.position - model.target_offset - datum).amax() < 1e-9);
+        let target = robot.position + model.target_offset;
+        prop_assert!((found - stand(&model.sensor, &off).apply(&target)).amax() < 1e-9);
         prop_assert!((chain.rough_inverse(&found).unwrap() - robot.joints).amax() < 1e-9);
         let sides = [robot.geometry.assembly.sign(); LIMBS];
         if let Some(to) = joints_at(&robot.geometry, &(robot.position + away), sides) {
@@ -199,7 +214,7 @@ proptest! {
         let mut quiet = values;
         for range in [
             JOINT_SCALE, ENCODER_CYCLIC, BACKLASH, JOINT_SLIP, THERMAL_GROWTH, DRIFT, SLIP, THERMAL_SHIFT, BEAM_ALIGNMENT,
-            SENSOR_LINEARITY, DATUM,
+            SENSOR_LINEARITY, SENSOR_POSE, SENSOR_SLIP,
         ] {
             quiet[range].fill(0.0);
         }
@@ -215,14 +230,16 @@ proptest! {
                 + v(JOINT_SLIP, i)
         });
         let still = Vector3::zeros();
-        let body = model.with(&quiet).unwrap().value(&joints, &now, &still).unwrap()
+        let at_base = Model { sensor: Rigid::identity(), ..model };
+        let body = at_base.with(&quiet).unwrap().value(&joints, &now, &still).unwrap()
             * (1.0 + v(THERMAL_GROWTH, 0) * (now.temperature_c - 20.0));
         let hours = (now.time_s - model.time_origin_s) / 3600.0;
         let push = Vector3::new(0.3, -0.2, 0.1);
         let body = body + push + Vector3::from_fn(|i, _| v(DRIFT, i) * hours + v(SLIP, i) + v(THERMAL_SHIFT, i) * (now.stand_c - 20.0));
+        let off: [f64; 6] = std::array::from_fn(|k| v(SENSOR_POSE, k) + v(SENSOR_SLIP, k));
+        let seen = stand(&model.sensor, &off).apply(&body);
         let expected = Vector3::from_fn(|i, _| {
-            let seen = body[i] + (0..3).map(|k| v(BEAM_ALIGNMENT, 3 * i + k) * body[k]).sum::<f64>();
-            let shown = seen + v(DATUM, i);
+            let shown = seen[i] + (0..3).map(|k| v(BEAM_ALIGNMENT, 3 * i + k) * seen[k]).sum::<f64>();
             shown + v(SENSOR_LINEARITY, i) * (shown / 20.0).powi(3)
         });
         let found = model.with(&values).unwrap().value(&robot.joints, &now, &push).unwrap();
@@ -233,6 +250,7 @@ proptest! {
         let mut only = [0.0; PARAMETERS];
         only[SLIP].fill(0.1);
         only[JOINT_SLIP].fill(0.1);
+        only[SENSOR_SLIP].fill(0.1);
         let at = |values| model.with(values).unwrap().value(&robot.joints, &early, &still).unwrap();
         prop_assert_eq!(at(&only), at(&[0.0; PARAMETERS]));
     }
@@ -250,7 +268,7 @@ proptest! {
         values[GRAVITY_SAG].copy_from_slice(&stretch);
         values[DRIVE_COMPLIANCE].copy_from_slice(&give);
         let of = |v| model.with(v).unwrap().value(&robot.joints, &Covariates::NONE, &Vector3::zeros()).unwrap();
-        let moved = of(&values) - of(&[0.0; PARAMETERS]);
+        let moved = robot.sensor.rotation.transpose() * (of(&values) - of(&[0.0; PARAMETERS]));
         // where the platform hangs, tensions hold a unit weight (the sum of T ρ/|ρ|, from carriage to platform,
         // points down), and each rod is longer by what its own tension makes of it
         let (mut bent, mut tensions) = ([Vector3::zeros(); LIMBS], Vector3::zeros());
@@ -282,6 +300,7 @@ proptest! {
         values[LIMB_TWIST].copy_from_slice(&twist);
         let now = Covariates::NONE;
         let found = model.with(&values).unwrap().value(&robot.joints, &now, &Vector3::zeros()).unwrap();
+        let found = robot.sensor.apply_inverse(&found);
         let turn_of = |pose: &Vector6<f64>| Rotation3::from_scaled_axis(Vector3::new(pose[3], pose[4], pose[5]));
         let misses = |pose: &Vector6<f64>| {
             let (centre, turn) = (Vector3::new(pose[0], pose[1], pose[2]), turn_of(pose));
@@ -342,12 +361,8 @@ proptest! {
 /// A distance between two equal places divided by itself.
 #[test]
 fn a_distance_of_zero_has_a_finite_derivative() {
-    let joints = [200.0; LIMBS];
-    let robot = common::Robot {
-        geometry: drawing(),
-        position: Vector3::zeros(),
-        joints: Vector3::from(joints),
-    };
+    let robot = drawn();
+    let joints: [f64; LIMBS] = robot.joints.into();
     let row = Row {
         joints,
         to: Some(joints),
@@ -364,11 +379,7 @@ fn a_distance_of_zero_has_a_finite_derivative() {
 /// An effect whose covariate is missing and that is quietly left out, or one at zero that spoils the reading.
 #[test]
 fn an_effect_without_its_covariate_is_refused() {
-    let robot = common::Robot {
-        geometry: drawing(),
-        position: Vector3::zeros(),
-        joints: Vector3::repeat(200.0),
-    };
+    let robot = drawn();
     let model = model_of(&robot);
     let value = |values: &Values| {
         model
@@ -382,6 +393,7 @@ fn an_effect_without_its_covariate_is_refused() {
         THERMAL_GROWTH.start,
         DRIFT.start,
         SLIP.start,
+        SENSOR_SLIP.start,
     ] {
         let mut values = [0.0; PARAMETERS];
         values[p] = 1e-3;
@@ -395,11 +407,7 @@ fn an_effect_without_its_covariate_is_refused() {
 /// A value that is no number and goes into every reading, or the wrong one blamed.
 #[test]
 fn a_value_that_is_no_number_is_named() {
-    let robot = common::Robot {
-        geometry: drawing(),
-        position: Vector3::zeros(),
-        joints: Vector3::repeat(200.0),
-    };
+    let robot = drawn();
     for index in 0..PARAMETERS {
         for bad in [f64::NAN, f64::INFINITY] {
             let mut values = [0.0; PARAMETERS];

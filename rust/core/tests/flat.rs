@@ -2,18 +2,19 @@
 
 mod common;
 
-use common::{Random, Robot, config, effects, model_of, robots, some_covariates};
+use common::{
+    Random, Robot, config, effects, model_of, robots, some_covariates, straight_over_all,
+};
 use nalgebra::{SVector, Vector2, Vector3};
 use proptest::prelude::*;
 use sherkit_core::camera::{Description, Face};
-use sherkit_core::chain::{CENTRES, Flat, PLANES, Robot as _};
+use sherkit_core::chain::{CENTRES, Flat, Frame, PLANES, Robot as _};
 use sherkit_core::delta::correction::{Correction, Domain, coefficients_len};
 use sherkit_core::delta::{Branch, Calibrated, Values};
 use sherkit_core::flat::{
     BranchParts, read_delta, read_serial, read_spherical, write_delta, write_serial,
     write_spherical,
 };
-use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{self, JOINTS, Joint, Limits};
 use sherkit_core::spherical::{self, Elbows};
 
@@ -33,9 +34,10 @@ impl Parts {
         let mut random = Random(seed);
         let centre = robot.position + model_of(&robot).target_offset;
         let orders = [(); 3].map(|()| usize::try_from(random.next() % 4).expect("small"));
+        let values = straight_over_all(&robot, *values);
         Self {
             robot,
-            values: [*values, values.map(|v| 0.9 * v)],
+            values: [values, values.map(|v| 0.9 * v)],
             orders,
             coefficients: (0..coefficients_len(orders))
                 .map(|_| std::array::from_fn(|_| 0.2 * random.unit()))
@@ -64,6 +66,7 @@ impl Parts {
         Calibrated {
             whole: branch(0),
             local: self.has_local.then(|| (branch(1), self.domain)),
+            frame: Frame::Sensor,
         }
     }
 
@@ -91,8 +94,17 @@ proptest! {
         let row = parts.written();
         let read = read_delta(&row).expect("what was written");
         let joints = robot.joints + Vector3::new(0.3, -0.2, 0.1);
-        let now = some_covariates();
-        prop_assert_eq!(read.forward(&joints, &now), parts.made().forward(&joints, &now));
+        let (made, now) = (parts.made(), some_covariates());
+        prop_assert_eq!(read.frame, Frame::Sensor);
+        prop_assert_eq!(read.sensor(), made.sensor());
+        for frame in [Frame::Sensor, Frame::Base] {
+            let (read, made) = (read.in_frame(frame), made.in_frame(frame));
+            let found = made.forward(&joints, &now);
+            prop_assert_eq!(read.forward(&joints, &now), found.clone());
+            if let Ok((place, _)) = found {
+                prop_assert_eq!(read.inverse(&place, &now), made.inverse(&place, &now));
+            }
+        }
     }
 
     /// A row that is cut, continued or spoilt, and that is taken all the same or panics.
@@ -139,7 +151,7 @@ fn an_arm_comes_back_to_the_last_bit() {
         targets_mm: [Vector3::new(10.0, 20.0, 30.0); serial::TARGETS],
         centres_mm: [Vector3::new(-1.0, -2.0, -3.0); CENTRES],
         planes: [Flat::GROUND; PLANES],
-        sensor: Rigid::identity(),
+        sensor: common::drawn().sensor,
         gravity: -Vector3::z(),
         encoder_period: 0.4,
         time_origin_s: 1.0,
@@ -165,13 +177,17 @@ fn an_arm_comes_back_to_the_last_bit() {
         velocity: [0.0; JOINTS],
     };
     let joints = SVector::from([0.3, -0.5, 20.0, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    let found = made.forward(&joints, &now).expect("a place");
-    assert_eq!(read.forward(&joints, &now), Ok(found));
     let start = SVector::zeros();
-    assert_eq!(
-        read.inverse(&found.0, &start, &now),
-        made.inverse(&found.0, &start, &now)
-    );
+    assert_eq!(read.sensor(), made.sensor());
+    for frame in [Frame::Base, Frame::Sensor] {
+        let (read, made) = (read.in_frame(frame), made.in_frame(frame));
+        let found = made.forward(&joints, &now).expect("a place");
+        assert_eq!(read.forward(&joints, &now), Ok(found));
+        assert_eq!(
+            read.inverse(&found.0, &start, &now),
+            made.inverse(&found.0, &start, &now)
+        );
+    }
     for end in 0..row.len() {
         assert!(read_serial(&row[..end]).is_err());
     }

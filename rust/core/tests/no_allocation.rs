@@ -4,16 +4,15 @@
 
 mod common;
 
-use common::{Robot, drawing, model_of, some_covariates};
+use common::{drawing, drawn, model_of, plausible, range_of, some_covariates, straight_over_all};
 use nalgebra::{SMatrix, Vector2, Vector3};
 use sherkit_core::camera::{Description, Face};
 use sherkit_core::chain::effects::Wanted;
-use sherkit_core::chain::{Aim, Robot as _};
+use sherkit_core::chain::{Aim, Frame, Robot as _};
 use sherkit_core::delta::correction::{
     Correction, Domain, apply_axis, axis_scratch_len, project_axis, push,
 };
-use sherkit_core::delta::{Branch, Calibrated};
-use sherkit_core::delta::{GEOMETRIC, Kinematics, Row};
+use sherkit_core::delta::{Branch, CATALOGUE, Calibrated, GEOMETRIC, Kinematics, Row, Values};
 use sherkit_core::fit::{Levenberg, Loss, Progress, Settings, Stack, levenberg_len, stack_len};
 use sherkit_core::numbers::registration::{Method, Moments};
 use sherkit_core::numbers::rigid::Rigid;
@@ -26,6 +25,9 @@ use sherkit_core::tool::sensing::{Calibration, Sensor};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
+use std::ops::Range;
+
+const SENSOR_POSE: Range<usize> = range_of(CATALOGUE, "sensor_pose");
 
 struct Counting;
 
@@ -106,18 +108,18 @@ fn kinematics_allocate_nothing() {
 /// As above, for the chain with its effects and the calibrated robot with corrections and a region.
 #[test]
 fn the_calibrated_robot_allocates_nothing() {
-    let robot = Robot {
-        geometry: drawing(),
-        position: Vector3::zeros(),
-        joints: Vector3::repeat(200.0),
-    };
+    let robot = drawn();
     let now = some_covariates();
     let coefficients = [[0.01, -0.02, 0.03]; 64];
     let found = requests(|| {
         let model = model_of(&robot);
-        let sizes: sherkit_core::delta::Values = common::plausible(sherkit_core::delta::CATALOGUE);
-        let chain = model.with(&sizes.map(|s| 0.3 * s)).unwrap();
-        let other = model.with(&sizes.map(|s| 0.4 * s)).unwrap();
+        let sizes: Values = plausible(CATALOGUE);
+        let [some, mut more] =
+            [0.3, 0.4].map(|share| straight_over_all(&robot, sizes.map(|s| share * s)));
+        // both models were seen from one place
+        more[SENSOR_POSE].copy_from_slice(&some[SENSOR_POSE]);
+        let chain = model.with(&some).unwrap();
+        let other = model.with(&more).unwrap();
         let domain = Domain {
             low: Vector3::new(-30.0, -40.0, -200.0),
             high: Vector3::new(40.0, 30.0, -20.0),
@@ -131,15 +133,19 @@ fn the_calibrated_robot_allocates_nothing() {
         let calibrated = Calibrated {
             whole: branch(chain),
             local: Some((branch(other), domain)),
+            frame: Frame::Sensor,
         };
         let mut reached = 0;
         for step in 0..400 {
             let joints = Vector3::new(200.0, 210.0 - 0.1 * f64::from(step), 190.0);
             black_box(correction.at(&Vector3::new(f64::from(step) - 200.0, 0.0, -90.0)));
-            if let Ok((position, _)) = calibrated.forward(&joints, &now) {
-                let back = calibrated.inverse(&position, &now).unwrap();
-                assert!((back - joints).amax() < 1e-6);
-                reached += 1;
+            for frame in [Frame::Sensor, Frame::Base] {
+                let calibrated = calibrated.in_frame(frame);
+                if let Ok((position, _)) = calibrated.forward(&joints, &now) {
+                    let back = calibrated.inverse(&position, &now).unwrap();
+                    assert!((back - joints).amax() < 1e-6);
+                    reached += 1;
+                }
             }
             let row = Row {
                 joints: [joints.x, joints.y, joints.z],
@@ -151,7 +157,7 @@ fn the_calibrated_robot_allocates_nothing() {
             let _ = black_box(chain.row_predict(&row, Wanted::ALL));
             let _ = black_box(chain.row_value(&row));
         }
-        assert!(reached > 300);
+        assert!(reached > 600);
         // far beyond reach: errors are values
         assert!(calibrated.inverse(&Vector3::repeat(1e4), &now).is_err());
     });

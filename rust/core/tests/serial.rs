@@ -1,13 +1,23 @@
 //! The serial arm against a mechanism that anybody can draw, and its derivatives against differences.
 
+mod common;
+
+use common::{config, derivative, range_of, sensors, stand};
 use nalgebra::{Matrix3, SVector, Vector3};
+use proptest::prelude::*;
 use sherkit_core::chain::effects::Wanted;
-use sherkit_core::chain::{Aim, CENTRES, Covariates, Fixed, Flat, PLANES, Prediction, Robot, Row};
+use sherkit_core::chain::{
+    Aim, CENTRES, Covariates, Fixed, Flat, Frame, PLANES, Prediction, Robot, Row,
+};
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{
     CATALOGUE, Calibrated, JOINTS, Joint, Limits, Model, PARAMETERS, TARGETS, Values,
 };
 use std::f64::consts::{FRAC_PI_2, PI};
+use std::ops::Range;
+
+const SENSOR_POSE: Range<usize> = range_of(CATALOGUE, "sensor_pose");
+const SENSOR_SLIP: Range<usize> = range_of(CATALOGUE, "sensor_slip");
 
 fn turn(axis: usize, angle: f64) -> Matrix3<f64> {
     let (s, c) = angle.sin_cos();
@@ -165,6 +175,67 @@ fn derivatives_are_exact() {
                 "joint",
                 k,
             );
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// A tracker that turns about the robot's axes instead of its own, or shifts before it turns; a column of its pose or of its
+    /// slip that is that of another turn, or acts before its time; the arm in one frame that is not the arm in the other.
+    #[test]
+    fn the_sensor_sees_from_where_it_stands(
+        sensor in sensors(),
+        off in prop::array::uniform6(-3.0..3.0_f64),
+        slip in prop::array::uniform6(-0.3..0.3_f64),
+        share in 0.0..1.0_f64,
+        slipped in any::<bool>(),
+    ) {
+        let model = Model { sensor, ..arm() };
+        let mut values = some(share);
+        values[SENSOR_POSE].copy_from_slice(&off);
+        values[SENSOR_SLIP].copy_from_slice(&slip);
+        let mut row = row();
+        row.covariates.time_s = model.sensor_slip_time_s + if slipped { 100.0 } else { -1.0 };
+        // the same arm seen from its base by a tracker of the same faults cannot tell: its faults are of what it sees
+        let mut true_to_size = values;
+        for name in ["sensor_scale", "sensor_linearity"] {
+            true_to_size[range_of(CATALOGUE, name)].fill(0.0);
+        }
+        let pose: [f64; 6] = std::array::from_fn(|k| off[k] + if slipped { slip[k] } else { 0.0 });
+        let mut from_base = true_to_size;
+        from_base[SENSOR_POSE].fill(0.0);
+        from_base[SENSOR_SLIP].fill(0.0);
+        let at_base = Model { sensor: Rigid::identity(), ..model }.with(&from_base).unwrap().row_value(&row).unwrap();
+        let seen = model.with(&true_to_size).unwrap().row_value(&row).unwrap();
+        prop_assert!((seen - stand(&sensor, &pose).apply(&at_base)).amax() < 1e-10);
+
+        let predicted = model.with(&values).unwrap().row_predict(&row, Wanted::ALL).unwrap();
+        for p in SENSOR_POSE.chain(SENSOR_SLIP) {
+            let differences = derivative(|h| {
+                let mut v = values;
+                v[p] += h;
+                model.with(&v).unwrap().row_value(&row).unwrap()
+            }, 1e-3);
+            let column = predicted.by_parameters.column(p).into_owned();
+            prop_assert!((column - differences).norm() < 1e-7 * column.norm().max(1.0), "{p}: {column} {differences}");
+        }
+
+        let limits = Limits { low: [-1e3; JOINTS], high: [1e3; JOINTS] };
+        let based = Calibrated::new(&model, &values, &limits).unwrap();
+        let sensed = based.in_frame(Frame::Sensor);
+        let (joints, now) = (SVector::from(row.joints), row.covariates);
+        let (place, by_joints) = based.forward(&joints, &now).unwrap();
+        let (there, seen_by_joints) = sensed.forward(&joints, &now).unwrap();
+        // an arm knows where the tracker stood at first
+        let first = stand(&sensor, &off);
+        prop_assert!((there - first.apply(&place)).amax() < 1e-10);
+        prop_assert!((seen_by_joints - first.rotation * by_joints).amax() < 1e-10);
+        let start = joints.map(|q| 0.98 * q);
+        for (arm, at) in [(based, place), (sensed, there)] {
+            let back = arm.inverse(&at, &start, &now).unwrap();
+            prop_assert!((arm.forward(&back, &now).unwrap().0 - at).norm() < 1e-6);
         }
     }
 }

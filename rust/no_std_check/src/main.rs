@@ -7,10 +7,11 @@ use core::panic::PanicInfo;
 use nalgebra::{Vector2, Vector3};
 use sherkit_core::camera::{Description, Face};
 use sherkit_core::chain::effects::Wanted;
-use sherkit_core::chain::{Aim, Robot};
+use sherkit_core::chain::{Aim, Frame, Robot};
 use sherkit_core::delta::{
     Assembly, Branch, Calibrated, Covariates, GEOMETRIC, Geometry, Model, PARAMETERS,
 };
+use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::spherical;
 
 #[panic_handler]

@@ -1,6 +1,6 @@
 //! The serial arm from Python: `SerialModel`, `SerialCalibrated`.
 
-use crate::arrays::{self, Marked, RIGID, Rows, rigid, fixed, marked, rows, shaped};
+use crate::arrays::{self, Marked, RIGID, Rows, fixed, marked, rigid, rows, shaped};
 use crate::calibrated::Single;
 use crate::errors::{shape, to_python};
 use crate::maps::{WithDerivative, vector};
@@ -68,7 +68,7 @@ fn joint(numbers: &[f64; NUMBERS]) -> Joint {
 }
 
 /// A nominal serial arm whose errors and effects are to be identified. Readings are x, y, z of its target, mm, in the
-/// frame of the tracker.
+/// frame of the sensor.
 #[pyclass(frozen, module = "sherkit._core")]
 pub struct SerialModel(Model);
 
@@ -76,16 +76,16 @@ model_class!(SerialModel, Model, serial, {
     /// `joints` `(k, 19)`: of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides,
     /// by how much it follows the one before, home reading, mass and the centre of it (mm); `targets` `(1 to 4, 3)`
     /// behind the last joint; `centres` `(0 to 4, 3)` of distances in the base frame (mm) and `planes` `(0 to 4, 6)`, a
-    /// point (mm) and the normal of each; `tracker` `(12,)`: from base to tracker; `settings`:
+    /// point (mm) and the normal of each; `sensor` `(12,)`: from base to sensor; `settings`:
     /// direction of the weight (3), period of the encoders, time origin, slip times of target, joints
-    /// and tracker (s).
+    /// and sensor (s).
     #[new]
     fn new(
         joints: PyReadonlyArray2<'_, f64>,
         targets: PyReadonlyArray2<'_, f64>,
         centres: PyReadonlyArray2<'_, f64>,
         planes: PyReadonlyArray2<'_, f64>,
-        tracker: PyReadonlyArray1<'_, f64>,
+        sensor: PyReadonlyArray1<'_, f64>,
         settings: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<Self> {
         let found = rows::<NUMBERS, _>("joints", &joints)?;
@@ -116,7 +116,7 @@ model_class!(SerialModel, Model, serial, {
             targets_mm: points("targets", &targets)?,
             centres_mm: points("centres", &centres)?,
             planes: flats(&planes)?,
-            sensor: rigid(&fixed::<RIGID, _>("tracker", &tracker)?),
+            sensor: rigid(&fixed::<RIGID, _>("sensor", &sensor)?),
             gravity: Vector3::new(gx, gy, gz),
             encoder_period,
             time_origin_s,

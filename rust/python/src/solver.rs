@@ -194,7 +194,10 @@ impl Solver {
     /// Adds a row for each parameter that is known besides: zero, the drawing, give or take its plausible size.
     pub fn add_priors(&mut self) {
         let n = self.stack.columns();
-        for k in (0..n).filter(|k| self.known.get(*k) == Some(&true)).collect::<Vec<_>>() {
+        for k in (0..n)
+            .filter(|k| self.known.get(*k) == Some(&true))
+            .collect::<Vec<_>>()
+        {
             let size = self.levenberg.sizes()[k];
             let deviation = -self.trial_values()[k];
             self.cost += (deviation / size).powi(2);

@@ -204,9 +204,10 @@ class DeltaPart(Part):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeltaCalibration(Calibration):
-    """A calibrated delta. Positions, mm, are those of the measured point as the sensors saw it, where they stood, unless the
-    frame of the base is asked for: readings alone leave a shift of the base open, a tilt common to all rails and its turn,
-    so that what is promised of a delta is promised where it was seen. The region of interest is the base's."""
+    """A calibrated delta. Positions, mm, are those of the measured point as the sensors saw it, where they stood,
+    unless the frame of the base is asked for: readings alone leave a shift of the base open, a tilt common to all rails
+    and its turn, so that what is promised of a delta is promised where it was seen. The region of interest is the
+    base's."""
 
     frame: ClassVar = SENSOR
     coordinates: ClassVar = POSITION
@@ -342,7 +343,8 @@ class DeltaCalibration(Calibration):
         return self.local if inside and self.local is not None else self.whole
 
     def places(self) -> list[tuple[str, Floats]]:
-        """As the sensors see them: the centre, the corner of the region of interest, the rim of the workspace: positions (3,), mm."""
+        """As the sensors see them: the centre, the corner of the region of interest, the rim of the workspace:
+        positions (3,), mm."""
         robot = self.robot
         out = [("centre", np.zeros(3))]
         if robot.region_half_width_mm:

@@ -29,8 +29,9 @@ _OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "sensor_slip", "instrument_tu
 
 @dataclass(frozen=True, eq=False)
 class MachineCalibrated:
-    """The model of a control loop: the chain at ``values``, within the ``box`` (k, 2) of its joints. Its readings are those
-    of the instrument, or, where that is ``seen_from`` the base by a turn (3, 3) and a shift (3,), places of the base."""
+    """The model of a control loop: the chain at ``values``, within the ``box`` (k, 2) of its joints. Its readings are
+    those of the instrument, or, where that is ``seen_from`` the base by a turn (3, 3) and a shift (3,), places of the
+    base."""
 
     chain: MachineCore
     values: Floats
@@ -84,8 +85,9 @@ class MachineCalibrated:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MachineCalibration(Calibration):
-    """A calibrated machine. Its coordinates are its readings, without the errors of the instrument itself: as its instrument
-    sees it, where that stood, unless the frame of the base is asked for of a machine whose sensor's pose is in the model.
+    """A calibrated machine. Its coordinates are its readings, without the errors of the instrument itself: as its
+    instrument sees it, where that stood, unless the frame of the base is asked for of a machine whose sensor's pose is
+    in the model.
 
     ``box`` (k, 2) is where its joints went, or may go.
     """
@@ -143,7 +145,9 @@ class MachineCalibration(Calibration):
     def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
         """Of its readings (n, m, p)."""
         del part
-        made: Floats = self.core.chain.derivatives(self.core.values, self.core.block(joints, now), self.model.indices)[0]
+        made: Floats = self.core.chain.derivatives(self.core.values, self.core.block(joints, now), self.model.indices)[
+            0
+        ]
         return made
 
     def places(self) -> list[tuple[str, Floats]]:

@@ -106,8 +106,8 @@ class Generic:
 def generic_effects(
     joints: Sequence[str], readings: Sequence[str], spans: Sequence[float], is_place: bool
 ) -> tuple[Generic, ...]:
-    """Those of a machine with these joints, which range over ``spans``, and readings, in the order of the chain; whether
-    the readings are a place in space."""
+    """Those of a machine with these joints, which range over ``spans``, and readings, in the order of the chain;
+    whether the readings are a place in space."""
     k, m = len(joints), len(readings)
     units, read = [unit_in(name) for name in joints], [unit_in(name) for name in readings]
     small = [_SMALL.get(unit, 1e-3 * span) for unit, span in zip(units, spans, strict=True)]
@@ -164,7 +164,8 @@ def generic_effects(
     ]  # fmt: skip
     if is_place:
         row = slip_row(1.0)
-        out.append(Generic(row["name"], row["link"], tuple((p["name"], p["unit"], p["size"]) for p in row["parameters"]),
+        out.append(Generic(row["name"], row["link"], tuple((p["name"], p["unit"], p["size"]) for p in
+        row["parameters"]),
                            lambda x, at: _diagonal(_late(at, at.sensor_slip_time_s)[:, None] + 0 * x), ("time_s",),
                            "time_s", by_pose=True))  # fmt: skip
     return tuple(out)

@@ -92,7 +92,8 @@ class Described(Saved, Shown):
             raise RobotError(f'sensor_pose: expected "free", "held" or a sk.SensorPose(...), got {told!r}')
         if pose != OWN_AXES and not (len(self.readings) == 3 and {unit_in(name) for name in self.readings} == {"mm"}):
             raise RobotError(
-                f"sensor_pose: it is that of an instrument which reads x, y and z of one point, mm; this machine's readings "
+                f"sensor_pose: it is that of an instrument which reads x, y and z of one point, mm; this machine's "
+                f"readings "
                 f"are {listed(self.readings)}: leave it out"
             )
         return pose

@@ -164,7 +164,7 @@ class UserFunction:
                 out = np.asarray(self.forward(joints.copy(), p))
         except SherkitError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             if np.iscomplexobj(joints):
                 raise
             raise FitError(
@@ -180,7 +180,7 @@ class UserFunction:
             raise FitError(f"the model's function '{self.name}' gives {out.dtype} and no numbers")
         return out
 
-    def _hint(self, error: Exception) -> str:
+    def _hint(self, error: Exception | SystemExit) -> str:
         """What was meant, where a parameter is asked for that is none, or in another way."""
         if "SimpleNamespace" not in str(error):
             return ""
@@ -219,7 +219,7 @@ class UserFunction:
         p = SimpleNamespace(**dict(zip((one.name for one in self.parameters), values.tolist(), strict=True)))
         try:
             out = np.asarray(self.derivative(joints, p), dtype=float)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise FitError(f"the derivative of '{self.name}' failed: {type(error).__name__}: {error}") from error
         expected = (len(joints), len(self.readings), len(self.parameters))
         if out.shape != expected:

@@ -24,8 +24,8 @@ from .described import Described
 
 #: Poses from which the next ones are chosen.
 _POSES = 400
-#: Rows and steps by which one walks to where a sensor stands; the rank by which a step is made; and how near one must come,
-#: of how far the places lie apart.
+#: Rows and steps by which one walks to where a sensor stands; the rank by which a step is made; and how near one must
+#: come, of how far the places lie apart.
 _WALKED, _STEPS, _RANK, _NEAR = 100, 12, 1e-8, 1e-2
 _DIGITS = {"mm": 2, "rad": 4, "deg": 2, "px": 1}
 
@@ -96,8 +96,8 @@ class MachineModel(ChainModel):
         return self.robot.pose is not None
 
     def start(self, data: Measurements) -> Floats:
-        """As of any model; where the machine's own parameters are a part of the sensor's pose, one walks to where it stands
-        with them and what is left of it."""
+        """As of any model; where the machine's own parameters are a part of the sensor's pose, one walks to where it
+        stands with them and what is left of it."""
         out = super().start(data)
         if self.robot.pose is None or self.stands_anywhere or np.isfinite(self.pose_sd).any():
             return out
@@ -105,8 +105,8 @@ class MachineModel(ChainModel):
         return out if found is None else self._walked(data, found, out)
 
     def _walked(self, data: Measurements, off: Floats, start: Floats) -> Floats:
-        """The values by which the drawing is seen from ``off`` (6,), in steps from where it is seen at the ``start``; that,
-        where they do not lead there."""
+        """The values by which the drawing is seen from ``off`` (6,), in steps from where it is seen at the ``start``;
+        that, where they do not lead there."""
         rows = data.select(np.unique(np.linspace(0, len(data) - 1, min(len(data), _WALKED)).astype(int)))
         pose, sizes = self.sensor_pose, np.array([p.size for p in self.parameters])
         seen, reached = self.drawn(rows)

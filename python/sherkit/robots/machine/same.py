@@ -1,4 +1,5 @@
-"""Two names for one thing: which numbers of the sensor's pose, and which effects, a machine's own function has already."""
+"""Two names for one thing: which numbers of the sensor's pose, and which effects, a machine's own function has
+already."""
 
 from __future__ import annotations
 
@@ -19,12 +20,12 @@ _SAME = 1e-3
 def not_in(
     function: UserFunction, pose: SensorPose | None, open_of_pose: Collection[str], effects: Sequence[Generic]
 ) -> tuple[Generic, ...]:
-    """The sensor's pose, first, where any of its numbers that are open is left, and the effects: without those parameters
-    that do what the function's own do already, and the effects without those of the pose.
+    """The sensor's pose, first, where any of its numbers that are open is left, and the effects: without those
+    parameters that do what the function's own do already, and the effects without those of the pose.
 
     Two names for one thing would be a valley in which no fit settles. Of an effect whose own parameters say one thing
-    twice once the pose is out (a rail that leans to its neighbour, and the neighbour to it), the first is kept. Found at
-    places over the joints' ranges.
+    twice once the pose is out (a rail that leans to its neighbour, and the neighbour to it), the first is kept. Found
+    at places over the joints' ranges.
     """
     every = (sensor_pose(open_of_pose), *effects)
     columns, places = _columns(function, pose, every)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import ClassVar, cast
 
@@ -12,7 +11,6 @@ import numpy as np
 
 from ...base.types import Floats
 from ...data import Measurements
-from ...data.files import write_whole
 from ...errors import RobotError
 from ...fit.identify import Fit, identify
 from ...model.chain import ChainModel
@@ -165,18 +163,6 @@ def klipper_block(towers: Towers) -> dict[tuple[str, str], str]:
         out[stepper, "arm_length"] = f"{towers.arm_mm[k]:.6f}"
         out[stepper, "position_endstop"] = f"{towers.endstop_mm[k]:.6f}"
     return out
-
-
-def write_klipper_config(config: Path, towers: Towers, destination: Path) -> Path | None:
-    """Writes :func:`klipper_config`. Where that is the very ``config``, the file as it was is kept beside it under the
-    name that SAVE_CONFIG gives it (``printer-20260131_140500.cfg``), which is returned. Raises as that and
-    :func:`~sherkit.data.files.write_whole`."""
-    text, kept = klipper_config(config, towers), None
-    if destination.exists() and destination.samefile(config):
-        kept = config.with_name(f"{config.stem}-{datetime.now():%Y%m%d_%H%M%S}{config.suffix}")
-        write_whole(kept, config.read_bytes())
-    write_whole(destination, text)
-    return kept
 
 
 def klipper_config(path: Path, towers: Towers) -> str:

@@ -24,9 +24,9 @@ from .robot import POSITION, Serial
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SerialCalibration(Calibration):
-    """A calibrated serial arm. Positions, mm, are those of the target in the frame of the base, which first axis and tracker
-    define together: programs of an arm are written in it. As the sensor sees them they are where the frame of the sensor
-    is asked for. What else was identified of the tracker is left out.
+    """A calibrated serial arm. Positions, mm, are those of the target in the frame of the base, which first axis and
+    tracker define together: programs of an arm are written in it. As the sensor sees them they are where the frame of
+    the sensor is asked for. What else was identified of the tracker is left out.
 
     A place leaves open how the arm stands there: joints are those to which damped steps lead from a start.
     """

@@ -68,6 +68,9 @@ static int run(void)
     const sherkit_pose pose = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, {0, 0, 0}};
     if (sherkit_delta_init(&robot, example_delta, sizeof example_delta / sizeof(double)) != SHERKIT_OK)
         return 1;
+    /* targets are those of the drawing; the instrument that measured the robot stood beside it */
+    if (sherkit_delta_use_frame(&robot, SHERKIT_FRAME_BASE) != SHERKIT_OK)
+        return 1;
     if (sherkit_sensor_init(&sensor, &calibration) != SHERKIT_OK)
         return 2;
     tool.sensor = calibration;

@@ -53,6 +53,8 @@ struct Controller {
     {
         using simulated::Tool;
         need(sherkit_delta_init(&robot, example_delta, sizeof example_delta / sizeof(double)), "the robot");
+        // the tool's pose is told in the robot's base
+        need(sherkit_delta_use_frame(&robot, SHERKIT_FRAME_BASE), "the frame of the robot");
         sherkit_sensor_calibration calibration{};
         for (auto& gain : calibration.gains)
             for (int fibre = 0; fibre < 3; ++fibre) {

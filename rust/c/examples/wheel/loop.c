@@ -1,4 +1,5 @@
-/* A 1 kHz loop on what the wheel ships: a calibrated delta robot drives around a circle.
+/* A 1 kHz loop on what the wheel ships: a calibrated delta robot drives around a circle of its base's frame, and around what
+ * the instrument that measured it sees of that circle.
  *
  *   sherkit export c calibrated.toml -o robot.h
  *   cc -O2 loop.c $(sherkit c --cflags --libs) -o loop
@@ -19,7 +20,8 @@
 static const double PERIOD_S = 1e-3;
 static const double RADIUS_MM = 5.0;
 
-static sherkit_delta robot;
+/* The same robot in the frame of its base, in which drawings are made, and in that of the instrument, wherever it stood. */
+static sherkit_delta robot, seen;
 static double joints_mm[3];
 
 /* Where your drives say that the joints are. Here they have followed. */
@@ -60,6 +62,10 @@ int main(int count, char **arguments)
         fprintf(stderr, "the calibration cannot be used: code %d\n", (int)loaded);
         return 1;
     }
+    seen = robot;
+    if (sherkit_delta_use_frame(&robot, SHERKIT_FRAME_BASE) != SHERKIT_OK ||
+        sherkit_delta_use_frame(&seen, SHERKIT_FRAME_SENSOR) != SHERKIT_OK)
+        return 1;
     /* what is known beside the joints; NaN where you do not know it */
     sherkit_delta_covariates now = {0.0, 20.0, {0.0, 0.0, 0.0}};
     const double start_mm[3] = {RADIUS_MM, 0.0, 0.0};
@@ -68,7 +74,7 @@ int main(int count, char **arguments)
         return 1;
     }
     const double begun_s = seconds();
-    double longest_s = 0.0, latest_s = 0.0, furthest_mm = 0.0;
+    double longest_s = 0.0, latest_s = 0.0, furthest_mm = 0.0, apart_mm = 0.0;
     long steps = 0, refused = 0;
     for (double due_s = begun_s; due_s < begun_s + run_s; due_s += PERIOD_S) {
         sleep_until(due_s);
@@ -76,7 +82,7 @@ int main(int count, char **arguments)
         latest_s = fmax(latest_s, woken_s - due_s);
         now.time_s = due_s - begun_s;
 
-        double joints[3], place_mm[3];
+        double joints[3], place_mm[3], seen_mm[3];
         read_encoders(joints);
         const double angle = 2.0 * 3.14159265358979 * now.time_s;
         const double target_mm[3] = {RADIUS_MM * cos(angle), RADIUS_MM * sin(angle), 0.0};
@@ -87,11 +93,19 @@ int main(int count, char **arguments)
         if (sherkit_delta_forward(&robot, joints_mm, &now, place_mm, NULL) == SHERKIT_OK)
             for (int k = 0; k < 3; k++)
                 furthest_mm = fmax(furthest_mm, fabs(place_mm[k] - target_mm[k]));
+        /* where the instrument would see the tool, and the joints that bring it there: the same */
+        if (sherkit_delta_forward(&seen, joints_mm, &now, seen_mm, NULL) != SHERKIT_OK ||
+            sherkit_delta_inverse(&seen, seen_mm, &now, joints) != SHERKIT_OK)
+            refused++;
+        else
+            for (int k = 0; k < 3; k++)
+                apart_mm = fmax(apart_mm, fabs(joints[k] - joints_mm[k]));
 
         longest_s = fmax(longest_s, seconds() - woken_s);
         steps++;
     }
     printf("%ld steps, %ld targets out of reach, at most %.1e mm from the target\n", steps, refused, furthest_mm);
+    printf("joints of the two frames at most %.1e mm apart\n", apart_mm);
     printf("longest step %.1f us, woken at most %.1f us late\n", 1e6 * longest_s, 1e6 * latest_s);
-    return refused == 0 && furthest_mm < 1e-3 ? 0 : 1;
+    return refused == 0 && furthest_mm < 1e-3 && apart_mm < 1e-3 ? 0 : 1;
 }

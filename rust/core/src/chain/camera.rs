@@ -4,8 +4,8 @@ use super::effects::{Wanted, values_of};
 use super::sensor::{Look, Sensor};
 use super::sensor_pose::{SensorPose, Stand};
 use super::table::Table;
-use crate::camera::{Camera, Description, Projection};
 use crate::Result;
+use crate::camera::{Camera, Description, Projection};
 use nalgebra::{Matrix2x3, SMatrix, SVector, Vector2, Vector3};
 
 /// A camera with the errors of its pose and its lens.

@@ -128,12 +128,8 @@ impl Sensor<3> for Cartesian {
         let (mut value, mut by_seen) = (nothing, [nothing; 3]);
         let stand = self.pose.first();
         let frame = &stand.frame;
-        let turned = [0, 1, 2].map(|axis| {
-            dot(
-                [0, 1, 2].map(|k| of(frame.rotation[(axis, k)])),
-                points,
-            )
-        });
+        let turned =
+            [0, 1, 2].map(|axis| dot([0, 1, 2].map(|k| of(frame.rotation[(axis, k)])), points));
         let points = [0, 1, 2].map(|axis| turned[axis] + of(frame.translation[axis]));
         for axis in 0..3 {
             let (mut beams, mut along) = (nothing, nothing);

@@ -1,5 +1,6 @@
 //! The smallest mechanism, kept as a test of the chain: a planar arm of two revolute joints, measured by coordinates.
-//! What is here is all that a new mechanism has to say; joints, body and sensor effects it takes from their links.
+//! What is here is all that a new mechanism has to say; joints, body and sensor effects it takes from their links. Its
+//! instrument may stand anywhere.
 //!
 //! Frame: z along both axes, origin at the shoulder. `p = l₁ u(θ₁) + l₂ u(θ₁ + θ₂)` in the plane `z = height`; under its
 //! own weight the shoulder tilts in proportion to the moment, so that the tip falls by `droop · (reach/span)²`.
@@ -14,7 +15,12 @@ use crate::camera::rotation_matrix;
 use crate::numbers::math::sin_cos;
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
+use core::f64::consts::PI;
 use nalgebra::{Matrix3x2, SMatrix, Vector2, Vector3};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+
+extern crate std;
 
 places! { At: links droop }
 
@@ -69,11 +75,12 @@ effects! { At;
     }
 }
 
-/// The arm as drawn: lengths of its links and height of its plane, mm.
+/// The arm as drawn: lengths of its links and height of its plane, mm; from its base to the instrument.
 #[derive(Clone, Copy, Debug)]
 struct Arm {
     lengths: [f64; 2],
     height: f64,
+    sensor: Rigid,
 }
 
 /// The arm with its errors: lengths of its links, height of its plane, fall by squared reach.
@@ -128,11 +135,11 @@ impl Robot<2, 3, PARAMETERS> for Arm {
     }
 
     fn sensor(&self, values: &Values) -> Result<Cartesian> {
-        let nominal = Rigid {
-            rotation: rotation_matrix(&Vector3::new(0.3, -0.7, 1.1)),
-            translation: Vector3::new(30.0, -20.0, 10.0),
-        };
-        Ok(Cartesian::new::<Self, PARAMETERS>(&nominal, 700.0, values))
+        Ok(Cartesian::new::<Self, PARAMETERS>(
+            &self.sensor,
+            SENSOR_SLIP_S,
+            values,
+        ))
     }
 
     fn around(&self, _: &Values) {}
@@ -195,10 +202,44 @@ impl Mechanism<2, PARAMETERS> for Structure {
     }
 }
 
-const ARM: Arm = Arm {
-    lengths: [250.0, 180.0],
-    height: 40.0,
-};
+/// When the instrument slips.
+const SENSOR_SLIP_S: f64 = 650.0;
+
+/// The arm, seen from where its instrument stands.
+const fn arm(sensor: Rigid) -> Arm {
+    Arm {
+        lengths: [250.0, 180.0],
+        height: 40.0,
+        sensor,
+    }
+}
+
+/// Instruments that stand anywhere: turned by any turn, and 300 mm aside along each axis at most.
+fn sensors() -> impl Strategy<Value = Rigid> {
+    let turn = prop::array::uniform3(-PI..PI);
+    let shift = prop::array::uniform3(-300.0..300.0_f64);
+    (turn, shift).prop_map(|(turn, shift)| Rigid {
+        rotation: rotation_matrix(&Vector3::from(turn)),
+        translation: Vector3::from(shift),
+    })
+}
+
+/// Few cases, the same in every run unless others are asked for, as in `tests/common`.
+fn config() -> ProptestConfig {
+    let given = ProptestConfig::default();
+    let random = std::env::var_os("SHERKIT_RANDOM").is_some_and(|v| !v.is_empty());
+    ProptestConfig {
+        cases: 32,
+        rng_seed: if random {
+            given.rng_seed
+        } else {
+            RngSeed::Fixed(0x5e_ed)
+        },
+        failure_persistence: None,
+        ..given
+    }
+}
+
 const ROW: Row<2> = Row {
     joints: [0.4, 0.9],
     to: None,
@@ -238,55 +279,64 @@ fn agree(column: &Vector3<f64>, other: &Vector3<f64>, what: &str, number: usize)
     assert!(miss < 1e-7, "{what} {number}: {miss}");
 }
 
-/// A column of the mechanism, or of a link that has never served two joints, that forgets a sign, another link or the
-/// other end of a distance; at zero effects, where links leave work out, and at plausible ones.
-#[test]
-fn derivatives_are_exact() {
+proptest! {
+    #![proptest_config(config())]
+
+    /// A column of the mechanism, or of a link that has never served two joints, that forgets a sign, another link or the
+    /// other end of a distance; at zero effects, where links leave work out, and at plausible ones; before the instrument slips
+    /// and after it.
+    #[test]
+    fn derivatives_are_exact(sensor in sensors(), slipped in any::<bool>()) {
+        let (arm, mut here) = (arm(sensor), ROW);
+        if !slipped {
+            here.covariates.time_s = SENSOR_SLIP_S - 1.0;
+        }
+        for (values, to) in [
+            (some(0.0), None),
+            (some(1.0), None),
+            (some(1.0), Some([-0.3, 1.4])),
+        ] {
+            has_exact_derivatives(&arm, &values, &Row { to, ..here });
+        }
+    }
+}
+
+fn has_exact_derivatives(arm: &Arm, values: &Values, row: &Row<2>) {
     let sizes = CATALOGUE.iter().flat_map(|e| e.parameters);
-    for (values, to) in [
-        (some(0.0), None),
-        (some(1.0), None),
-        (some(1.0), Some([-0.3, 1.4])),
-    ] {
-        let row = Row { to, ..ROW };
-        let chain = ARM.with(&values).unwrap();
-        let found: Prediction<2, 3, PARAMETERS> = chain.row_predict(&row, Wanted::ALL).unwrap();
-        assert_eq!(found.value, chain.row_value(&row).unwrap());
-        for (p, parameter) in sizes.clone().enumerate() {
-            let moved = |h: f64| {
-                let mut values = values;
-                values[p] += h;
-                ARM.with(&values).unwrap().row_value(&row).unwrap()
-            };
-            let column = found.by_parameters.column(p).into_owned();
-            agree(
-                &column,
-                &difference(moved, 0.05 * parameter.size),
-                parameter.name,
-                p,
-            );
-        }
-        for k in 0..2 {
-            let moved = |h: f64| {
-                let mut row = row;
-                row.joints[k] += h;
-                if let Some(to) = &mut row.to {
-                    to[k] += h;
-                }
-                chain.row_value(&row).unwrap()
-            };
-            let column = found.by_joints.column(k).into_owned();
-            agree(&column, &difference(moved, 1e-3), "joint", k);
-        }
-        for axis in 0..3 {
-            let moved = |h: f64| {
-                let mut row = row;
-                row.push[axis] += h;
-                chain.row_value(&row).unwrap()
-            };
-            let column = found.by_body.column(axis).into_owned();
-            agree(&column, &difference(moved, 0.1), "axis", axis);
-        }
+    let chain = arm.with(values).unwrap();
+    let found: Prediction<2, 3, PARAMETERS> = chain.row_predict(row, Wanted::ALL).unwrap();
+    assert_eq!(found.value, chain.row_value(row).unwrap());
+    for (p, parameter) in sizes.enumerate() {
+        let moved = |h: f64| {
+            let mut values = *values;
+            values[p] += h;
+            arm.with(&values).unwrap().row_value(row).unwrap()
+        };
+        let column = found.by_parameters.column(p).into_owned();
+        // an instrument may be turned by any turn: a step of that size is none of a derivative
+        let by = difference(moved, 0.05 * parameter.size.min(0.05));
+        agree(&column, &by, parameter.name, p);
+    }
+    for k in 0..2 {
+        let moved = |h: f64| {
+            let mut row = *row;
+            row.joints[k] += h;
+            if let Some(to) = &mut row.to {
+                to[k] += h;
+            }
+            chain.row_value(&row).unwrap()
+        };
+        let column = found.by_joints.column(k).into_owned();
+        agree(&column, &difference(moved, 1e-3), "joint", k);
+    }
+    for axis in 0..3 {
+        let moved = |h: f64| {
+            let mut row = *row;
+            row.push[axis] += h;
+            chain.row_value(&row).unwrap()
+        };
+        let column = found.by_body.column(axis).into_owned();
+        agree(&column, &difference(moved, 0.1), "axis", axis);
     }
 }
 
@@ -302,7 +352,8 @@ fn it_is_the_drawing_without_effects() {
         covariates: Covariates::NONE,
         push: Vector3::zeros(),
     };
-    let at = |values: &Values| ARM.with(values).unwrap().row_point(&row).unwrap();
+    let arm = arm(Rigid::identity());
+    let at = |values: &Values| arm.with(values).unwrap().row_point(&row).unwrap();
     let mut values = some(0.0);
     assert!((at(&values) - Vector3::new(250.0, 180.0, 40.0)).norm() < 1e-12);
     values[AT.structure.droop.unwrap().start] = 1.0;

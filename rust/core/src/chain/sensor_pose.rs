@@ -86,9 +86,17 @@ impl SensorPose {
     /// # Errors
     /// [`Error::NotFinite`] where it slips and the time is not known.
     pub(crate) fn at(&self, look: Look) -> Result<&Stand> {
+        self.at_time(look.time_s)
+    }
+
+    /// Where it stands at a time, s.
+    ///
+    /// # Errors
+    /// As [`Self::at`].
+    pub(crate) fn at_time(&self, time_s: f64) -> Result<&Stand> {
         match &self.slipped {
-            Some(_) if look.time_s.is_nan() => Err(Error::NotFinite { index: 0 }),
-            Some(slipped) if look.time_s >= self.slip_time_s => Ok(slipped),
+            Some(_) if time_s.is_nan() => Err(Error::NotFinite { index: 0 }),
+            Some(slipped) if time_s >= self.slip_time_s => Ok(slipped),
             _ => Ok(&self.first),
         }
     }

@@ -4,8 +4,8 @@ use super::effects::{Wanted, values_of};
 use super::sensor::{Look, Sensor};
 use super::sensor_pose::SensorPose;
 use super::table::Table;
-use crate::numbers::rigid::Rigid;
 use crate::Result;
+use crate::numbers::rigid::Rigid;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// The cubic error of a tracker is named by its size this far from its middle, mm.

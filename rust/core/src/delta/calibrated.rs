@@ -1,7 +1,8 @@
 //! The calibrated robot that a control loop runs: geometry, correction, local model blended into the whole.
 //!
 //! Positions are those of the measured point, in the frame of the sensors that measured it unless that of the base is asked
-//! for: a delta is sent where its instrument sees the tool. Nothing here allocates; an iteration is bounded. NaN input gives [`crate::Error::NotFinite`].
+//! for: a delta is sent where its instrument sees the tool. Nothing here allocates; an iteration is bounded. NaN input gives
+//! [`crate::Error::NotFinite`].
 
 use super::correction::{Correction, Domain};
 use super::effects::PARAMETERS;
@@ -33,10 +34,18 @@ pub struct Branch<'a> {
 }
 
 impl Branch<'_> {
-    /// From the base frame to that of the sensors.
+    /// From the base frame to that of the sensors, before they slip, if ever.
     #[must_use]
     pub fn sensor(&self) -> &Rigid {
         &self.chain.sensor.pose.first().frame
+    }
+
+    /// From the base frame to that of the sensors as they stand now.
+    ///
+    /// # Errors
+    /// [`crate::Error::NotFinite`] where they slip and the time is not known.
+    pub fn sensor_at(&self, now: &Covariates) -> Result<&Rigid> {
+        Ok(&self.chain.sensor.pose.at_time(now.time_s)?.frame)
     }
 
     /// Position and its derivative by the joints.
@@ -50,7 +59,8 @@ impl Branch<'_> {
     ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
         let still = Vector3::zeros();
         let predicted = self.chain.predict(joints, now, &still, Wanted::default())?;
-        Ok(self.corrected(predicted.value, predicted.by_joints))
+        let sensor = self.sensor_at(now)?;
+        Ok(self.corrected(predicted.value, predicted.by_joints, sensor))
     }
 
     /// [`Self::forward`] from the pose that `trail` remembers, and whether it is solved to the end.
@@ -62,7 +72,8 @@ impl Branch<'_> {
     ) -> Result<Reached> {
         let settled = self.chain.predict_near(joints, now, trail)?;
         let predicted = &trail.prediction;
-        let (position, by_joints) = self.corrected(predicted.value, predicted.by_joints);
+        let sensor = self.sensor_at(now)?;
+        let (position, by_joints) = self.corrected(predicted.value, predicted.by_joints, sensor);
         Ok((position, by_joints, settled))
     }
 
@@ -70,11 +81,11 @@ impl Branch<'_> {
         &self,
         position: Vector3<f64>,
         by_joints: Matrix3<f64>,
+        sensor: &Rigid,
     ) -> (Vector3<f64>, Matrix3<f64>) {
         match &self.correction {
             None => (position, by_joints),
             Some(correction) => {
-                let sensor = self.sensor();
                 let (shift, by_place) = correction.at(&sensor.apply_inverse(&position));
                 let by_position = sensor.rotation * by_place * sensor.rotation.transpose();
                 (
@@ -104,10 +115,18 @@ impl Calibrated<'_> {
         Self { frame, ..self }
     }
 
-    /// From the base frame to that of the sensors, by the model of the whole workspace.
+    /// From the base frame to that of the sensors, by the model of the whole workspace, before they slip, if ever.
     #[must_use]
     pub fn sensor(&self) -> &Rigid {
         self.whole.sensor()
+    }
+
+    /// [`Self::sensor`] as they stand now.
+    ///
+    /// # Errors
+    /// As [`Branch::sensor_at`].
+    pub fn sensor_at(&self, now: &Covariates) -> Result<&Rigid> {
+        self.whole.sensor_at(now)
     }
 
     /// Position for joint readings, and its derivative by them.
@@ -123,7 +142,7 @@ impl Calibrated<'_> {
         Ok(match self.frame {
             Frame::Sensor => (seen, by_joints),
             Frame::Base => {
-                let sensor = self.sensor();
+                let sensor = self.sensor_at(now)?;
                 let back = sensor.rotation.transpose();
                 (sensor.apply_inverse(&seen), back * by_joints)
             }
@@ -136,7 +155,7 @@ impl Calibrated<'_> {
         joints: &Vector3<f64>,
         now: &Covariates,
     ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
-        self.blended(|branch, _| {
+        self.blended(now, |branch, _| {
             let (position, by_joints) = branch.forward(joints, now)?;
             Ok((position, by_joints, true))
         })
@@ -147,13 +166,14 @@ impl Calibrated<'_> {
     /// whether both are exact.
     fn blended(
         &self,
+        now: &Covariates,
         mut reach: impl FnMut(&Branch<'_>, bool) -> Result<Reached>,
     ) -> Result<Reached> {
         let (position, by_joints, settled) = reach(&self.whole, false)?;
         let Some((local, region)) = &self.local else {
             return Ok((position, by_joints, settled));
         };
-        let sensor = self.sensor();
+        let sensor = self.sensor_at(now)?;
         let (share, gradient) = region.share(&sensor.apply_inverse(&position));
         if share == 0.0 {
             return Ok((position, by_joints, settled));
@@ -176,12 +196,12 @@ impl Calibrated<'_> {
     pub fn inverse(&self, position: &Vector3<f64>, now: &Covariates) -> Result<Vector3<f64>> {
         let position = &match self.frame {
             Frame::Sensor => *position,
-            Frame::Base => self.sensor().apply(position),
+            Frame::Base => self.sensor_at(now)?.apply(position),
         };
         let start = self.whole.chain.rough_inverse(position)?;
         let (mut of_whole, mut of_local) = (Trail::new(), Trail::new());
         let miss = |joints: &Vector3<f64>| {
-            let (reached, by_joints, settled) = self.blended(|branch, is_local| {
+            let (reached, by_joints, settled) = self.blended(now, |branch, is_local| {
                 let trail = if is_local {
                     &mut of_local
                 } else {
@@ -202,6 +222,7 @@ impl Chain {
     /// # Errors
     /// As [`super::Kinematics::inverse`].
     pub fn rough_inverse(&self, reading: &Vector3<f64>) -> Result<Vector3<f64>> {
-        self.structure.rough_inverse(&self.sensor.pose.first().frame.apply_inverse(reading))
+        self.structure
+            .rough_inverse(&self.sensor.pose.first().frame.apply_inverse(reading))
     }
 }

@@ -1,7 +1,7 @@
 //! What the drawing and the user say of a delta.
 
-use crate::numbers::rigid::Rigid;
 use super::geometry::{Geometry, LIMBS};
+use crate::numbers::rigid::Rigid;
 use nalgebra::Vector3;
 
 /// Nominal robot and the settings of its effects: what the drawing and the user say.

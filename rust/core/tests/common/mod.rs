@@ -5,11 +5,13 @@ pub mod closed_form;
 pub mod fibres;
 pub mod paper_vision;
 
-use nalgebra::{SVector, Vector3};
+use nalgebra::{Rotation3, SVector, Vector3};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
+use sherkit_core::chain::LINEARITY_SPAN_MM;
 use sherkit_core::chain::effects::{Effect, place};
 use sherkit_core::delta::{self, Assembly, Covariates, Geometry, LIMBS, Limb, Model, Values};
+use sherkit_core::numbers::rigid::Rigid;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
@@ -46,6 +48,17 @@ pub struct Robot {
     pub geometry: Geometry,
     pub position: Vector3<f64>,
     pub joints: Vector3<f64>,
+    /// Where its instrument stands.
+    pub sensor: Rigid,
+}
+
+/// Instruments that stand anywhere: turned by any turn, and 300 mm aside along each axis at most.
+pub fn sensors() -> impl Strategy<Value = Rigid> {
+    let shift = prop::array::uniform3(-300.0..300.0_f64);
+    (any::<u64>(), shift).prop_map(|(seed, shift)| Rigid {
+        rotation: rotation(&mut Random(seed)),
+        translation: Vector3::from(shift),
+    })
 }
 
 /// Where a limb's carriage would stand at joint reading zero if the platform joint were its centre.
@@ -82,9 +95,10 @@ pub fn robots() -> impl Strategy<Value = Robot> {
     );
     let deviations = (unit(), unit(), unit(), unit(), unit(), unit());
     let place = (0.0..0.6_f64, 0.0..TAU, -500.0..500.0_f64);
-    (shape, deviations, place).prop_filter_map(
+    (shape, deviations, place, sensors()).prop_filter_map(
         "a pose within reach and far from singular",
-        |((above, clockwise, turn, base, platform, ratio), deviations, (share, direction, z))| {
+        |(shape, deviations, (share, direction, z), sensor)| {
+            let (above, clockwise, turn, base, platform, ratio) = shape;
             let reach = base - platform;
             let (rb, tb, dq, l, rp, tp) = deviations;
             let limbs = std::array::from_fn(|i| {
@@ -114,9 +128,19 @@ pub fn robots() -> impl Strategy<Value = Robot> {
                 geometry,
                 position,
                 joints,
+                sensor,
             })
         },
     )
+}
+
+/// From the base to an instrument that is off its nominal pose by six numbers, by the formula of the sensor's pose.
+pub fn stand(nominal: &Rigid, off: &[f64]) -> Rigid {
+    let turn = Rotation3::new(Vector3::from_column_slice(&off[..3]));
+    Rigid {
+        rotation: turn.matrix() * nominal.rotation,
+        translation: nominal.translation + Vector3::from_column_slice(&off[3..6]),
+    }
 }
 
 /// A robot as on a drawing: three equal limbs a third of a turn apart.
@@ -135,6 +159,19 @@ pub fn drawing() -> Geometry {
     Geometry {
         limbs,
         assembly: Assembly::Below,
+    }
+}
+
+/// A pose of the robot of the drawing, seen by an instrument that stands aside and turned.
+pub fn drawn() -> Robot {
+    Robot {
+        geometry: drawing(),
+        position: Vector3::zeros(),
+        joints: Vector3::repeat(200.0),
+        sensor: Rigid {
+            rotation: rotation(&mut Random(3)),
+            translation: Vector3::new(210.0, -140.0, 35.0),
+        },
     }
 }
 
@@ -161,10 +198,7 @@ pub fn model_of(robot: &Robot) -> Model {
     Model {
         geometry: robot.geometry,
         target_offset: Vector3::new(7.0, -11.0, -30.0),
-        sensor: Rigid {
-            rotation: rotation_matrix(&Vector3::new(0.9, -1.7, 0.6)),
-            translation: Vector3::new(210.0, -140.0, 35.0),
-        },
+        sensor: robot.sensor,
         rod_spacing: 40.0,
         pole_pitch: 16.0,
         home: [robot.joints.x, robot.joints.y - 40.0, robot.joints.z + 90.0],
@@ -207,6 +241,15 @@ pub fn effects() -> impl Strategy<Value = Values> {
         let mut random = Random(seed);
         plausible(delta::CATALOGUE).map(|s| 0.3 * s * random.unit())
     })
+}
+
+/// The same with sensors that are as straight over all that they read of a robot as others are over 20 mm.
+pub fn straight_over_all(robot: &Robot, mut values: Values) -> Values {
+    let read = robot.sensor.apply(&robot.position).amax() + 100.0;
+    for value in &mut values[range_of(delta::CATALOGUE, "sensor_linearity")] {
+        *value *= (LINEARITY_SPAN_MM / read).powi(3);
+    }
+    values
 }
 
 /// Central difference extrapolated once (Richardson): error of fourth order in `h`.

@@ -76,7 +76,7 @@ fn what_cannot_be_predicted_says_why() {
         with(FOCAL_LENGTH.start, -1.0),
         Err(Error::InvalidCamera { .. })
     ));
-    let behind = with(CAMERA_POSE.start + 5, -1000.0).unwrap();
+    let behind = with(SENSOR_POSE.start + 5, -1000.0).unwrap();
     let found = behind.row_value(&row([2.3, 0.9]));
     assert!(matches!(found, Err(Error::BehindCamera { .. })));
     let aligned = model

@@ -1,0 +1,217 @@
+"""The runs that can speak, as one object about the model of the first of them; the others are named and left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..adaptive.gate import POWER, Power, Silent, silence
+from ..base.figures import number
+from ..base.types import Floats
+from ..data import Measurements
+from ..data.reader import RunLike
+from ..diagnosis import diagnose
+from ..diagnosis.outliers import gross_errors
+from ..errors import FitError, SherkitError
+from ..fit.error import axes_of
+from ..fit.identify import identify
+from ..model.effect import Effect
+from ..model.kinds import Robot, model_of, required_um
+from ..model.robot_file import run_for
+from .joined import Joined
+from .vouching import Gate
+
+#: Evidence (a logarithm) of a change.
+ALARM = np.log(100.0)
+#: Rows of all runs together that are weighed, and of one at least.
+_ROWS, _ROWS_OF_A_RUN = 4000, 200
+
+
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """Of ``names`` (R,), files or sources, those at ``numbers``: their rows ``data`` and, where there are two or more,
+    the object ``joined``; ``silent`` are the others, and why. Errors are in ``unit``."""
+
+    robot: Robot
+    names: tuple[str, ...]
+    numbers: tuple[int, ...]
+    data: tuple[Measurements, ...]
+    silent: dict[str, Silent]
+    unit: str
+    joined: Joined | None = None
+
+    @classmethod
+    def of(cls, robot: Robot, data: Sequence[Measurements], effects: Sequence[str | Effect] | None = None) -> Pool:
+        """Those runs of a robot that may speak by their rows, and beside a first that tells what the robot was."""
+        sources = [one.source for one in data]
+        names = tuple(
+            source if sources.count(source) == 1 else f"{k + 1}: {source}" for k, source in enumerate(sources)
+        )
+        silent, kept = _by_rows(robot, names, data)
+        unit = data[0].layout.unit
+        while len(kept) > 1:
+            joined, used = _joined(robot, [data[k] for k in kept], effects)
+            made = cls(robot, names, tuple(kept), tuple(used), dict(silent), unit, joined)
+            why = made.gate.first()
+            if why is None:
+                return made
+            silent[names[kept[0]]] = why
+            kept = kept[1:]
+        return cls(robot, names, tuple(kept), tuple(data[k] for k in kept), silent, unit)
+
+    @property
+    def needed(self) -> float | None:
+        """The accuracy that the robot is for, in the unit of its readings; None where its file does not say so."""
+        return required_um(self.robot) if self.unit == "µm" else None
+
+    @property
+    def to_measure(self) -> list[str]:
+        """What would let each of the silent runs speak."""
+        return [f"{name}: {one.measure}" for name, one in self.silent.items()]
+
+    @cached_property
+    def gate(self) -> Gate:
+        """What the runs could see: of what is needed, or else of what the first run shows of the model."""
+        assert self.joined is not None, "asked of two runs or more"
+        return Gate(self.joined, self.needed or float(self.joined.fit.error.rms), ALARM)
+
+    @cached_property
+    def powers(self) -> tuple[Power, ...]:
+        """Of every later run."""
+        return tuple(self.gate.power(k) for k in range(1, len(self.numbers)))
+
+    @property
+    def smallest(self) -> float | None:
+        """The change, as an error where the robot works, that each of the later runs would have shown; None where one
+        shows none."""
+        found = max((one.smallest for one in self.powers), default=np.inf) if self.joined else np.inf
+        return float(found) if np.isfinite(found) else None
+
+    @property
+    def unseen(self) -> tuple[tuple[str, float], ...]:
+        """Candidates that a run would not have shown, with the chance."""
+        worst: dict[str, float] = {}
+        for one in self.powers if self.joined else ():
+            for name, chance in one.chances.items():
+                worst[name] = min(chance, worst.get(name, 1.0))
+        return tuple((name, chance) for name, chance in worst.items() if chance < POWER)
+
+    def speaking(self) -> Pool:
+        """Where nothing is seen: the runs that would have shown it. These, if all would."""
+        joined = self.joined
+        if joined is None:
+            return self
+        before, silent, kept = float(joined.fit.error.rms), dict(self.silent), [0]
+        for k, power in enumerate(self.powers, 1):
+            why = self.gate.later(k, power, before)
+            if why is None:
+                kept.append(k)
+            else:
+                silent[self.names[self.numbers[k]]] = why
+        if len(kept) == len(self.numbers):
+            return self
+        numbers, data = tuple(self.numbers[k] for k in kept), tuple(self.data[k] for k in kept)
+        rest = Joined(joined.fit, data, joined.axes).with_what_lasts() if len(kept) > 1 else None
+        return replace(self, numbers=numbers, data=data, silent=silent, joined=rest)
+
+
+def unchanged_advice(before: float, needed: float | None, unit: str) -> str:
+    """What to do where nothing has changed: what is off by more than is needed was so before."""
+    if needed is None or before <= needed:
+        return "nothing needs to be done: the calibration still describes the robot"
+    return (
+        f"nothing has changed, but the model of the first run is off by {number(before)} {unit} where {number(needed)} "
+        f"are needed, noise included: diagnose that run"
+    )
+
+
+def sees_of(smallest: float | None, unit: str) -> str:
+    """What runs would have shown, in words; nothing where that is not asked."""
+    if smallest is None:
+        return ""
+    return f"a change of {number(smallest)} {unit} RMS where the robot works would have been seen in 95 of 100 cases"
+
+
+def read_runs(robot: Robot, runs: Sequence[RunLike]) -> list[Measurements]:
+    """The rows of each run of a robot."""
+    model = model_of(robot)
+    return [model.as_declared(run_for(robot, run)) for run in runs]
+
+
+def _by_rows(
+    robot: Robot, names: Sequence[str], data: Sequence[Measurements]
+) -> tuple[dict[str, Silent], list[int]]:  # fmt: skip
+    """Runs that cannot speak by their rows alone, and the numbers of the others."""
+    model: Any = model_of(robot)
+    silent: dict[str, Silent] = {}
+    kept: list[int] = []
+    for k, one in enumerate(data):
+        axes = axes_of(one)
+        same = next((j for j in range(k) if _same(data[j], one)), None)
+        # what is to be told: all of the robot from the first, where the sensor stands from another
+        unknown = 2 * len(axes) if kept else len(model.parameters)
+        if same is not None:
+            silent[names[k]] = Silent(
+                f"holds the same rows as {names[same]}: nothing was measured in between", "measure once more"
+            )
+        elif axes and (why := silence(one, axes, unknown, _predicted(model, one))) is not None:
+            silent[names[k]] = why
+        else:
+            kept.append(k)
+    return silent, kept
+
+
+def _predicted(model: Any, data: Measurements) -> Floats | None:
+    """What the drawing says of a run; None where it does not reach all of it."""
+    try:
+        return np.asarray(model.predict(data, np.zeros(len(model.parameters))))
+    except SherkitError:
+        return None
+
+
+def _same(one: Measurements, other: Measurements) -> bool:
+    """Whether two runs hold the same rows, in any order."""
+    if one.joints.shape != other.joints.shape or one.readings.shape != other.readings.shape:
+        return False
+
+    def rows(data: Measurements) -> Floats:
+        every = np.column_stack([data.joints, np.where(data.taken, data.readings, 0.0)])
+        return np.asarray(every[np.lexsort(every.T)])
+
+    return np.array_equal(rows(one), rows(other))
+
+
+def _joined(
+    made: Robot, given: Sequence[Measurements], effects: Sequence[str | Effect] | None
+) -> tuple[Joined, list[Measurements]]:
+    """The runs as one object about the model of the first."""
+    data = list(given)
+    fit = identify(made, data[0], effects=() if effects is None else effects)
+    if effects is None:
+        found = diagnose(fit)
+        # what was missing already is in all runs; a moment or a period of the first says nothing of the others
+        named = [e for e in found.fit.model.effects if e.name in found.effects and e.search is None]
+        outliers = found.outliers
+    else:
+        named, outliers = list(fit.model.effects), gross_errors(fit)
+    if len(outliers) or (effects is None and named):
+        data[0] = data[0].mark_outliers(outliers)
+        fit = identify(made, data[0], effects=named)
+    data = [_enough(one, max(_ROWS // len(data), _ROWS_OF_A_RUN)) for one in data]
+    axes = tuple(a for a in axes_of(data[0]) if all(a in axes_of(one) for one in data))
+    if not axes:
+        raise FitError("compare: the runs have no reading in common")
+    return Joined(fit, data, axes).with_what_lasts(), data
+
+
+def _enough(data: Measurements, most: int) -> Measurements:
+    """Of a long run as many poses as tell, drawn at random, each with all of its repeats."""
+    if len(data) <= most:
+        return data
+    poses = np.random.default_rng(0).permutation(np.unique(data.groups))
+    count = np.cumsum(np.bincount(data.groups)[poses])
+    return data.select(np.flatnonzero(np.isin(data.groups, poses[: max(int((count <= most).sum()), 1)])))

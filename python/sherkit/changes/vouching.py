@@ -1,0 +1,163 @@
+"""Which runs may say that nothing has changed: what each would have shown where the robot works.
+
+A change is measured where the robot is used, not where it happened to be read: three places in a corner see nothing of
+what goes on elsewhere. The sensor's stand is free there as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..adaptive.gate import TIMES, Power, Sight, Silent, power_of
+from ..base import linalg
+from ..base.figures import number
+from ..base.types import Floats
+from ..data import Measurements
+from ..diagnosis.linearised import orthonormal
+from ..errors import SherkitError
+from .joined import Joined, SeenRun
+from .stand import stand_of
+
+#: Places that stand for the workspace.
+_PLACES = 120
+_ROUNDING = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """Where the robot works: rows there, and what the stand of the sensor takes up of their readings (n, m)."""
+
+    rows: Measurements
+    axes: tuple[int, ...]
+    basis: Floats
+
+    @classmethod
+    def of(cls, model: Any, data: Measurements, values: Floats, axes: tuple[int, ...]) -> Work:
+        """The workspace, where the robot's file says how far it may go; else where the run was."""
+        try:
+            reachable = model.reachable(data, values)
+            if reachable is not None and len(reachable.rows) > 1:
+                every = reachable.rows
+                some = np.random.default_rng(0).permutation(len(every))[:_PLACES]
+                return cls(every.select(some), axes, _stand(model, every.select(some), values, axes))
+        except SherkitError:
+            # such as a grid that a camera does not see: the run's own places are known to be read
+            pass
+        rows = data.select(np.random.default_rng(0).permutation(len(data))[:_PLACES])
+        return cls(rows, axes, _stand(model, rows, values, axes))
+
+    def errors(self, columns: Mapping[str, Floats]) -> dict[str, Floats]:
+        """By candidate the mean square of a row's error (k, k), in the unit of the readings, of its columns (n, m, k)
+        there; without those that the stand of the sensor takes up."""
+        out = {}
+        for name, each in columns.items():
+            flat = each.reshape(-1, each.shape[2])
+            left = flat - self.basis @ (self.basis.T @ flat)
+            if np.square(left).sum() > _ROUNDING**2 * np.square(flat).sum() > 0:
+                out[name] = left.T @ left / len(self.rows) * self.rows.layout.per_unit**2
+        return out
+
+
+def _stand(model: Any, rows: Measurements, values: Floats, axes: tuple[int, ...]) -> Floats:
+    exact = rows.with_readings(np.zeros(rows.readings.shape) + model.predict(rows, values))
+    used = np.ones((len(rows), len(axes)), dtype=bool)
+    return orthonormal(stand_of(model, exact, values, axes, used).columns)
+
+
+def sights_of(
+    columns: Mapping[str, Floats], there: Mapping[str, Floats], basis: Floats, noise: float, settings: int = 1
+) -> dict[str, Sight]:
+    """What rows see of candidates: ``columns`` (N, k) beside the ``basis`` of what is free, over the ``noise``."""
+    # causes have half of the weight, as in the evidence
+    weight = 0.5 / max(len(columns), 1) / settings
+    out = {}
+    for name, whole in columns.items():
+        if name in there:
+            left = (whole - basis @ (basis.T @ whole)) / max(noise, 1e-300)
+            out[name] = Sight(left, int((np.abs(whole).max(axis=1) > 0).sum()), weight, there[name])
+    return out
+
+
+class Gate:
+    """What joined runs could see: the power of each later one, and what the model of the first leaves unknown there."""
+
+    def __init__(self, joined: Joined, required: float, alarm: float) -> None:
+        self.joined, self.required, self.alarm = joined, required, alarm
+        values = joined.fit.values
+        self._unit = joined.runs[0].data.layout
+        work = Work.of(joined.model, joined.runs[0].data, values, joined.axes)
+        at = joined.columns_at(work.rows)
+        self._there = work.errors({one.name: at[one.name] for one in joined.candidates})
+        self._basis = orthonormal(joined.base)
+        self._free = len(joined.residual) - self._basis.shape[1]
+        left = joined.residual - self._basis @ (self._basis.T @ joined.residual)
+        self._noise = max(joined.noise, float(np.sqrt(left @ left / max(self._free, 1))))
+
+    def power(self, at: int) -> Power:
+        """Of one run: a change in it alone."""
+        factors = np.eye(len(self.joined.runs))[at]
+        columns = {one.name: self.joined.columns_of(one.name, factors) for one in self.joined.candidates}
+        sights = sights_of(columns, self._there, self._basis, self._noise, len(self.joined.runs) - 1)
+        return power_of(sights, self.required, self._free, self.alarm)
+
+    def first(self) -> Silent | None:
+        """Why the first run cannot be what others are held against: what it leaves unknown of the model is, where the
+        others were read, more than a change that must be seen."""
+        joined = self.joined
+        first = joined.runs[0]
+        own = first.own[first.used] / (first.sigma or joined.noise)
+        sizes = np.array([p.size for p in joined.model.parameters])
+        covariance = linalg.inv((own * sizes).T @ (own * sizes) + np.eye(len(sizes)))
+        unknown = max(_unknown(run, sizes, covariance) for run in joined.runs[1:]) * self._unit.per_unit
+        if unknown <= TIMES * self.required:
+            return None
+        return Silent(
+            f"its {len(first.data)} rows leave the model unknown by {number(unknown)} {self._unit.unit} where the "
+            f"later runs were read", "measure it at more places, over all of the workspace, before anything changes",
+        )  # fmt: skip
+
+    def later(self, at: int, power: Power, before: float) -> Silent | None:
+        """Why a later run cannot say that nothing has changed."""
+        run, unit = self.joined.runs[at], self._unit.unit
+        if not power.speaks:
+            noise = (run.sigma or self.joined.noise) * float(np.sqrt(len(self.joined.axes))) * self._unit.per_unit
+            return unable(power, noise, unit)
+        off = error_of(run)
+        if off <= TIMES * max(self.required, before):
+            return None
+        return Silent(
+            f"it is off by {number(off)} {unit}, where {number(self.required)} are required, and no change explains it",
+            "look whether it is a run of this robot, and measure it again",
+        )  # fmt: skip
+
+
+def unable(power: Power, noise: float, unit: str) -> Silent:
+    """Why rows of this power cannot say that nothing has changed; ``noise`` is that of a row, as people read it."""
+    most = TIMES * power.required
+    sees = f"a change from {number(power.smallest)} {unit} on" if np.isfinite(power.smallest) else "no change"
+    why = f"it would show {sees}, and must show one of {number(most)} {unit}"
+    if noise <= power.required:
+        return Silent(why, "measure at a dozen places or more, over the whole workspace")
+    times = float(np.ceil((power.smallest / most) ** 2))
+    more = f"about {number(times)} times as many readings" if np.isfinite(times) else "more readings"
+    return Silent(f"its noise is {number(noise)} {unit}: {why}", f"take {more}, or measure with less noise")
+
+
+def _unknown(run: SeenRun, sizes: Floats, covariance: Floats) -> float:
+    """The root mean square of a row's reading that is unknown (in its unit), beside the stand of the sensor."""
+    basis = orthonormal(np.where(run.used[:, :, None], run.stand.columns, 0.0))
+    own = (np.where(run.used[:, :, None], run.own, 0.0) * sizes).reshape(-1, len(sizes))
+    own = own - basis @ (basis.T @ own)
+    total = float(np.einsum("ij,jk,ik->", own, covariance, own))
+    return float(np.sqrt(max(total, 0.0) / max(int(run.used.any(axis=1).sum()), 1)))
+
+
+def error_of(run: SeenRun) -> float:
+    """How far the model of the first run is off in another (root mean square of a row), as people read it."""
+    left = np.where(run.used, run.stand.residual, 0.0)
+    rows = max(int(run.used.any(axis=1).sum()), 1)
+    return float(np.sqrt(np.square(left).sum() / rows)) * run.data.layout.per_unit
