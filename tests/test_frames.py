@@ -19,6 +19,7 @@ import numpy as np
 import polars as pl
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from accuracy_coverage import MIDDLE_RAD
@@ -27,6 +28,7 @@ from sherkit.errors import CalibrationError
 from sherkit.fit.error import radius_95
 from sherkit.fit.identify import hold_out
 from sherkit.model.kinds import model_of
+from sherkit.model.robot_file import run_for
 from sherkit.model.sensor_pose import POSE
 from sherkit.robots.calibrated import calibration_class
 from sherkit.robots.calibration_run import CalibrationRun
@@ -206,3 +208,35 @@ def test_the_tilt_that_nobody_knows_counts_in_the_base() -> None:
     off = np.linalg.norm(really(c.inverse_batch(x, frame="base").require(), "base") - x, axis=1)
     assert (off <= base.total_mm).all()
     assert base[0].advice == ""
+
+
+def test_a_machine_is_where_its_instrument_saw_it_and_in_its_base() -> None:
+    """Catches a machine whose base is taken from where its tracker stands, and a frame promised of one that has
+    none."""
+
+    def gantry(q: Floats, p: Any) -> Floats:
+        return np.column_stack([q[:, 0] + p.lean * q[:, 1], q[:, 1], q[:, 2]])
+
+    joints = {name: (0.0, 400.0) for name in ("x_axis_mm", "y_axis_mm", "z_axis_mm")}
+    machine = sk.Machine(
+        gantry, joints=joints, readings=("x_mm", "y_mm", "z_mm"), parameters={"lean": ("rad", 2e-3)}, sensor_pose="free"
+    )
+    rng = np.random.default_rng(4)
+    q, stands = rng.uniform(0.0, 400.0, (40, 3)), draw_pose(rng)
+
+    def at(there: Floats) -> Floats:
+        return np.column_stack([there[:, 0] + 1e-3 * there[:, 1], there[:, 1], there[:, 2]])
+
+    turn = Rotation.from_rotvec(stands[:3])
+    read = turn.apply(at(q)) + stands[3:] + 0.005 * rng.normal(size=q.shape)
+    columns = dict(zip((*joints, "x_mm", "y_mm", "z_mm"), np.column_stack([q, read]).T, strict=True))
+    c = calibrated(machine, run_for(machine, pl.DataFrame(columns)))
+    there = rng.uniform(50.0, 350.0, (5, 3))
+    np.testing.assert_allclose(c.forward_batch(there, frame="base").require(), at(there), atol=0.02)
+    np.testing.assert_allclose(c.forward_batch(there).require(), turn.apply(at(there)) + stands[3:], atol=0.02)
+    np.testing.assert_allclose(c.inverse_batch(at(there), frame="base").require(), there, atol=0.02)
+    assert (c.predicted_accuracies(at(there), frame="base").radius_mm < 0.1).all()
+    held = replace(machine, sensor_pose="held")
+    straight = columns | dict(zip(("x_mm", "y_mm", "z_mm"), (at(q) + 0.005 * rng.normal(size=q.shape)).T, strict=True))
+    own = calibrated(held, run_for(held, pl.DataFrame(straight)))
+    np.testing.assert_allclose(own.forward_batch(there, frame="base").require(), own.forward_batch(there).require())
