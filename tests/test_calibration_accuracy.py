@@ -137,11 +137,12 @@ def test_accuracy_gets_worse_where_the_correction_fades(shape: tuple[float, ...]
 def test_extrapolation_is_flagged(seed: int, axis: int, far: float) -> None:
     """Catches a position called measured where no pose was: the box of the run that rules there, and a tenth."""
     c = made(seed)
-    x = np.zeros(3)
+    x = c.whole.sensor_origin_mm.copy()
     for inside, outside, sign in ((1.199, 1.201, 1.0), (1.199, 1.201, -1.0)):
-        x[axis] = sign * 24.0 * (inside - far * 0.1)
+        x[axis] = c.whole.sensor_origin_mm[axis] + sign * 24.0 * (inside - far * 0.1)
         assert c.measured(x)
-        x[axis] = sign * 24.0 * (outside + far)
+        assert c.measured(c.from_sensor([x])[0], frame="base")
+        x[axis] = c.whole.sensor_origin_mm[axis] + sign * 24.0 * (outside + far)
         assert not c.measured(x)
 
 

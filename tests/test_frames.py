@@ -159,8 +159,10 @@ def arm_held(seed: int) -> dict[str, float]:
         return np.array([real.seen(one, False) for one in at] if frame == "sensor" else at)
 
     q, there = postures(robot, 60, 0.8, seed), postures(robot, 20, 0.7, seed + 1000)
+    q = np.repeat(q, 2, axis=0)
     read = really(q, "sensor") + 0.05 * rng.normal(size=(len(q), 3))
     columns = dict(zip((*robot.layout.joints, "x_mm", "y_mm", "z_mm"), np.column_stack([q, read]).T, strict=True))
+    columns |= {"pose": np.arange(len(q)) // 2 + 1, "repeat": np.arange(len(q)) % 2 + 1}
     c, out = calibrated(robot, sk.from_frame(pl.DataFrame(columns))), {}
     for frame in ("base", "sensor"):
         at = c.forward_batch(there, frame=frame).require()

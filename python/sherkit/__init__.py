@@ -36,7 +36,8 @@ __all__ = [
     "Adaptive", "Effect", "Machine", "Measurements", "SensorPose", "SherkitError", "SherkitWarning", "Study",
     "__version__", "calibrate", "changes", "compare", "data", "delta", "diagnose", "diagnosis", "effect", "errors",
     "fit", "fleet", "from_bluesky", "from_frame", "from_rosbag", "history", "identify", "lab", "load_calibration",
-    "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "serial", "spherical", "tool", "verify",
+    "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "serial", "spherical", "tool",
+    "verify",
 ]  # fmt: skip
 
 

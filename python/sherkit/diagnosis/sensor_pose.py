@@ -37,8 +37,8 @@ def taken_by_pose(fit: Fit, effects: Sequence[Effect]) -> dict[str, tuple[int, i
     model = fit.model
     fitted = _flat(data, model.derivatives(data, fit.values))
     others, whole = orthonormal(fitted[:, ~of_pose]), orthonormal(fitted)
-    # what is searched for has a moment or a period of its own, which a pose has not
-    asked = [effect for effect in model.can_be_tried(effects, data)[0] if effect.search is None]
+    # what is searched for besides is a moment, a lag or a period: no pose that stays
+    asked = [one for one in model.can_be_tried(effects, data)[0] if one.search is None]
     tried = model.tried(data, fit.values, asked)
     every = _flat(data, tried.columns(slice(None)))
     out = {}
