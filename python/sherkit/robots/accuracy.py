@@ -6,6 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -403,7 +404,7 @@ class Accurate(Deployed):
             Counted(
                 self.spread(x, joints, frame=frame) + part.scatter,
                 self.counted(part, frame),
-                lambda effect, frame=frame: self.moves(effect, frame),
+                partial(self.moves, frame=frame),
             )
             for frame in self.frames
         )
