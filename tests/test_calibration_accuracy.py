@@ -65,7 +65,7 @@ def test_accuracy_is_where_the_mean_of_many_visits_lies(robots: int) -> None:
     assert np.median(ratios) < 6.0
 
 
-@pytest.mark.parametrize("robots", [2, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("robots", [3, pytest.param(6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("half_mm", [9.5, 19.0])
 def test_accuracy_is_honest_where_a_correction_works(half_mm: float, robots: int) -> None:
     """Catches a radius that forgets what the correction leaves, and one far too wide: leaning rails are corrected to

@@ -217,7 +217,7 @@ def test_a_machine_is_where_its_instrument_saw_it_and_in_its_base() -> None:
     def gantry(q: Floats, p: Any) -> Floats:
         return np.column_stack([q[:, 0] + p.lean * q[:, 1], q[:, 1], q[:, 2]])
 
-    joints = {name: (0.0, 400.0) for name in ("x_axis_mm", "y_axis_mm", "z_axis_mm")}
+    joints = dict.fromkeys(("x_axis_mm", "y_axis_mm", "z_axis_mm"), (0.0, 400.0))
     machine = sk.Machine(
         gantry, joints=joints, readings=("x_mm", "y_mm", "z_mm"), parameters={"lean": ("rad", 2e-3)}, sensor_pose="free"
     )

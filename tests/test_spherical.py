@@ -295,13 +295,15 @@ def test_where_nothing_misses_the_centre(run: sk.Measurements) -> None:
 
 
 def test_calibration_points_the_true_robot(calibration: sk.spherical.SphericalCalibration) -> None:
-    """Catches a calibration that drives the nominal robot: commanded directions are reached by the hidden one."""
+    """Catches a calibration that drives the nominal robot: commanded directions are reached by the hidden one, as near
+    as is promised where the pose of the camera is known to a tenth of a degree."""
     assert isinstance(ROBOT, Spherical)
     hidden = sk.spherical.VirtualSpherical(ROBOT, HIDDEN)
     for x in ANGLES[::7]:
         axis = hidden.axes(calibration.inverse(x))[0]
         there = np.array([np.arctan2(axis[1], axis[0]), np.arccos(axis[2])])
-        assert np.abs(there - x).max() < 1e-4
+        assert np.abs(there - x).max() < 2e-4
+        assert calibration.radius_mm * np.abs(there - x).max() < calibration.accuracy(x)
         assert np.abs(ROBOT.forward(ROBOT.inverse(x)) - x).max() < 1e-12
         np.testing.assert_allclose(calibration.forward(calibration.inverse(x)), x, atol=1e-12)
     assert calibration.radius_mm == pytest.approx(222.1, abs=0.05)

@@ -168,7 +168,7 @@ def test_heights_alone_teach_heights_and_say_what_they_do_not(tmp_path: Path) ->
     said = json.loads(done.stdout)["whole"]
     assert set(said["rms_um"]["after"]) == {"z"}
     assert said["rms_um"]["before"]["z"] > 100.0
-    assert {"datum_x alone", "datum_y alone"} <= {d["text"] for d in said["unobserved"]}
+    assert {"sensor_shift_x alone", "sensor_shift_y alone"} <= {d["text"] for d in said["unobserved"]}
     assert said["rank"] == said["parameters_free"] - len(said["unobserved"])
     calibrated = Calibration.load(tmp_path / "calibrated.toml")
     joints = load_robot(tmp_path / "robot.toml").inverse_batch(targets(18.0)).require()

@@ -6,6 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -37,7 +38,7 @@ class PredictedAccuracy:
     at plausible size could do there besides, unseen between the poses; ``effect`` is the one that does most of it and
     ``advice`` the measurement that would narrow it, both empty where there is none. ``visit_mm`` holds 95 of 100 single
     readings there, scatter and all. NaN for a place out of reach. All holds at ``temperature_c`` and at ``time_s`` on
-    the run's clock; NaN where nothing that is known of the robot depends on it.
+    the run's clock; None where nothing that is known of the robot depends on it.
     """
 
     radius_mm: float
@@ -45,8 +46,8 @@ class PredictedAccuracy:
     visit_mm: float = float("nan")
     effect: str = ""
     advice: str = ""
-    temperature_c: float = float("nan")
-    time_s: float = float("nan")
+    temperature_c: float | None = None
+    time_s: float | None = None
 
     @property
     def total_mm(self) -> float:
@@ -73,8 +74,8 @@ class PredictedAccuracy:
     @property
     def _when(self) -> str:
         """For which temperature and moment it holds, where that matters."""
-        out = "" if math.isnan(self.temperature_c) else f", at {self.temperature_c:.1f} °C"
-        return out if math.isnan(self.time_s) else f"{out}, {self.time_s / 60.0:.0f} min after the run's clock began"
+        out = "" if self.temperature_c is None else f", at {self.temperature_c:.1f} °C"
+        return out if self.time_s is None else f"{out}, {self.time_s / 60.0:.0f} min after the run's clock began"
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +100,8 @@ class PredictedAccuracies:
     reached: Bools
     why: tuple[str, ...]
     coordinates: tuple[str, ...]
-    temperature_c: float = float("nan")
-    time_s: float = float("nan")
+    temperature_c: float | None = None
+    time_s: float | None = None
 
     @property
     def total_mm(self) -> Floats:
@@ -328,17 +329,14 @@ class Accurate(Deployed):
         parts = [self.part_at(one) for one in coordinates]
         return [(p, np.array([one is p for one in parts])) for p in {id(one): one for one in parts}.values()]
 
-    def _when(self, parts: Sequence[Part], now: Sequence[float]) -> tuple[float, float]:
-        """Temperature and time that a promise is for, NaN where nothing that is known of the parts depends on it."""
+    def _when(self, parts: Sequence[Part], now: Sequence[float]) -> tuple[float | None, float | None]:
+        """Temperature and time that a promise is for, None where nothing that is known of the parts depends on it."""
         needs: set[str] = set()
         for part in parts:
             model = part.model(self.robot)
             hidden = (model.known_effects[one.effect] for one in part.unobserved_effects)
             needs |= {name for effect in (*model.effects, *hidden) for name in effect.needs}
-        return (
-            now[1] if TEMPERATURE in needs else float("nan"),
-            now[0] if TIME in needs else float("nan"),
-        )
+        return now[1] if TEMPERATURE in needs else None, now[0] if TIME in needs else None
 
     def _either_side(self, part: Part, joints: Floats, now: Sequence[float]) -> Floats:
         """Covariance (n, d, d) of not knowing from which side ``joints`` (n, j) are reached: of lost motion that is in
@@ -403,7 +401,7 @@ class Accurate(Deployed):
             Counted(
                 self.spread(x, joints, frame=frame) + part.scatter,
                 self.counted(part, frame),
-                lambda effect, frame=frame: self.moves(effect, frame),
+                partial(self.moves, frame=frame),
             )
             for frame in self.frames
         )
