@@ -114,7 +114,16 @@ def test_the_geometry_is_found(folder: Path) -> None:
     truth = {"length_1": 0.8, "length_2": -0.6, "offset_2": -0.015, "droop.fall": 0.15}
     for p, value, std in zip(fit.parameters, fit.values, fit.std, strict=True):
         if p.name in truth:
-            assert abs(value - truth[p.name]) < 5 * std < 0.05 * abs(truth[p.name]), p.name
+            # a tilt of the instrument takes a part of what a fall with the reach shows
+            known = 0.1 if p.name == "droop.fall" else 0.05
+            assert abs(value - truth[p.name]) < 5 * std < known * abs(truth[p.name]), p.name
+    turn, shift = sk.model.kinds.model_of(sk.load_robot("robot.toml")).sensor_frame(fit.values[:-1])
+    stood = VirtualPlanarArm(sk.load_robot("robot.toml"), **anywhere(1))
+    axes = stood.seen(np.eye(3)) - stood.seen(np.zeros((1, 3)))
+    first = np.array([[np.cos(0.01), -np.sin(0.01), 0.0], [np.sin(0.01), np.cos(0.01), 0.0], [0.0, 0.0, 1.0]])
+    # the shoulder's zero is a turn of what the instrument sees
+    assert np.abs(turn - axes.T @ first).max() < 2e-4
+    assert np.abs(shift - stood.seen(np.zeros((1, 3)))[0]).max() < 0.05
     assert fit.scale == pytest.approx(1.0, abs=0.1)
 
 
