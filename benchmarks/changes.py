@@ -47,6 +47,7 @@ CHECKS: tuple[tuple[str, tuple[float, float], dict[str, Any]], ...] = (
     ("off by 1.5 × the promise", (1.5, 1.5), {}),
     ("off by 1.5 × the promise, poses read four times", (1.5, 1.5), {"repeats": 4}),
     ("off by 1.5 × the promise, poses read six times", (1.5, 1.5), {"repeats": 6}),
+    ("off by 1.5 × the promise, poses read nine times", (1.5, 1.5), {"repeats": 9}),
     ("off by 2 × the promise", (2.0, 2.0), {}),
     ("off by 1.5 to 6 × the promise", (1.5, 6.0), {}),
     ("off by 2 × the promise, in no catalogue", (2.0, 2.0), {"unknown": "saddle"}),
