@@ -37,7 +37,7 @@ _LONGEST, _SIZES = 0.5, 24
 class Gathered:
     """Where rows that stand apart lie together: the ``name`` of a joint or coordinate, from ``low`` to ``high``, or
     empty for the order of time; ``rows`` (k,) are those of the data that lie there, ``inside`` of how many poses that
-    are ``there``."""
+    are ``there``, of visits where it is time."""
 
     name: str
     low: float
@@ -74,7 +74,10 @@ def gathered(
     off = wrong[every]
     found = [_in_place(every, pose, off, places, seed), _in_time(data, every, pose, off, seed)]
     # two questions, each at half of the level
-    best = min((one for one in found if one is not None), key=lambda one: one.p, default=None)
+    # where both are as rare, the one that holds fewer of the others
+    best = min(
+        (one for one in found if one is not None), key=lambda one: (one.p, -one.inside / one.there), default=None
+    )
     return best if best is not None and 2.0 * best.p <= level else None
 
 
@@ -144,9 +147,16 @@ def _in_time(data: Measurements, every: Ints, pose: Ints, off: Bools, seed: int)
         return np.array([ranked.best(one[None])[0] for one in drawn])
 
     low, high = ranked.stretch(wrong)
-    here = np.flatnonzero(off & (visit >= kept[int(low)]) & (visit <= kept[int(high)]))
+    between = (visit >= kept[int(low)]) & (visit <= kept[int(high)])
+    here = np.flatnonzero(off & between)
     return Gathered(
-        "", low, high, every[here], len(np.unique(pose[here])), int(high - low) + 1, _chance(by_chance, float(score))
+        "",
+        low,
+        high,
+        every[here],
+        len(np.unique(visit[here])),
+        len(np.unique(visit[between])),
+        _chance(by_chance, float(score)),
     )
 
 
