@@ -26,6 +26,8 @@ from .fitted_run import FittedRun
 WRONG = 0.2
 #: Chance that accidents are taken for a structure, over all variables of a run.
 LEVEL = 0.005
+#: A row still stands apart from this many deviations of the others on.
+_APART = 4.0
 _DRAWS, _BATCHES, _OFTEN = 999, 27, 8
 #: So many wrong poses, or visits, lie together at least; more poses than this are looked at in part.
 _FEWEST, _MOST = 3, 4000
@@ -262,12 +264,21 @@ def checks_of_outliers(run: FittedRun, outliers: Ints, seed: int, *, side: bool)
         return (few,)
     tested, rows = "rows that are wrong are so each for itself", f"the {len(outliers)} rows listed as wrong"
     places = places_of(run)
-    found = gathered(data, outliers[data.order[outliers] > data.order.min()] if side else outliers, places, seed=seed)
+    asked = outliers[data.order[outliers] > data.order.min()] if side else outliers
+    found = gathered(data, asked[_still_off(run, asked)], places, seed=seed)
     if found is None:
         told = f"they lie as accidents do, in time and in {len(places)} joints and coordinates"
         return few, Check(SINGLY, tested, rows, told, holds=True)
     told = found.where(data)
     return few, Check(SINGLY, tested, rows, told.rstrip(","), holds=False, p=2.0 * found.p, fails=said(found, data))
+
+
+def _still_off(run: FittedRun, rows: Ints) -> Bools:
+    """Which of the rows (k,) stand apart from the others with what was found in the model, too: those that an effect
+    explains were wrong beside a model that lacked it, and are no structure of their own."""
+    size = np.array([run.residuals[run.used[:, a], a].std() for a in run.axes])
+    left = np.abs(run.data.readings[rows] - run.fit.predicted[rows])[:, list(run.axes)]
+    return np.asarray(((left > _APART * size) & run.data.taken[rows][:, list(run.axes)]).any(axis=1))
 
 
 def said(found: Gathered, data: Measurements) -> str:
