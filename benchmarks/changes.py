@@ -47,6 +47,7 @@ CHECKS: tuple[tuple[str, tuple[float, float], dict[str, Any]], ...] = (
     ("off by 1.5 × the promise", (1.5, 1.5), {}),
     ("off by 1.5 × the promise, poses read four times", (1.5, 1.5), {"repeats": 4}),
     ("off by 1.5 × the promise, poses read six times", (1.5, 1.5), {"repeats": 6}),
+    ("off by 1.5 × the promise, poses read nine times", (1.5, 1.5), {"repeats": 9}),
     ("off by 2 × the promise", (2.0, 2.0), {}),
     ("off by 1.5 to 6 × the promise", (1.5, 6.0), {}),
     ("off by 2 × the promise, in no catalogue", (2.0, 2.0), {"unknown": "saddle"}),
@@ -58,12 +59,14 @@ _TO_95 = 2.795
 
 @dataclass(frozen=True)
 class Outcome:
-    """One comparison: whether it was right, whether a name was false, seconds, and what was said."""
+    """One comparison: whether it was right, whether a name was false, seconds, what was said, and whether a check says
+    that it can tell 1.5 promises."""
 
     right: bool
     false_name: bool
     seconds: float
     told: str
+    able: bool = False
 
 
 def compared(make: Callable[[int], Any], changed: tuple[str, ...], kind: str, seed: int) -> Outcome | None:
@@ -122,7 +125,9 @@ def verified(times: tuple[float, float], settings: dict[str, Any], seed: int) ->
     seconds = time.process_time() - began
     false_name = bool(set(found.changed) - set(changed)) and not found.indistinguishable
     told = f"seed {seed} {' '.join(changed)}: {found.headline}"
-    return Outcome(found.valid is (not aim), false_name, seconds, told)
+    least, promise = found.error["smallest_found"], found.error["promised"]
+    able = least is not None and promise is not None and least <= 1.5 * promise * (1.0 + 1e-9)
+    return Outcome(found.valid is (not aim), false_name, seconds, told, able)
 
 
 def row(name: str, outcomes: Sequence[Outcome | None]) -> str:
@@ -151,7 +156,11 @@ def main() -> None:
     with ProcessPoolExecutor(asked.workers) as pool:
 
         def show(name: str, work: Callable[[int], Outcome | None], over: range) -> None:
-            print(row(name, list(pool.map(work, over))), flush=True)
+            outcomes = list(pool.map(work, over))
+            print(row(name, outcomes), flush=True)
+            able = [one for one in outcomes if one is not None and one.able]
+            if able:
+                print(row(f"{name}: those that say that they can tell 1.5 ×", able), flush=True)
 
         def group(name: str, works: Sequence[Callable[[int], Outcome | None]]) -> None:
             done = [pool.submit(work, seed) for work in works for seed in seeds]

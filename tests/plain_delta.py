@@ -97,6 +97,11 @@ def _stuck(machine: Delta, seed: int) -> Run:
     return made | {"z_mm": np.full(len(made["z_mm"]), made["z_mm"][0])}
 
 
+def _encoder(machine: Delta, seed: int) -> Run:
+    made = run(machine, seed)
+    return made | {"q2_mm": np.full(len(made["q2_mm"]), made["q2_mm"][0])}
+
+
 def _corner(count: int, repeats: int) -> Callable[[Delta, int], Run]:
     """So many places, 3 mm apart on a line."""
     where = np.column_stack([-18.0 + 3.0 * np.arange(count), np.full((count, 2), [-18.0, -20.0])])
@@ -112,6 +117,7 @@ CARELESS: dict[str, Callable[[Delta, int], Run]] = {
     "six poses": _corner(6, 1),
     "zeros": _zeros,
     "z stuck": _stuck,
+    "one encoder stuck": _encoder,
     "another robot": lambda _, seed: run(Delta(seed + 500, 5.0), seed),
 }
 

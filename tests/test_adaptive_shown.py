@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,10 @@ def test_the_error_is_that_of_readings_that_the_fit_did_not_know(
 def test_reasons_are_kept_with_the_rows(on_its_way: tuple[sk.Adaptive, World, list[str]], tmp_path: Path) -> None:
     """Catches reasons that are lost in a file, or that stand at other rows."""
     loop, _, asked = on_its_way
-    loop.save(tmp_path / "loop.json")
+    # one file has one loop: the copy gives it back
+    kept = copy.deepcopy(loop)
+    kept.save(tmp_path / "loop.json")
+    kept.close()
     again = sk.Adaptive.load(tmp_path / "loop.json")
     assert again.reasons == loop.reasons == tuple(asked)
     assert asked[:12] == ["start"] * 12

@@ -70,7 +70,8 @@ class Case:
 
 
 def params(command: click.Command) -> list[click.Parameter]:
-    return command.get_params(click.Context(command))
+    # as it is asked below its group: a command keeps the options for help with which it was asked first
+    return command.get_params(click.Context(command, parent=click.Context(cli, **cli.context_settings)))
 
 
 CASES = [

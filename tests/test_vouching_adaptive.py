@@ -165,6 +165,7 @@ def test_rows_of_a_robot_of_other_size_are_not_adequate() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::sherkit.errors.SherkitWarning")
 def test_what_is_three_times_too_much_is_never_adequate() -> None:
     """Catches "adequate" beside an error of 60 µm where 20 are required: of 24 loops with one effect that leaves as
     much, none, at a noise of 2 µm and at 20 (at 0.95 each one may: binomial, 1 in 1,000, is six; none is asked)."""

@@ -57,8 +57,10 @@ class Held:
     required_um: float | None
     level: float
     seed: int
-    #: Columns that are not in every row; what speaks against the rows as witnesses that nothing is missing.
+    #: Columns that are not in every row; cells that were not read; what speaks against the rows as witnesses that
+    #: nothing is missing.
     incomplete: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
     against: tuple[str, ...] = ()
     #: Why nothing could be fitted at the last look; empty where it could.
     blind: str = ""
@@ -101,14 +103,14 @@ def conclude(loop: Held) -> Conclusion:
 
     spent = _spent(loop)
     if found is None or loop.blind:
-        notes = [*loop.against, *([loop.blind] if loop.blind else [])]
+        notes = [*loop.unread, *loop.against, *([loop.blind] if loop.blind else [])]
         why = f"{spent}; {notes[0]}" if spent and notes else spent
         return Conclusion(done=bool(spent), why=why, notes=tuple(notes), make=make)
     verdict, done, why = state.verdict, state.done, state.why
     effects: tuple[str, ...] = state.named
     tied: tuple[tuple[str, ...], ...] = ()
     apart = told_of(found)
-    first = [*([apart] if apart else []), *loop.against]
+    first = [*([apart] if apart else []), *loop.unread, *loop.against]
     notes = list(first)
     notes += list(sentences(loop.seen, found.data.layout.unit, found.data.layout.per_unit, found.family.untestable))
     notes += _unsure(found)
@@ -126,7 +128,10 @@ def conclude(loop: Held) -> Conclusion:
         why = "; ".join((why, *loop.against))
     if done and verdict != "adequate" and (mistakes := mistaken(found.family.model, found.data, found.fit.values)):
         # what a wrong column leaves is no physics, and looks like much of it
-        verdict, effects, tied, why = "unexplained", (), (), "; ".join(mistakes)
+        if verdict == "undecided":
+            why = "; ".join((why, *mistakes))
+        else:
+            verdict, effects, tied, why = "unexplained", (), (), "; ".join(mistakes)
     if (
         done
         and verdict in _LOUDER

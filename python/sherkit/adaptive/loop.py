@@ -238,7 +238,7 @@ class Adaptive:
             held = Held(
                 self.robot, data, self.readings, self.last, self.state, self.seen, self.budget,
                 self.minutes, self.span_min, self.required_um, self.level, self.seed,
-                tuple(told.incomplete(self._frame, self.layout)), (*self._stuck, *self._against), self._blind,
+                tuple(told.incomplete(self._frame, self.layout)), self._stuck, self._against, self._blind,
             )  # fmt: skip
             self._concluded = (self.readings, conclude(held))
         return self._concluded[1]

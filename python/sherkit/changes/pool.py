@@ -23,7 +23,7 @@ from ..model.effect import Effect
 from ..model.kinds import Robot, model_of, required_um
 from ..model.robot_file import run_for
 from .joined import Joined
-from .vouching import Gate
+from .vouching import Gate, held_in, stuck
 
 #: Evidence (a logarithm) of a change.
 ALARM = np.log(100.0)
@@ -54,13 +54,23 @@ class Pool:
         silent, kept = _by_rows(robot, names, data)
         unit = data[0].layout.unit
         while len(kept) > 1:
-            joined, used = _joined(robot, [data[k] for k in kept], effects)
+            try:
+                joined, used = _joined(robot, [data[k] for k in kept], effects)
+            except FitError:
+                # an encoder that was stuck before leads to a robot that does not reach what it later did
+                held = held_in(data[kept[0]], [data[k] for k in kept[1:]])
+                if not held:
+                    raise
+                silent[names[kept[0]]] = stuck(held, "and no model fits it and the later runs")
+                kept = kept[1:]
+                continue
             made = cls(robot, names, tuple(kept), tuple(used), dict(silent), unit, joined)
             why = made.gate.first()
-            if why is None:
+            mute = {kept[0]: why} if why is not None else {kept[k]: one for k, one in made.gate.stuck().items()}
+            if not mute:
                 return made
-            silent[names[kept[0]]] = why
-            kept = kept[1:]
+            silent |= {names[k]: one for k, one in mute.items()}
+            kept = [k for k in kept if k not in mute]
         return cls(robot, names, tuple(kept), tuple(data[k] for k in kept), silent, unit)
 
     @property

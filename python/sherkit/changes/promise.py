@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from ..adaptive.evidence import Evidence
 from ..base import linalg
@@ -61,9 +62,10 @@ def broken(evidence: Evidence, stand: Floats, promised: float, level: float) -> 
     # the draw that is seen counts too
     told_by = _ratio(squares, share, seen[:, None], np.array([whole]), free)[0]
     chance = float((still >= told_by).sum() + 1) / (_DRAWS + 1)
-    # what would have been found is asked of the noise alone
+    # what would have been found is asked of the noise alone, as large as these rows allow it to be: of checks whose
+    # noise happens to look small, too many would claim to have found it
     told = float((np.square(seen) / squares[:, 0]).max())
-    scale = np.sqrt(max(whole - told, 1e-12 * whole) / (free - 1))
+    scale = np.sqrt(max(whole - told, 1e-12 * whole) / scipy.stats.chi2.ppf(1.0 - _FOUND, free - 1))
     answers, left = scale * answers, scale**2 * left
     limit = float(np.quantile(_ratio(squares, share, answers, left, free), 1.0 - level))
     which = rng.choice(len(share), _DRAWS, p=share / share.sum())

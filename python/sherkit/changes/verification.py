@@ -17,13 +17,14 @@ import scipy
 
 from ..adaptive.choice import showing
 from ..adaptive.evidence import SIZES, Evidence
-from ..adaptive.gate import Power, Silent, power_of, silence
+from ..adaptive.gate import Power, Silent, power_of, silence, still
 from ..adaptive.hypotheses import Hypotheses, Hypothesis, weighted
 from ..adaptive.look import FAR
 from ..adaptive.region import Region, planned
 from ..base import linalg
 from ..base.arguments import Count, Seed, as_annotated
 from ..base.figures import finite, number
+from ..base.names import listed
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
@@ -193,6 +194,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
                 read = noise or float(np.sqrt(evidence.residual @ evidence.residual / max(evidence.free, 1)))
                 valid, mute = None, unable(power, read * per_row, data.layout.unit)
     names, ties, moved = _moved(evidence, candidates)
+    held = [name for name, same in zip(data.layout.joints, still(data.joints), strict=True) if same]
     shown = {one.name: _power(evidence, one) for one in candidates}
     return Verification(
         valid=valid,
@@ -209,7 +211,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         stand=stand.moved,
         would_show=tuple(name for name, power in shown.items() if power >= _POWER),
         would_not=tuple(name for name, power in shown.items() if power < _POWER),
-        advice=mute.measure if mute is not None else _advice(valid, names, ties, evidence.alone.log_mean),
+        advice=mute.measure if mute is not None else _advice(valid, names, ties, evidence.alone.log_mean, held),
         silent="" if mute is None else f"{data.source}: {mute}",
     )
 
@@ -377,7 +379,9 @@ def _power(evidence: Evidence, one: Candidate) -> float:
     return float(np.mean(scipy.stats.ncx2.sf(least, len(squares), shown.clip(1e-12))))
 
 
-def _advice(valid: bool | None, names: tuple[str, ...], ties: tuple[tuple[str, ...], ...], evidence: float) -> str:
+def _advice(
+    valid: bool | None, names: tuple[str, ...], ties: tuple[tuple[str, ...], ...], evidence: float, held: Sequence[str]
+) -> str:  # fmt: skip
     if valid is None:
         return "the calibration promises nothing at these places: calibrate again"
     if valid and not names and evidence < ALARM:
@@ -385,6 +389,11 @@ def _advice(valid: bool | None, names: tuple[str, ...], ties: tuple[tuple[str, .
     if valid:
         what = " or ".join(ties[0]) if ties else ", ".join(names) or "what, is not known"
         return f"something has changed ({what}), and is within what was promised"
+    if held and not valid:
+        verb = "does" if len(held) == 1 else "do"
+        return (
+            f"look first whether {listed(held)}, which {verb} not move in this run, {verb} move; else calibrate again"
+        )
     if names:
         which = " or ".join(ties[0][:4]) if ties else names[0]
         return f"calibrate again: {which} has moved"

@@ -6,15 +6,16 @@ what goes on elsewhere. The sensor's stand is free there as well.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..adaptive.gate import TIMES, Power, Sight, Silent, power_of
+from ..adaptive.gate import TIMES, Power, Sight, Silent, power_of, still
 from ..base import linalg
 from ..base.figures import number
+from ..base.names import listed
 from ..base.types import Floats
 from ..data import Measurements
 from ..diagnosis.linearised import orthonormal
@@ -120,6 +121,17 @@ class Gate:
             f"later runs were read", "measure it at more places, over all of the workspace, before anything changes",
         )  # fmt: skip
 
+    def stuck(self) -> dict[int, Silent]:
+        """Runs, by their numbers, that are far off where a joint stands still that moves in others."""
+        runs, before = self.joined.runs, float(self.joined.fit.error.rms)
+        far, out = TIMES * self.required, {}
+        for k, run in enumerate(runs):
+            off = error_of(run) if k else before
+            others = [other.data for j, other in enumerate(runs) if j != k]
+            if off > (max(far, TIMES * before) if k else far) and (held := held_in(run.data, others)):
+                out[k] = stuck(held, f"and it is off by {number(off)} {self._unit.unit}")
+        return out
+
     def later(self, at: int, power: Power, before: float) -> Silent | None:
         """Why a later run cannot say that nothing has changed."""
         run, unit = self.joined.runs[at], self._unit.unit
@@ -133,6 +145,18 @@ class Gate:
             f"it is off by {number(off)} {unit}, where {number(self.required)} are required, and no change explains it",
             "look whether it is a run of this robot, and measure it again",
         )  # fmt: skip
+
+
+def held_in(data: Measurements, others: Sequence[Measurements]) -> list[str]:
+    """Joints that stand still in a run and move in another one."""
+    moves = np.any([~still(other.joints) for other in others], axis=0)
+    return [name for name, one in zip(data.layout.joints, still(data.joints) & moves, strict=True) if one]
+
+
+def stuck(held: Sequence[str], so: str) -> Silent:
+    """That joints do not move in a run, and what is wrong with it."""
+    verb = "does" if len(held) == 1 else "do"
+    return Silent(f"its {listed(held)} {verb} not move, {so}", "look at that encoder, and measure again")
 
 
 def unable(power: Power, noise: float, unit: str) -> Silent:

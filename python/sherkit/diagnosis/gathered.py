@@ -26,6 +26,8 @@ from .fitted_run import FittedRun
 WRONG = 0.2
 #: Chance that accidents are taken for a structure, over all variables of a run.
 LEVEL = 0.005
+#: A row still stands apart from this many deviations of the others on.
+_APART = 4.0
 _DRAWS, _BATCHES, _OFTEN = 999, 27, 8
 #: So many wrong poses, or visits, lie together at least; more poses than this are looked at in part.
 _FEWEST, _MOST = 3, 4000
@@ -37,7 +39,7 @@ _LONGEST, _SIZES = 0.5, 24
 class Gathered:
     """Where rows that stand apart lie together: the ``name`` of a joint or coordinate, from ``low`` to ``high``, or
     empty for the order of time; ``rows`` (k,) are those of the data that lie there, ``inside`` of how many poses that
-    are ``there``."""
+    are ``there``, of visits where it is time."""
 
     name: str
     low: float
@@ -74,7 +76,10 @@ def gathered(
     off = wrong[every]
     found = [_in_place(every, pose, off, places, seed), _in_time(data, every, pose, off, seed)]
     # two questions, each at half of the level
-    best = min((one for one in found if one is not None), key=lambda one: one.p, default=None)
+    # where both are as rare, the one that holds fewer of the others
+    best = min(
+        (one for one in found if one is not None), key=lambda one: (one.p, -one.inside / one.there), default=None
+    )
     return best if best is not None and 2.0 * best.p <= level else None
 
 
@@ -144,9 +149,16 @@ def _in_time(data: Measurements, every: Ints, pose: Ints, off: Bools, seed: int)
         return np.array([ranked.best(one[None])[0] for one in drawn])
 
     low, high = ranked.stretch(wrong)
-    here = np.flatnonzero(off & (visit >= kept[int(low)]) & (visit <= kept[int(high)]))
+    between = (visit >= kept[int(low)]) & (visit <= kept[int(high)])
+    here = np.flatnonzero(off & between)
     return Gathered(
-        "", low, high, every[here], len(np.unique(pose[here])), int(high - low) + 1, _chance(by_chance, float(score))
+        "",
+        low,
+        high,
+        every[here],
+        len(np.unique(visit[here])),
+        len(np.unique(visit[between])),
+        _chance(by_chance, float(score)),
     )
 
 
@@ -252,12 +264,21 @@ def checks_of_outliers(run: FittedRun, outliers: Ints, seed: int, *, side: bool)
         return (few,)
     tested, rows = "rows that are wrong are so each for itself", f"the {len(outliers)} rows listed as wrong"
     places = places_of(run)
-    found = gathered(data, outliers[data.order[outliers] > data.order.min()] if side else outliers, places, seed=seed)
+    asked = outliers[data.order[outliers] > data.order.min()] if side else outliers
+    found = gathered(data, asked[_still_off(run, asked)], places, seed=seed)
     if found is None:
         told = f"they lie as accidents do, in time and in {len(places)} joints and coordinates"
         return few, Check(SINGLY, tested, rows, told, holds=True)
     told = found.where(data)
     return few, Check(SINGLY, tested, rows, told.rstrip(","), holds=False, p=2.0 * found.p, fails=said(found, data))
+
+
+def _still_off(run: FittedRun, rows: Ints) -> Bools:
+    """Which of the rows (k,) stand apart from the others with what was found in the model, too: those that an effect
+    explains were wrong beside a model that lacked it, and are no structure of their own."""
+    size = np.array([run.residuals[run.used[:, a], a].std() for a in run.axes])
+    left = np.abs(run.data.readings[rows] - run.fit.predicted[rows])[:, list(run.axes)]
+    return np.asarray(((left > _APART * size) & run.data.taken[rows][:, list(run.axes)]).any(axis=1))
 
 
 def said(found: Gathered, data: Measurements) -> str:
