@@ -310,4 +310,9 @@ impl<V: Wide, const M: usize, const P: usize> Columns<V, M> for Placed<V, M, P> 
     fn put(&mut self, parameter: usize, column: [V; M]) {
         self.derivatives[self.places[parameter]] = column;
     }
+
+    #[inline(always)]
+    fn uses(&self, parameter: usize) -> bool {
+        self.places[parameter] + 1 < self.derivatives.len()
+    }
 }

@@ -127,10 +127,10 @@ impl Sensor<3> for Cartesian {
         let nothing = [of(0.0); 3];
         let (mut value, mut by_seen) = (nothing, [nothing; 3]);
         let stand = self.pose.first();
-        let frame = &stand.frame;
-        let turned =
-            [0, 1, 2].map(|axis| dot([0, 1, 2].map(|k| of(frame.rotation[(axis, k)])), points));
-        let points = [0, 1, 2].map(|axis| turned[axis] + of(frame.translation[axis]));
+        let turn = [0, 1, 2].map(|axis| [0, 1, 2].map(|k| of(stand.frame.rotation[(axis, k)])));
+        let turned = turn.map(|row| dot(row, points));
+        let shift = &stand.frame.translation;
+        let points = [0, 1, 2].map(|axis| turned[axis] + of(shift[axis]));
         for axis in 0..3 {
             let (mut beams, mut along) = (nothing, nothing);
             for k in 0..3 {
@@ -156,15 +156,15 @@ impl Sensor<3> for Cartesian {
         }
         if let Some(place) = wanted.wants(T::AT.pose.sensor_pose) {
             for k in 0..3 {
-                let axis = stand.axes().column(k);
-                let moved = cross([of(axis[0]), of(axis[1]), of(axis[2])], turned);
-                to.put(place.start + k, by_seen.map(|row| dot(row, moved)));
+                if to.uses(place.start + k) {
+                    let axis = stand.axes().column(k);
+                    let moved = cross([of(axis[0]), of(axis[1]), of(axis[2])], turned);
+                    to.put(place.start + k, by_seen.map(|row| dot(row, moved)));
+                }
                 to.put(place.start + 3 + k, by_seen.map(|row| row[k]));
             }
         }
-        let by_point = by_seen.map(|row| {
-            [0, 1, 2].map(|k| dot(row, [0, 1, 2].map(|axis| of(frame.rotation[(axis, k)]))))
-        });
+        let by_point = by_seen.map(|row| [0, 1, 2].map(|k| dot(row, turn.map(|line| line[k]))));
         Some((value, by_point))
     }
 }

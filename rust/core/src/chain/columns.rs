@@ -7,6 +7,12 @@ use crate::numbers::math::{Real, Triple, dot};
 pub trait Columns<T, const M: usize> {
     /// Takes that of a parameter.
     fn put(&mut self, parameter: usize, column: [T; M]);
+
+    /// Whether it has a use for that of a parameter; what has none need not be computed.
+    #[inline(always)]
+    fn uses(&self, _parameter: usize) -> bool {
+        true
+    }
 }
 
 /// Columns of a point, carried on to the readings.
