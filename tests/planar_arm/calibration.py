@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Self
 
@@ -11,6 +11,7 @@ import numpy as np
 from sherkit.base.types import Bools, Floats
 from sherkit.errors import NotConverged
 from sherkit.model.chain import Block
+from sherkit.model.sensor_pose import SensorPose
 from sherkit.robots.accuracy import Planes
 from sherkit.robots.calibrated import Calibration
 from sherkit.robots.calibration_run import CalibrationRun
@@ -71,8 +72,8 @@ class PlanarCalibrated:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanarCalibration(Calibration):
-    """A calibrated planar arm. Coordinates are x and y of the tip from the shoulder, mm: the instrument's zero is not
-    the arm's, and is left out."""
+    """A calibrated planar arm. Coordinates are x and y of the tip from the shoulder, mm, in the axes of the base: where the
+    instrument stood is not the arm's, and is left out, as is what else the instrument shows."""
 
     coordinates: ClassVar = TIP
     called: ClassVar = ("x and y", "places")
@@ -86,15 +87,30 @@ class PlanarCalibration(Calibration):
         del local
         fit = whole.fit
         use = fit.data.taken[:, :2].all(axis=1) & ~fit.data.outlier
-        seen = fit.data.readings[use, :2] - [fit.by_name.get(f"datum_{axis}", 0.0) for axis in "xy"]
-        left, scatter = whole.left(lambda missed: missed[use][:, :2], whole.deployed(whole.held_out))
+        where = fit.model.place(fit.data, fit.predicted, fit.values)
+        turn, _ = fit.model.sensor_frame(fit.values)
+        left, scatter = whole.left(
+            lambda missed: (np.nan_to_num(missed[use]) @ turn)[:, :2], whole.deployed(whole.held_out)
+        )
+        seen = np.column_stack([where[name][use] for name in TIP])
         return cls(fit.model.robot, Part.identified(fit, 2).leaving(left, scatter, seen))
 
     @cached_property
     def core(self) -> PlanarCalibrated:
-        """The model of the control loop."""
-        arms = np.array([not p.name.startswith("datum") for p in self.model.core_parameters])
-        return PlanarCalibrated(self.model.core, np.where(arms, self.model.full(self.whole.values), 0.0), self.robot)
+        """The model of the control loop: read from the base, by an instrument without errors."""
+        model = replace(self.model, robot=replace(self.robot, sensor_pose=SensorPose()))
+        arms = np.array([p.name not in model.of_sensor for p in model.core_parameters])
+        return PlanarCalibrated(model.core, np.where(arms, model.full(self.whole.values), 0.0), self.robot)
+
+    def counted(self, part: Part, frame: str) -> Bools:
+        """Nothing that is the instrument's."""
+        ours = [p.name not in self.model.of_sensor for p in self.model.parameters[: len(part.values)]]
+        return super().counted(part, frame) & np.array(ours, dtype=bool)
+
+    def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
+        """In the axes of the base."""
+        del joints, by_joints
+        return (self.sensor_frame[0].T @ missed)[:, :2]
 
     def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
         """Of x and y (n, 2, p)."""

@@ -1,5 +1,6 @@
 """What a binding of ``rust/core/src/chain/planar.rs`` would be: the table and the chain, in NumPy, for as many rows as
-there are. Its derivatives are complex steps."""
+there are. Its derivatives are complex steps. Where the sensor stands is the link that every NumPy chain can have
+(``sherkit.model.sensor_link``)."""
 
 from __future__ import annotations
 
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from sherkit.base.types import Floats
 from sherkit.fit.numpy_chain import ComplexChain
+from sherkit.model.sensor_link import pose_row, seen_from, slip_row
+from sherkit.model.sensor_pose import SensorPose
 
 _REFERENCE_C = 20.0
 
@@ -26,7 +29,8 @@ def _row(
 CATALOGUE: Sequence[dict[str, Any]] = (
     _row("links", "structure", "mm", 1.0, 1.0, "length_1", "length_2", base=True),
     _row("joint_offset", "joints", "rad", 0.02, None, "offset_1", "offset_2", base=True),
-    _row("datum", "sensor", "mm", 10.0, 1.0, "datum_x", "datum_y", "datum_z", base=True),
+    pose_row(),
+    slip_row(200.0),
     _row("joint_scale", "joints", "rad/rad", 2e-3, 200.0, "scale_1", "scale_2"),
     _row("encoder_eccentricity", "joints", "rad", 2e-3, 200.0, "sine_1", "cosine_1", "sine_2", "cosine_2"),
     _row(
@@ -50,7 +54,7 @@ _OWN = {row["name"]: slice(end - len(row["parameters"]), end) for row, end in zi
 
 class PlanarCore(ComplexChain):
     """The chain of one arm: ``lengths`` (2,) and ``height``, mm; ``home`` (2,), rad; moments, s; the period of
-    the encoders, rad."""
+    the encoders, rad; where the sensor stands that reads it."""
 
     joints, read = 2, 3
 
@@ -62,10 +66,13 @@ class PlanarCore(ComplexChain):
         time_origin_s: float,
         slip_time_s: float,
         joint_slip_time_s: float,
+        sensor_slip_time_s: float,
         period_rad: float,
+        pose: SensorPose,
     ) -> None:
         self.lengths, self.height, self.home, self.wave = lengths, height, home, 2.0 * np.pi / period_rad
         self.time_origin_s, self.slip_time_s, self.joint_slip_time_s = time_origin_s, slip_time_s, joint_slip_time_s
+        self.sensor_slip_time_s, self.pose = sensor_slip_time_s, pose
 
     def _readings(self, values: NDArray[Any], joints: NDArray[Any], known: Floats, push: NDArray[Any]) -> NDArray[Any]:
         """Readings (n, 3) for readings of the joints (n, 2), covariates (n, 7) and displacements (n, 3)."""
@@ -93,5 +100,5 @@ class PlanarCore(ComplexChain):
         body = point * (1.0 + acting("thermal_growth", warmer)) + acting("slip", late(self.slip_time_s)) + push
         body = body + acting("drift", (time - self.time_origin_s) / 3600.0)
         body = body + acting("thermal_shift", known[:, -1:] - _REFERENCE_C)
-        straight = body + p["datum"]
-        return np.asarray(straight + p["sensor_linearity"] * (straight / 20.0) ** 3)
+        seen = seen_from(self.pose, p["sensor_pose"] + acting("sensor_slip", late(self.sensor_slip_time_s)), body)
+        return np.asarray(seen + p["sensor_linearity"] * (seen / 20.0) ** 3)

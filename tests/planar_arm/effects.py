@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from sherkit.model.effect import Effect, Sentences
-from sherkit.model.sentences import COMMON, catalogue_of
+from sherkit.model.sentences import catalogue_of
 
 from .core import CATALOGUE
 
 _OWN = {
-    "datum": COMMON["datum"],
     "droop": Sentences(
         physics="The arm's own weight tilts the shoulder, so the tip falls; the value is the fall at full reach.",
         residuals="Downwards, with the square of the distance from the shoulder.",

@@ -12,6 +12,7 @@ from sherkit.base.types import Floats
 from sherkit.data.toml import Table
 from sherkit.errors import OutOfReach, ShapeError
 from sherkit.model.batch import Batch, matrix, vector, why
+from sherkit.model.sensor_pose import SensorPose
 
 ELBOWS = ("left", "right")
 
@@ -21,7 +22,8 @@ class PlanarArm:
     """Nominal planar arm: lengths of its links and height of its plane in mm, angles in degrees.
 
     ``elbow`` says to which side of the line from shoulder to tip it bends. Joint readings are rad, the elbow's counted
-    from the direction of the first link. ``home_deg`` are those about which encoder scales are counted.
+    from the direction of the first link. ``home_deg`` are those about which encoder scales are counted, ``sensor_pose``
+    is where the instrument stands that reads the tip: anywhere, unless it is said.
     """
 
     length_mm: tuple[float, float]
@@ -29,6 +31,7 @@ class PlanarArm:
     elbow: str = "left"
     home_deg: tuple[float, float] = (0.0, 0.0)
     joint_limits_deg: tuple[float, float] | None = None
+    sensor_pose: SensorPose = SensorPose()
     kind: str = field(default="planar", init=False)
 
     def __post_init__(self) -> None:
@@ -43,7 +46,9 @@ class PlanarArm:
             height, elbow = g.number("height_mm", 0.0), g.text("elbow", ELBOWS, "left")
         with table.table("joints", optional=True) as j:
             home, limits = j.numbers("home_deg", 2, (0.0, 0.0)), j.heights("limits_deg")
-        return cls((first, second), height, elbow, (home[0], home[1]), limits)
+        with table.table("sensor_pose", optional=True) as p:
+            pose = SensorPose.from_table(p)
+        return cls((first, second), height, elbow, (home[0], home[1]), limits, pose)
 
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
@@ -51,7 +56,7 @@ class PlanarArm:
         if self.joint_limits_deg is not None:
             joints["limits_deg"] = list(self.joint_limits_deg)
         geometry = {"length_mm": list(self.length_mm), "height_mm": self.height_mm, "elbow": self.elbow}
-        return {"kind": self.kind, "geometry": geometry, "joints": joints}
+        return {"kind": self.kind, "geometry": geometry, "joints": joints, "sensor_pose": self.sensor_pose.to_table()}
 
     @property
     def joint_unit(self) -> str:

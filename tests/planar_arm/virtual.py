@@ -19,8 +19,15 @@ from .columns import JOINTS, PLANAR
 from .robot import PlanarArm
 
 _SECONDS_PER_POSE = 3.0
-#: What the instrument shows where the drawing has its origin, mm.
-_ZERO_MM = (1.5, -2.0, 4.0)
+#: How far from the shoulder an instrument stands at most, along each axis, mm.
+_FAR_MM = 300.0
+
+
+def anywhere(seed: int) -> dict[str, Any]:
+    """How an instrument sees the arm that somebody has put somewhere."""
+    rng = np.random.default_rng([seed, 53])
+    turned, far = rng.uniform(-np.pi, np.pi, 3).tolist(), rng.uniform(-_FAR_MM, _FAR_MM, 3).tolist()
+    return {"seen_turned_rad": tuple(turned), "seen_from_mm": tuple(far)}
 
 
 @dataclass(frozen=True)
@@ -30,7 +37,7 @@ class VirtualPlanarArm:
     ``length_error_mm`` and ``offset_rad`` (2,) are its geometric errors; ``play_rad`` (2,) is the lost motion of each
     joint, ``ring_rad`` the sine that each encoder errs by and ``lines_rad`` that of its ``per_turn`` lines, ``fall_mm``
     what the tip falls at full reach, ``rate_mm_h`` (3,) how fast it drifts. ``noise_mm`` is the standard deviation of a
-    reading.
+    reading. The instrument sees the arm turned about its x, then y, then z, and its shoulder at ``seen_from_mm``.
     """
 
     robot: PlanarArm
@@ -44,6 +51,8 @@ class VirtualPlanarArm:
     rate_mm_h: tuple[float, float, float] = (0.0, 0.0, 0.0)
     warmth_per_c: float = 0.0
     step_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seen_turned_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seen_from_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     noise_mm: float = 0.0
 
     OPTIONS: ClassVar[Mapping[str, Option]] = {
@@ -53,10 +62,11 @@ class VirtualPlanarArm:
 
     @classmethod
     def simulated(cls, robot: PlanarArm, seed: int, errors: float, sizes: Mapping[str, float]) -> VirtualPlanarArm:
-        """One with geometric errors of ``errors`` times a plausible size, and the ``sizes`` of the options."""
+        """One with geometric errors of ``errors`` times a plausible size, and the ``sizes`` of the options, read from
+        anywhere."""
         a, b, c, d = (errors * np.random.default_rng(seed).normal(size=4)).tolist()
         sized = {"fall_mm": sizes["fall_mm"], "noise_mm": 1e-3 * sizes["noise_um"]}
-        return cls(robot, (a, b), (0.01 * c, 0.01 * d), **sized)
+        return cls(robot, (a, b), (0.01 * c, 0.01 * d), **sized, **anywhere(seed))
 
     @classmethod
     def hidden(cls, robot: PlanarArm, seed: int, table: Table) -> VirtualPlanarArm:
@@ -87,10 +97,26 @@ class VirtualPlanarArm:
         tip += tip * self.warmth_per_c * (temperature_c - 20.0) + np.array(self.rate_mm_h) * time_s / 3600.0
         return tip + (np.array(self.step_mm) if late else 0.0)
 
-    def noise_free(self, joints_rad: ArrayLike) -> Floats:
-        """What a run without noise, time and motion would hold (n, 3), mm."""
+    def seen(self, tips: Floats) -> Floats:
+        """What the instrument shows of tips (n, 3), mm."""
+        frame = np.eye(4)
+        frame[:3, 3] = self.seen_from_mm
+        for axis in (2, 1, 0):
+            turn, angle = np.eye(4), self.seen_turned_rad[axis]
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            turn[i, i] = turn[j, j] = np.cos(angle)
+            turn[j, i], turn[i, j] = np.sin(angle), -np.sin(angle)
+            frame = frame @ turn
+        return np.array([(frame @ [*tip, 1.0])[:3] for tip in tips])
+
+    def tips(self, joints_rad: ArrayLike) -> Floats:
+        """Where the tip is (n, 3), mm, in the frame of the base, without time and motion."""
         joints = np.atleast_2d(np.asarray(joints_rad, dtype=float))
         return np.array([self.true_tip(q, np.zeros(2), 0.0, 20.0, False) for q in joints])
+
+    def noise_free(self, joints_rad: ArrayLike) -> Floats:
+        """What a run without noise, time and motion would hold (n, 3), mm."""
+        return self.seen(self.tips(joints_rad))
 
     def measure(self, tips_mm: ArrayLike, *, repeats: int = 3, order: str = "shuffled", seed: int = 0) -> Measurements:
         """Drives to x, y (n, 2) by the drawing and reads the tip; half way through, ``step_mm`` lets go."""
@@ -104,7 +130,7 @@ class VirtualPlanarArm:
         clean = np.array(
             [self.true_tip(*row) for row in zip(joints, came, time.tolist(), warmth.tolist(), late, strict=True)]
         )
-        reading = clean + np.array(_ZERO_MM) + self.noise_mm * rng.normal(size=clean.shape)
+        reading = self.seen(clean) + self.noise_mm * rng.normal(size=clean.shape)
         columns = {
             "time_s": time, "temperature_c": warmth, **said,
             **dict(zip(JOINTS, joints.T, strict=True)), **dict(zip(PLANAR.coordinates, reading.T, strict=True)),

@@ -37,12 +37,14 @@ def taken_by_pose(fit: Fit, effects: Sequence[Effect]) -> dict[str, tuple[int, i
     model = fit.model
     fitted = _flat(data, model.derivatives(data, fit.values))
     others, whole = orthonormal(fitted[:, ~of_pose]), orthonormal(fitted)
-    tried = model.tried(data, fit.values, model.can_be_tried(effects, data)[0])
+    # what is searched for besides is a moment, a lag or a period: no pose that stays
+    asked = [one for one in model.can_be_tried(effects, data)[0] if one.search is None]
+    tried = model.tried(data, fit.values, asked)
     every = _flat(data, tried.columns(slice(None)))
     out = {}
     for effect, at in tried.effects:
         columns = every[:, at] * [p.size for p in effect.parameters]
-        if effect.search is not None or not np.isfinite(columns).all():
+        if not np.isfinite(columns).all():
             continue
         before, after = (columns - basis @ (basis.T @ columns) for basis in (others, whole))
         value, vector = linalg.eigh(before.T @ before)

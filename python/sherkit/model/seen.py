@@ -101,7 +101,9 @@ class SeenModel(ModelWithEffects):
         """By how much the sensor's pose (6,) is off that of the robot's file, rad and mm, where most of these rows are
         as the drawing has them; None where too few tell it."""
         self.require_own(data)
-        size, pose = data.coordinates, self.sensor_pose
+        pose, size = self.sensor_pose, data.coordinates
+        if not data.taken[:, size - 1].any():
+            size -= 1  # heights that were not read leave a plane
         seen = data.select(np.flatnonzero(data.taken[:, :size].all(axis=1) & ~data.outlier))
         shown, reached = self.drawn(seen)
         shown = in_space(np.where(reached[:, None], shown, np.nan)[:, :size])

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.types import Floats
-from .sensor_pose import POSE, TURNS, SensorPose
+from .sensor_pose import IN_PLANE, POSE, TURNS, SensorPose
 
 Numbers = NDArray[Any]
 
@@ -66,6 +66,15 @@ def seen_from(pose: SensorPose, off: Numbers, points_mm: Numbers) -> Numbers:
     """What the sensor sees (n, 3) of points (n, 3) of the base frame, mm, where its pose is ``off`` (6,) or (n, 6), rad
     and mm, from that of the robot's file."""
     return turned(pose, off, points_mm) + (pose.origin_mm + off[..., 3:])
+
+
+def seen_in_plane(pose: SensorPose, off: Numbers, points_mm: Numbers) -> Numbers:
+    """The same of x and y (n, 2) in a plane that is square to the sensor's z, with the three numbers of
+    :data:`~sherkit.model.sensor_pose.IN_PLANE`, (3,) or (n, 3)."""
+    whole = np.zeros((*off.shape[:-1], len(POSE)), dtype=off.dtype)
+    whole[..., [POSE.index(name) for name in IN_PLANE]] = off
+    points = np.concatenate([points_mm, np.zeros_like(points_mm[:, :1])], axis=1)
+    return seen_from(pose, whole, points)[:, :2]
 
 
 def turned(pose: SensorPose, off: Numbers, points_mm: Numbers) -> Numbers:

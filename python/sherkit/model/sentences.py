@@ -63,11 +63,6 @@ COMMON: dict[str, Sentences] = {
         residuals="Cubic in one reading, the same whatever the others are.",
         remedy="Use the middle of the range; have the sensor's linearity table loaded.",
     ),
-    "datum": Sentences(
-        physics="Readings are differences from a reference position, so their zero is arbitrary. In the default model.",
-        residuals="Constant.",
-        remedy="None needed.",
-    ),
     "sensor_slip": Sentences(
         physics="The instrument or its stand was knocked, or the robot moved on its floor: from one moment on it sees "
         "the "

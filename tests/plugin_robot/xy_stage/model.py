@@ -16,7 +16,9 @@ from sherkit.data.columns import Layout
 from sherkit.fit.numpy_chain import ComplexChain
 from sherkit.model.chain import ChainModel
 from sherkit.model.effect import Effect, Sentences
-from sherkit.model.sentences import COMMON, catalogue_of
+from sherkit.model.sensor_link import pose_row, seen_in_plane, slip_row
+from sherkit.model.sensor_pose import IN_PLANE, SensorPose
+from sherkit.model.sentences import catalogue_of
 
 from .stage import XYStage
 
@@ -33,7 +35,8 @@ def _row(name: str, link: str, unit: str, size: float, lever: float, *parameters
 #: THE table: what is free as drawn (``base``), then the effects in the order of the chain.
 TABLE: Sequence[dict[str, Any]] = (
     _row("squareness", "structure", "rad", 1e-3, 60.0, "lean", base=True),
-    _row("datum", "sensor", "mm", 1.0, 1.0, "datum_x", "datum_y", "turned", base=True),
+    pose_row(IN_PLANE),
+    slip_row(60.0, IN_PLANE),
     _row("joint_scale", "joints", "mm/mm", 1e-4, 60.0, "scale_1", "scale_2"),
     _row("backlash", "joints", "mm", 0.005, 1.0, "width_1", "width_2", needs=["direction"]),
     _row("bow", "structure", "mm", 0.01, 1.0, "of_1", "of_2"),
@@ -43,7 +46,6 @@ TABLE: Sequence[dict[str, Any]] = (
 CATALOGUE: dict[str, Effect] = catalogue_of(
     TABLE,
     {
-        "datum": COMMON["datum"],
         "bow": Sentences(
             physics="A guide is not straight: the table is led off sideways, most in the middle of the travel.",
             residuals="Across an axis, with the square of where it stands.",
@@ -58,12 +60,17 @@ class XYChain(ComplexChain):
 
     joints, read = 2, 2
 
-    def __init__(self, travel_mm: tuple[float, float], time_origin_s: float) -> None:
+    def __init__(
+        self, travel_mm: tuple[float, float], pose: SensorPose, time_origin_s: float, sensor_slip_time_s: float
+    ) -> None:
         self.half = 0.5 * np.array(travel_mm)
-        self.time_origin_s = time_origin_s
+        self.pose = pose
+        self.time_origin_s, self.sensor_slip_time_s = time_origin_s, sensor_slip_time_s
 
     def _readings(self, values: NDArray[Any], joints: NDArray[Any], known: Floats, push: NDArray[Any]) -> NDArray[Any]:
-        p = dict(zip((p["name"] for row in TABLE for p in row["parameters"]), values, strict=True))
+        named = [(row["name"], p["name"]) for row in TABLE for p in row["parameters"]]
+        p = {name: value for (_, name), value in zip(named, values, strict=True)}
+        off, slip = (values[[row == one for row, _ in named]] for one in ("sensor_pose", "sensor_slip"))
         time_s, temperature_c, direction = known[:, 0], known[:, 1], known[:, 2:4]
 
         def acting(names: Sequence[str], gain: NDArray[Any]) -> Any:
@@ -78,8 +85,10 @@ class XYChain(ComplexChain):
         table = np.stack([scales[:, 0] - p["lean"] * scales[:, 1], scales[:, 1]], axis=1) + across + push[:, :2]
         table = table + acting(("coefficient",), (temperature_c - _REFERENCE_C)[:, None]) * table
         table = table + acting(("rate_x", "rate_y"), (time_s - self.time_origin_s)[:, None] / 3600.0)
-        seen = np.stack([table[:, 0] - p["turned"] * table[:, 1], table[:, 1] + p["turned"] * table[:, 0]], axis=1)
-        return np.asarray(seen + np.array([p["datum_x"], p["datum_y"]]))
+        if slip.any():
+            late = np.where(np.isnan(time_s), np.nan, (time_s >= self.sensor_slip_time_s).astype(float))
+            off = off + late[:, None] * slip
+        return seen_in_plane(self.pose, off, table)
 
 
 @dataclass(frozen=True)
@@ -88,6 +97,7 @@ class XYModel(ChainModel):
 
     robot: XYStage
     time_origin_s: float = 0.0
+    sensor_slip_time_s: float = 0.0
 
     catalogue: ClassVar[Mapping[str, Effect]] = CATALOGUE
     layouts: ClassVar = (XY,)
@@ -95,22 +105,23 @@ class XYModel(ChainModel):
     targets: ClassVar = XY.coordinates
 
     def lever_mm(self, name: str) -> float:
-        """All levers stand in the table."""
-        raise KeyError(name)
+        """A turn of the interferometer moves all that it sees; other levers stand in the table."""
+        del name
+        return 0.5 * max(self.robot.travel_mm)
 
     @property
     def default(self) -> tuple[str, ...]:
-        """How square the axes are, and where the interferometer stands; the turn of its frame is no axis's."""
-        return tuple(p.name for p in self.base)
+        """How square the axes are, and what the file leaves open of where the interferometer stands."""
+        return tuple(p.name for p in self.base if not self.held_of_pose(p.name))
 
     def settings(self) -> dict[str, float | None]:
-        """The origin of time."""
-        return {"time_origin_s": self.time_origin_s}
+        """The origin of time, the moment at which the interferometer was knocked."""
+        return {"time_origin_s": self.time_origin_s, "sensor_slip_time_s": self.sensor_slip_time_s}
 
     @cached_property
     def core(self) -> XYChain:
         """The chain."""
-        return XYChain(self.robot.travel_mm, self.time_origin_s)
+        return XYChain(self.robot.travel_mm, self.robot.sensor_pose, self.time_origin_s, self.sensor_slip_time_s)
 
     def grid(self, data: Measurements) -> Floats:
         """Places from which the next poses are chosen."""

@@ -9,20 +9,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sherkit.base.types import Floats
-from sherkit.data.declared import Declared, key
+from sherkit.data.declared import Declared, Inner, key
 from sherkit.data.toml import Table
 from sherkit.errors import OutOfReach, ShapeError
 from sherkit.model.batch import Batch, matrix, vector, why
+from sherkit.model.sensor_pose import SensorPose
 
 
 @dataclass(frozen=True)
 class XYStage(Declared):
-    """``travel_mm`` (2,) of its axes. The table is where its scales say: x is the first axis, y the second."""
+    """``travel_mm`` (2,) of its axes. The table is where its scales say: x is the first axis, y the second.
+    ``sensor_pose`` is where the interferometer stands that reads it."""
 
     travel_mm: tuple[float, float]
+    sensor_pose: SensorPose = SensorPose()
     kind: str = field(default="xy_stage", init=False)
 
-    TABLES: ClassVar = {"geometry": {"travel_mm": key(Table.numbers, 2, positive=True)}}
+    TABLES: ClassVar = {
+        "geometry": {"travel_mm": key(Table.numbers, 2, positive=True)},
+        "sensor_pose": Inner(SensorPose, "sensor_pose"),
+    }
 
     def __post_init__(self) -> None:
         if min(self.travel_mm) <= 0:

@@ -19,6 +19,8 @@ from .model import XY
 from .stage import XYStage
 
 _SECONDS_PER_POSE = 4.0
+#: How far the interferometer stands from the stage at most, along each axis, mm.
+_FAR_MM = 300.0
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,12 @@ class VirtualXYStage:
 
     @classmethod
     def simulated(cls, robot: XYStage, seed: int, errors: float, sizes: Mapping[str, float]) -> VirtualXYStage:
-        """One with geometric errors of ``errors`` times a plausible size, and the ``sizes`` of the options."""
-        lean, turned, x, y = (errors * np.random.default_rng(seed).normal(size=4)).tolist()
-        return cls(robot, 1e-3 * lean, 1e-3 * turned, (0.5 * x, 0.5 * y), 1e-3 * sizes["bow_um"],
-                   noise_mm=1e-3 * sizes["noise_um"])  # fmt: skip
+        """One with geometric errors of ``errors`` times a plausible size, and the ``sizes`` of the options; the
+        interferometer stands anywhere."""
+        rng = np.random.default_rng(seed)
+        lean, turned = 1e-3 * errors * float(rng.normal()), float(rng.uniform(-np.pi, np.pi))
+        x, y = rng.uniform(-_FAR_MM, _FAR_MM, 2).tolist()
+        return cls(robot, lean, turned, (x, y), 1e-3 * sizes["bow_um"], noise_mm=1e-3 * sizes["noise_um"])
 
     @classmethod
     def hidden(cls, robot: XYStage, seed: int, table: Table) -> VirtualXYStage:

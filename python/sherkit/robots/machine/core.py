@@ -183,9 +183,8 @@ def in_space(readings: Sequence[str]) -> bool:
     words = [bare(name).lower().split("_") for name in readings]
     if len(readings) != 3 or {unit_in(name) for name in readings} != {"mm"} or len({len(one) for one in words}) > 1:
         return False
-    return sum(column == tuple("xyz") for column in zip(*words, strict=True)) == 1 and all(
-        column == tuple("xyz") or len(set(column)) == 1 for column in zip(*words, strict=True)
-    )
+    apart = [column for column in zip(*words, strict=True) if len(set(column)) > 1]
+    return apart == [("x", "y", "z")]
 
 
 def catalogue_of(effects: Sequence[Generic]) -> dict[str, Effect]:

@@ -20,6 +20,7 @@ from ...model.base import Reachable
 from ...model.chain import Block
 from ...model.effect import Effect, Parameter, effect
 from ...model.rows import Rows
+from ...model.sensor_pose import HELD, POSE
 from ..delta.model import CATALOGUE as DELTA
 from ..delta.model import DeltaModel
 from ..delta.robot import POSITION
@@ -222,7 +223,8 @@ class Touches(Rows):
 class PrinterModel(DeltaModel):
     """A nominal printer with named errors and effects to identify.
 
-    A height is read above the bed, whose middle plane is the zero: neither has a datum. By default the twelve errors of
+    A height is read above the bed, whose middle plane is the zero, by a probe that the printer carries: where it stands is
+    held. By default the twelve errors of
     :class:`~sherkit.robots.delta.DeltaModel` are free, and the zero of each probing behind the first.
     """
 
@@ -230,7 +232,8 @@ class PrinterModel(DeltaModel):
 
     catalogue: ClassVar = CATALOGUE
     layouts: ClassVar = (PROBED,)
-    within: ClassVar = frozenset({"datum", probing_zero.name})
+    within: ClassVar = frozenset({"sensor_pose", probing_zero.name})
+    usual_pose_sd: ClassVar = (HELD, HELD)
 
     def __post_init__(self) -> None:
         several = len(self.robot.probings) > 1
@@ -241,7 +244,7 @@ class PrinterModel(DeltaModel):
     @property
     def default(self) -> tuple[str, ...]:
         """The paper's twelve."""
-        return tuple(name for name in super().default if not name.startswith("datum"))
+        return tuple(name for name in super().default if name not in POSE)
 
     @property
     def known_effects(self) -> Mapping[str, Effect]:
