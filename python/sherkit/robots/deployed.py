@@ -90,27 +90,26 @@ class Deployed(Saved, ABC):
 
     @cached_property
     def sensor_frame(self) -> tuple[Floats, Floats]:
-        """From the base to the sensor as identified: the turn (k, k) and the shift (k,), mm, in space or in a plane."""
-        turn, shift = self.model.sensor_frame(self.whole.values)
-        k = len(self.coordinates)
-        return turn[:k, :k], shift[:k]
+        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm."""
+        made: tuple[Floats, Floats] = self.model.sensor_frame(self.whole.values)
+        return made
 
     def from_sensor(self, readings_mm: ArrayLike) -> Floats:
-        """What the sensor shows (n, k), mm, in the frame of the base, from where it was found to stand.
+        """What the sensor shows (n, 3), mm, in the frame of the base, from where it was found to stand.
 
         Raises :class:`~sherkit.errors.CalibrationError` for a robot of one frame.
         """
         self._require_both()
         turn, shift = self.sensor_frame
-        made: Floats = (matrix(readings_mm, "readings", len(shift)) - shift) @ turn
+        made: Floats = (matrix(readings_mm, "readings") - shift) @ turn
         return made
 
     def to_sensor(self, places_mm: ArrayLike) -> Floats:
-        """Places (n, k), mm, of the base's frame as the sensor sees them from where it was found to stand. Raises as
+        """Places (n, 3), mm, of the base's frame as the sensor sees them from where it was found to stand. Raises as
         :meth:`from_sensor`."""
         self._require_both()
         turn, shift = self.sensor_frame
-        made: Floats = matrix(places_mm, "places", len(shift)) @ turn.T + shift
+        made: Floats = matrix(places_mm, "places") @ turn.T + shift
         return made
 
     def _require_both(self) -> None:
