@@ -105,7 +105,12 @@ def stand_of(seed: int) -> Floats:
     """Where an instrument sees a machine that somebody put somewhere: any turn, as a 4 × 4 matrix."""
     rng = np.random.default_rng([seed, 53])
     about_z, about_x = rng.uniform(-np.pi, np.pi, 2)
-    return shift(*rng.uniform(-FAR_MM, FAR_MM, 3)) @ turn(2, about_z) @ turn(1, np.arcsin(rng.uniform(-1, 1))) @ turn(0, about_x)
+    return (
+        shift(*rng.uniform(-FAR_MM, FAR_MM, 3))
+        @ turn(2, about_z)
+        @ turn(1, np.arcsin(rng.uniform(-1, 1)))
+        @ turn(0, about_x)
+    )
 
 
 def zeros_of(name: str, seed: int) -> Floats:

@@ -22,7 +22,7 @@ from scipy import stats
 import sherkit as sk
 from consistency import named
 from running import command
-from second_machines import MACHINES, apart, foreign, run_of, stand_of, turn
+from second_machines import MACHINES, apart, foreign, run_of
 from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
 from sherkit.errors import FitError, RobotError
