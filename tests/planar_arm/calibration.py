@@ -72,8 +72,8 @@ class PlanarCalibrated:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanarCalibration(Calibration):
-    """A calibrated planar arm. Coordinates are x and y of the tip from the shoulder, mm, in the axes of the base: where the
-    instrument stood is not the arm's, and is left out, as is what else the instrument shows."""
+    """A calibrated planar arm. Coordinates are x and y of the tip from the shoulder, mm, in the axes of the base: where
+    the instrument stood is not the arm's, and is left out, as is what else the instrument shows."""
 
     coordinates: ClassVar = TIP
     called: ClassVar = ("x and y", "places")
