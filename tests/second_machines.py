@@ -1,6 +1,6 @@
 """Machines with hidden errors, written apart from the examples and from the package: frames are matrices, every error
-is a motion of its own, and runs come as files of columns. Nothing is where a convention has it: instruments stand anywhere,
-zeros of joints are off, rows come in any order and columns under names of their own (:func:`foreign`)."""
+is a motion of its own, and runs come as files of columns. Nothing is where a convention has it: instruments stand
+anywhere, zeros of joints are off, rows come in any order, columns under names of their own (:func:`foreign`)."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def pan_tilt(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> 
     return np.array([960 + u + h.drift_px_h * time_h, 540 + v])
 
 
-#: How far off the zeros of joints may be. The pan of a head has none: where the mark is says it, and its owner gave that.
+#: How far off the zeros of joints may be. That of a pan is right: where the mark is tells it, and its owner gave that.
 ZEROS = {"gantry": (1.0, 1.0, 1.0), "scara": (0.02, 0.01, 1.0), "pan_tilt": (0.0, 0.006)}
 #: How far an instrument stands from the base at most, along each axis, mm.
 FAR_MM = 300.0
@@ -128,7 +128,7 @@ def run_of(
     stand: Floats | None = None, in_order: bool = False,
 ) -> pl.DataFrame:  # fmt: skip
     """A run of ``poses`` at random, ``repeats`` times in another order each time, ten seconds a row, in a room and by a
-    clock that are drawn, from where ``stand`` sees it, by default anywhere, and in any order of rows unless ``in_order``."""
+    clock that are drawn, from where ``stand`` sees it, by default anywhere, in any order of rows unless ``in_order``."""
     true, joints, readings, noise = MACHINES[name]
     rng = np.random.default_rng(seed)
     low, high = np.array(list(joints.values())).T

@@ -45,8 +45,8 @@ def stand(degrees: float, axis: int, lean: float = 0.0) -> Floats:
 @pytest.mark.parametrize("degrees", [0.0, 0.3, 40.0, 103.0, 179.0, 180.0])
 @pytest.mark.parametrize("axis", [0, 2])
 def test_any_turn_of_the_instrument_is_a_start(degrees: float, axis: int) -> None:
-    """Catches a fit that begins at no turn, and one whose pose is not that of the instrument. Seed 1; the zeros of a gantry's
-    axes are shifts along them."""
+    """Catches a fit that begins at no turn, and one whose pose is not that of the instrument. Seed 1; the zeros of a
+    gantry's axes are shifts along them."""
     there = stand(degrees, axis)
     fit = sk.identify(MACHINE["gantry"], run_of("gantry", 1, stand=there))
     found, origin = fit.model.sensor_frame(fit.values)
@@ -68,8 +68,8 @@ def test_nobody_is_blamed_for_where_an_instrument_stands(name: str) -> None:
 
 @pytest.mark.slow
 def test_the_pose_is_found_within_its_deviations() -> None:
-    """Catches deviations of the pose that are not what it is off by. 20 SCARAs at random without zeros of joints that it
-    could not be told from: each of six numbers within two deviations in 95 %, with a binomial allowance of 1 in 1,000."""
+    """Catches deviations of the pose that are not what it is off by. 20 SCARAs at random, the zeros of whose joints it
+    cannot be told from: each of six numbers within two deviations in 95 %, with a binomial allowance of 1 in 1,000."""
     within = 0
     for seed in range(200, 220):
         there, zeros = stand_of(seed), zeros_of("scara", seed)
@@ -96,8 +96,8 @@ def _turned_by(turned: Floats) -> Floats:
 
 
 def test_a_calibration_counts_from_the_base() -> None:
-    """Catches a machine that is sent where the tracker's axes point. Seed 5; the truth from matrices: the base of a SCARA
-    whose shoulder and quill have zeros of their own is turned and shifted by them."""
+    """Catches a machine that is sent where the tracker's axes point. Seed 5; the truth from matrices: the base of a
+    SCARA whose shoulder and quill have zeros of their own is turned and shifted by them."""
     machine, zeros = MACHINE["scara"], zeros_of("scara", 5)
     made = sk.calibrate(machine, run_of("scara", 5)).calibration
     joints = np.random.default_rng(5).uniform(*machine.box.T, (30, 3))
@@ -122,16 +122,18 @@ def _old_scara(**more: Any) -> sk.Machine:
 
     return sk.Machine(
         forward, joints=MACHINE["scara"].joints, readings=SPACE,
-        parameters={"upper_arm": ("mm", 0.5), "forearm": ("mm", 0.5), "elbow_zero": ("rad", 0.01), "turned": ("rad", 1.0),
-                    **{f"{a}_zero": ("mm", 300.0) for a in "xyz"}},
+        parameters={
+            "upper_arm": ("mm", 0.5), "forearm": ("mm", 0.5), "elbow_zero": ("rad", 0.01), "turned": ("rad", 1.0),
+            **{f"{a}_zero": ("mm", 300.0) for a in "xyz"},
+        },
         name="old_scara", **more,
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("degrees", [0.0, 103.0, -150.0])
 def test_zeros_of_the_function_are_not_said_twice(degrees: float) -> None:
-    """Catches two names for one thing where an owner has written where his tracker stands, a valley in which no fit settles;
-    and a turn that is the function's own and too far for a start from none. Seed 3; the tracker leans by 20° besides."""
+    """Catches two names for one thing where an owner has written where his tracker stands, a valley in which no fit
+    settles; and a turn that is the function's own and too far for a start from none. Seed 3; the tracker leans by 20°."""
     machine = _old_scara()
     model = machine.brings.model(machine)
     assert [name for name in model.default if name in POSE] == ["sensor_turn_x", "sensor_turn_y"]
@@ -166,7 +168,8 @@ def test_a_pose_that_is_known_is_a_measurement_of_it() -> None:
     zeros = zeros_of("gantry", 1)
     origin = seen_from(there, zeros[None])[0]
     rpy = Rotation.from_matrix(there[:3, :3]).as_euler("xyz", degrees=True)
-    pose = sk.SensorPose(tuple(origin + [0.4, 0.0, 0.0]), tuple(rpy), shift_sd_mm=0.5, turn_sd_deg=(0.0, 0.02, 0.02))
+    given = tuple(origin + np.array([0.4, 0.0, 0.0]))
+    pose = sk.SensorPose(given, tuple(rpy), shift_sd_mm=0.5, turn_sd_deg=(0.0, 0.02, 0.02))
     machine = gantry_with(pose)
     names = [p.name for p in machine.brings.model(machine).parameters]
     assert [name for name in POSE if name in names] == list(POSE[1:])

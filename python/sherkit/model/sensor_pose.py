@@ -116,6 +116,8 @@ def _deviations(name: str, given: Any) -> Triple:
     return (x, y, z)
 
 
+#: In the robot's own axes, or wherever its kind leaves it open.
+OPEN = SensorPose()
 #: Read in the robot's own axes, exactly.
 OWN_AXES = SensorPose(shift_sd_mm=HELD, turn_sd_deg=HELD)
 
