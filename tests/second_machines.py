@@ -128,7 +128,7 @@ def run_of(
     stand: Floats | None = None, in_order: bool = False,
 ) -> pl.DataFrame:  # fmt: skip
     """A run of ``poses`` at random, ``repeats`` times in another order each time, ten seconds a row, in a room and by a
-    clock that are drawn, from where ``stand`` sees it, by default anywhere, in any order of rows unless ``in_order``."""
+    clock that are drawn, from where ``stand`` sees it, by default anywhere, in any order unless ``in_order``."""
     true, joints, readings, noise = MACHINES[name]
     rng = np.random.default_rng(seed)
     low, high = np.array(list(joints.values())).T

@@ -133,7 +133,7 @@ def _old_scara(**more: Any) -> sk.Machine:
 @pytest.mark.parametrize("degrees", [0.0, 103.0, -150.0])
 def test_zeros_of_the_function_are_not_said_twice(degrees: float) -> None:
     """Catches two names for one thing where an owner has written where his tracker stands, a valley in which no fit
-    settles; and a turn that is the function's own and too far for a start from none. Seed 3; the tracker leans by 20°."""
+    settles; and a turn that is the function's own and too far for a start from none. Seed 3; it leans by 20°, too."""
     machine = _old_scara()
     model = machine.brings.model(machine)
     assert [name for name in model.default if name in POSE] == ["sensor_turn_x", "sensor_turn_y"]
