@@ -22,11 +22,12 @@ from scipy import stats
 import sherkit as sk
 from consistency import named
 from running import command
-from second_machines import MACHINES, apart, foreign, run_of
+from second_machines import MACHINES, apart, foreign, run_of, stand_of
 from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
 from sherkit.errors import FitError, RobotError
 from sherkit.model.effect import load_effects
+from sherkit.model.sensor_pose import SPACE
 from sherkit.robots.machine import load_machine
 from sherkit.robots.machine.function import steps_for
 
@@ -157,7 +158,9 @@ def test_a_users_effect_stands_beside_the_generic_ones() -> None:
 
     run = run_of("gantry", 4)
     off = 0.03 * np.mod(run["x_axis_mm"].to_numpy(), 30.0) / 30.0
-    study = sk.Study(MACHINE["gantry"], run.with_columns(x_mm=run["x_mm"] + off), effects=[saw])
+    # along the first rail, as the instrument sees it
+    along = {name: run[name] + off * part for name, part in zip(SPACE, stand_of(4)[:3, 0], strict=True)}
+    study = sk.Study(MACHINE["gantry"], run.with_columns(**along), effects=[saw])
     d = study.diagnose()
     assert d.effects[0] == "saw"
     study.add("saw")

@@ -116,7 +116,7 @@ class Watch:
 
     def learn(self, points: Sequence[Point]) -> None:
         """Takes in rows that are known to be right."""
-        if not self._read:
+        if not self._read or not points:
             return
         if self._pose and (off := self._registration(points)) is not None:
             self._stands_at(off)
