@@ -178,8 +178,8 @@ def test_an_error_of_reach_names_the_mistake() -> None:
 
 @pytest.fixture
 def arm() -> Iterator[tuple[PlanarArm, sk.Measurements]]:
-    """A planar arm and a run of it; the kind is known while a test runs. It is read in its own axes, as few are, so that
-    which columns were exchanged can be said: from elsewhere they only are left-handed."""
+    """A planar arm and a run of it; the kind is known while a test runs. It is read in its own axes, as few are:
+    which columns were exchanged can be said only so, from elsewhere they are left-handed."""
     robot = PlanarArm((250.0, 180.0), 40.0)
     hidden = VirtualPlanarArm(robot, length_error_mm=(0.8, -0.6), offset_rad=(0.01, -0.015), noise_mm=0.005)
     with apart():
