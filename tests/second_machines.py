@@ -1,5 +1,6 @@
 """Machines with hidden errors, written apart from the examples and from the package: frames are matrices, every error
-is a motion of its own, and runs come as files of columns."""
+is a motion of its own, and runs come as files of columns. Nothing is where a convention has it: instruments stand
+anywhere, zeros of joints are off, rows come in any order, columns under names of their own (:func:`foreign`)."""
 
 from __future__ import annotations
 
@@ -59,27 +60,32 @@ def gantry(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Fl
 
 
 def scara(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Floats:
-    """Two arms and a quill; the base, seen by the tracker, is turned and shifted."""
+    """Two arms and a quill."""
     first, second, quill = q + 0.5 * np.array([h.play_rad, h.play_rad, 0.0]) * came
     first = first + h.ring_rad * np.sin(first + 0.7) + h.ripple_rad * np.sin(50 * first + 0.3)
-    second = second + 0.006 + h.belt * q[0] + h.oval_rad * np.cos(2 * second)
+    second = second + h.belt * q[0] + h.oval_rad * np.cos(2 * second)
     reach = shift(250.4, 0, 0) @ turn(2, second) @ shift(199.7, 0, 0)
-    frame = turn(2, 0.03) @ turn(2, first) @ reach @ turn(0, h.quill_lean) @ shift(0, 0, -quill)
+    frame = turn(2, first) @ reach @ turn(0, h.quill_lean) @ shift(0, 0, -quill)
     point = frame[:3, 3]
     point[2] -= h.droop * (point[0] ** 2 + point[1] ** 2)
     point = point * (1 + h.growth * warm)
-    return point + np.array([3.0, -4.0, 5.0]) + np.array([0.0, h.drift_mm_h * time_h, 0.0])
+    return point + np.array([0.0, h.drift_mm_h * time_h, 0.0])
 
 
 def pan_tilt(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Floats:
     """A mark on the wall through a pinhole; the head turns beneath it."""
     del warm
     pan = q[0] + h.ring_rad * np.sin(q[0]) + 0.5 * h.play_rad * came[0]
-    tilt = q[1] + 0.004 + h.scale * q[1]
+    tilt = q[1] + h.scale * q[1]
     looked = turn(0, tilt) @ turn(1, -pan) @ np.array([0.21, -0.11, 4.0, 1.0])
     u, v = 1512 * looked[0] / looked[2], 1512 * looked[1] / looked[2]
     return np.array([960 + u + h.drift_px_h * time_h, 540 + v])
 
+
+#: How far off the zeros of joints may be. That of a pan is right: where the mark is tells it, and its owner gave that.
+ZEROS = {"gantry": (1.0, 1.0, 1.0), "scara": (0.02, 0.01, 1.0), "pan_tilt": (0.0, 0.006)}
+#: How far an instrument stands from the base at most, along each axis, mm.
+FAR_MM = 300.0
 
 #: By name: the machine, the columns of its joints and where they go, those of its readings, and the noise.
 MACHINES: dict[str, tuple[Callable[..., Floats], dict[str, tuple[float, float]], tuple[str, ...], float]] = {
@@ -95,11 +101,34 @@ MACHINES: dict[str, tuple[Callable[..., Floats], dict[str, tuple[float, float]],
 }  # fmt: skip
 
 
+def stand_of(seed: int) -> Floats:
+    """Where an instrument sees a machine that somebody put somewhere: any turn, as a 4 × 4 matrix."""
+    rng = np.random.default_rng([seed, 53])
+    about_z, about_x = rng.uniform(-np.pi, np.pi, 2)
+    return (
+        shift(*rng.uniform(-FAR_MM, FAR_MM, 3))
+        @ turn(2, about_z)
+        @ turn(1, np.arcsin(rng.uniform(-1, 1)))
+        @ turn(0, about_x)
+    )
+
+
+def zeros_of(name: str, seed: int) -> Floats:
+    """Where the encoders of a machine have their zeros."""
+    return np.random.default_rng([seed, 54]).uniform(-1.0, 1.0, len(ZEROS[name])) * ZEROS[name]
+
+
+def seen_from(stand: Floats | None, points: Floats) -> Floats:
+    """Points (n, 3) as an instrument sees them; None sees all as it is."""
+    return points if stand is None else np.array([(stand @ [*p, 1.0])[:3] for p in points])
+
+
 def run_of(
-    name: str, seed: int, sizes: Mapping[str, float] | None = None, *, poses: int = 150, repeats: int = 2
-) -> pl.DataFrame:
+    name: str, seed: int, sizes: Mapping[str, float] | None = None, *, poses: int = 150, repeats: int = 2,
+    stand: Floats | None = None, in_order: bool = False,
+) -> pl.DataFrame:  # fmt: skip
     """A run of ``poses`` at random, ``repeats`` times in another order each time, ten seconds a row, in a room and by a
-    clock that are drawn."""
+    clock that are drawn, from where ``stand`` sees it, by default anywhere, in any order unless ``in_order``."""
     true, joints, readings, noise = MACHINES[name]
     rng = np.random.default_rng(seed)
     low, high = np.array(list(joints.values())).T
@@ -115,19 +144,37 @@ def run_of(
     )
     hidden = Hidden(sizes or {})
     # the first joint loses steps in the middle of the run; the stand is late by eight minutes
-    q = q + np.outer(time_s > time_s[-1] / 2, np.eye(len(low))[0]) * hidden.lost
-    stand = np.full(len(time_s), warmth[0] - 20.0)
+    q = q + zeros_of(name, seed) + np.outer(time_s > time_s[-1] / 2, np.eye(len(low))[0]) * hidden.lost
+    late = np.full(len(time_s), warmth[0] - 20.0)
     for k in range(1, len(time_s)):
         now = 0.5 * (warmth[k - 1] + warmth[k]) - 20.0
-        stand[k] = now + (stand[k - 1] - now) * np.exp(-(time_s[k] - time_s[k - 1]) / 480.0)
+        late[k] = now + (late[k - 1] - now) * np.exp(-(time_s[k] - time_s[k - 1]) / 480.0)
     seen = np.array([true(*row, hidden) for row in zip(q, came, time_s / 3600, warmth - 20, strict=True)])
-    seen += hidden.stand_per_c * np.outer(stand, np.linspace(1.0, -0.6, seen.shape[1]))
+    if seen.shape[1] == 3:
+        seen = _knocked(seen, stand_of(seed) if stand is None else stand, time_s, hidden)
+    seen += hidden.stand_per_c * np.outer(late, np.linspace(1.0, -0.6, seen.shape[1]))
     seen += noise * rng.normal(size=seen.shape)
-    return pl.DataFrame(
+    made = pl.DataFrame(
         {"time_s": time_s + room.uniform(-1e5, 1e5), "pose": pose + 1, "temperature_c": warmth}
         | dict(zip(joints, places[pose].T, strict=True))
         | dict(zip(readings, seen.T, strict=True))
     )
+    return made if in_order else made[room.permutation(len(made))]
+
+
+def _knocked(points: Floats, stand: Floats, time_s: Floats, h: Hidden) -> Floats:
+    """What the instrument shows; after two thirds of the run somebody kicks the tripod."""
+    after = shift(h.kick_mm, -h.kick_mm, 0.5 * h.kick_mm) @ stand @ turn(2, h.kick_rad) @ turn(0, 0.7 * h.kick_rad)
+    return np.where((time_s > time_s[-1] * 2 / 3)[:, None], seen_from(after, points), seen_from(stand, points))
+
+
+def foreign(frame: pl.DataFrame, name: str, seed: int) -> tuple[pl.DataFrame, dict[str, str]]:
+    """A run with its columns in another order and under the names of somebody else, and those by the machine's."""
+    _, joints, readings, _ = MACHINES[name]
+    rng = np.random.default_rng([seed, 55])
+    theirs = {f"Ch{k} {word}" for k, word in enumerate(("cmd", "ist", "pos", "Soll", "ball", "raw"))}
+    columns = dict(zip((*joints, *readings), rng.permutation(sorted(theirs)).tolist(), strict=False))
+    return frame.rename(columns).select(rng.permutation(list(frame.rename(columns).columns)).tolist()), columns
 
 
 @contextmanager

@@ -20,7 +20,7 @@ import polars as pl
 import mistakes
 import sherkit as sk
 import worlds
-from second_machines import MACHINES, Hidden, run_of
+from second_machines import MACHINES, Hidden, run_of, seen_from, stand_of, zeros_of
 from second_simulator.spherical import spherical_plan
 from sherkit.robots.machine import load_machine
 from test_arm_counted import NOISE_MM, OwnArm, arm_in
@@ -121,16 +121,17 @@ def _gantry() -> Any:
 
 
 def gantry(seed: int) -> Run:
-    """A machine that a user describes."""
+    """A machine that a user describes, its rows as they were read: mistakes are made in that order."""
     true, joints, readings, noise = MACHINES["gantry"]
-    frame = run_of("gantry", seed)
+    frame = run_of("gantry", seed, in_order=True)
     columns = {name: frame[name].to_numpy() for name in frame.columns}
     columns["time_s"] = np.cumsum(np.random.default_rng([seed, 51]).uniform(8.0, 12.0, len(frame)))
 
     def line(way: Floats) -> Columns:
         rng = np.random.default_rng([seed, 52])
         q = np.array([200.0, 150.0, 100.0]) + np.linspace(-60.0, 60.0, 40)[:, None] * way
-        seen = np.array([true(row, np.ones(3), 0.0, 0.0, Hidden()) for row in q]) + noise * rng.normal(size=(40, 3))
+        places = [true(row, np.ones(3), 0.0, 0.0, Hidden()) for row in q + zeros_of("gantry", seed)]
+        seen = seen_from(stand_of(seed), np.array(places)) + noise * rng.normal(size=(40, 3))
         return dict(zip((*joints, *readings), [*q.T, *seen.T], strict=True))
 
     return Run(_gantry(), columns, tuple(joints), readings, 1e3 * noise, 1e3, line)

@@ -22,7 +22,7 @@ def test_a_joint_of_an_arm_that_reads_from_another_zero(tmp_path: Path) -> None:
     """Catches "unexplained" of an arm whose third joint is off by 0.02 rad, where the frames alone are free."""
     arm, own = arm_in(tmp_path), OwnArm.drawn()
     own.table[2, 4] = 0.02
-    free = [name for name in sk.serial.SerialModel(arm).free if name.startswith(("frame", "tool"))]
+    free = [name for name in sk.serial.SerialModel(arm).free if name.startswith(("sensor", "tool"))]
     run = own.run(arm, postures(arm, 80, 0.9, 1), 1, declared=True)
     d = sk.diagnose(sk.identify(arm, run, free=free))
     assert d.verdict == "explained", d.headline

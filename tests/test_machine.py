@@ -22,11 +22,12 @@ from scipy import stats
 import sherkit as sk
 from consistency import named
 from running import command
-from second_machines import MACHINES, apart, run_of
+from second_machines import MACHINES, apart, foreign, run_of, stand_of
 from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
 from sherkit.errors import FitError, RobotError
 from sherkit.model.effect import load_effects
+from sherkit.model.sensor_pose import SPACE
 from sherkit.robots.machine import load_machine
 from sherkit.robots.machine.function import steps_for
 
@@ -52,6 +53,7 @@ HIDDEN: dict[str, list[tuple[dict[str, float], set[str]]]] = {
         ({"square_yz": 1e-4}, {"joint_coupling"}), ({"droop": 3e-7}, {"droop"}), ({"play_mm": 0.015}, {"backlash"}),
         ({"growth": 3e-5}, {"thermal_growth"}), ({"drift_mm_h": 0.06}, {"drift"}),
         ({"lost": 0.02}, {"joint_slip"}), ({"stand_per_c": 0.01}, {"thermal_shift"}),
+        ({"kick_mm": 0.01, "kick_rad": 6e-5}, {"sensor_slip"}),
     ],
     "scara": [
         ({"ring_rad": 2e-4}, {"encoder_eccentricity"}), ({"belt": 3e-4}, {"joint_coupling"}),
@@ -61,6 +63,7 @@ HIDDEN: dict[str, list[tuple[dict[str, float], set[str]]]] = {
         # a quill that leans about the forearm turns the elbow in proportion to its travel
         ({"quill_lean": 4e-4}, {"joint_coupling"}),
         ({"lost": 1e-4}, {"joint_slip"}), ({"stand_per_c": 0.02}, {"thermal_shift"}),
+        ({"kick_mm": 0.02, "kick_rad": 1e-4}, {"sensor_slip"}),
     ],
     "pan_tilt": [
         ({"ring_rad": 2e-3}, {"encoder_eccentricity"}), ({"scale": 4e-3}, {"joint_scale"}),
@@ -78,7 +81,8 @@ ASKED = (
 
 
 def diagnosed(name: str, seed: int, sizes: dict[str, float]) -> sk.diagnosis.Diagnosis:
-    return sk.Study(MACHINE[name], run_of(name, seed, sizes)).diagnose()
+    frame, columns = foreign(run_of(name, seed, sizes), name, seed)
+    return sk.Study(MACHINE[name], sk.from_frame(frame, columns=columns)).diagnose()
 
 
 def held_out(d: sk.diagnosis.Diagnosis) -> float:
@@ -154,7 +158,9 @@ def test_a_users_effect_stands_beside_the_generic_ones() -> None:
 
     run = run_of("gantry", 4)
     off = 0.03 * np.mod(run["x_axis_mm"].to_numpy(), 30.0) / 30.0
-    study = sk.Study(MACHINE["gantry"], run.with_columns(x_mm=run["x_mm"] + off), effects=[saw])
+    # along the first rail, as the instrument sees it
+    along = {name: run[name] + off * part for name, part in zip(SPACE, stand_of(4)[:3, 0], strict=True)}
+    study = sk.Study(MACHINE["gantry"], run.with_columns(**along), effects=[saw])
     d = study.diagnose()
     assert d.effects[0] == "saw"
     study.add("saw")

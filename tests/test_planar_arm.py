@@ -69,7 +69,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def measured(robot: Any, hidden: str = "", seed: int = 1, stands: dict[str, Any] | None = None) -> sk.Measurements:
     """A run over its workspace in which this effect is hidden, read from anywhere unless it is said."""
-    made = VirtualPlanarArm(robot, **GEOMETRY, **HIDDEN.get(hidden, {}), **(anywhere(seed) if stands is None else stands))
+    stands = anywhere(seed) if stands is None else stands
+    made = VirtualPlanarArm(robot, **GEOMETRY, **HIDDEN.get(hidden, {}), **stands)
     return made.measure(fan(robot, 8), repeats=3, seed=seed)
 
 

@@ -110,7 +110,8 @@ class PlanarCalibration(Calibration):
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """In the axes of the base."""
         del joints, by_joints
-        return (self.sensor_frame[0].T @ missed)[:, :2]
+        turn, _ = self.model.sensor_frame(self.whole.values)
+        return (turn.T @ missed)[:, :2]
 
     def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
         """Of x and y (n, 2, p)."""

@@ -47,8 +47,7 @@ class PlanarModel(ChainModel):
 
     @property
     def default(self) -> tuple[str, ...]:
-        """All that a drawing gives, and what is open of the sensor's pose: the shoulder's zero is a turn of the
-        sensor."""
+        """All that a drawing gives, and what is open of the sensor's pose; the shoulder's zero is a turn of it."""
         held = {name for name in POSE if self.held_of_pose(name)}
         held |= {"offset_1"} if "sensor_turn_z" not in held else set()
         return tuple(p.name for p in self.base if p.name not in held)

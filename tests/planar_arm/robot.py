@@ -12,7 +12,7 @@ from sherkit.base.types import Floats
 from sherkit.data.toml import Table
 from sherkit.errors import OutOfReach, ShapeError
 from sherkit.model.batch import Batch, matrix, vector, why
-from sherkit.model.sensor_pose import SensorPose
+from sherkit.model.sensor_pose import OPEN, SensorPose
 
 ELBOWS = ("left", "right")
 
@@ -31,7 +31,7 @@ class PlanarArm:
     elbow: str = "left"
     home_deg: tuple[float, float] = (0.0, 0.0)
     joint_limits_deg: tuple[float, float] | None = None
-    sensor_pose: SensorPose = SensorPose()
+    sensor_pose: SensorPose = OPEN
     kind: str = field(default="planar", init=False)
 
     def __post_init__(self) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..base import linalg
 from ..base.names import listed
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
@@ -61,9 +62,16 @@ def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator
     if not len(still):
         return
     try:
-        moves = np.ptp(model.predict(data, model.start(data)), axis=0)
+        drawn = model.predict(data, model.start(data))
     except SherkitError:
         return
+    moves = np.ptp(drawn, axis=0)
+    if model.stands_anywhere:
+        # how it is turned is told by the readings that are in doubt: of directions as many as the drawing's must move
+        rows = data.taken[:, : data.coordinates].all(axis=1)
+        ours, theirs = (_extents(one[rows, : data.coordinates]) for one in (drawn, data.readings))
+        lost = ours[theirs <= _MOVES * theirs.max(initial=0.0)]
+        moves[still] = lost.max(initial=0.0)
     most = moves[: data.coordinates].max()
     for k in still:
         if moves[k] > _MOVES * most:
@@ -75,6 +83,14 @@ def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator
                 f"moves it by {per_unit * moves[k]:.3g} {unit}; look at the instrument and its cable, or leave the "
                 "column out",
             )
+
+
+def _extents(places: Floats) -> Floats:
+    """How far places (n, c) lie apart along their main directions, from the longest on."""
+    if not len(places):
+        return np.zeros(places.shape[1])
+    middle = places - places.mean(axis=0)
+    return np.asarray(np.ptp(middle @ linalg.svd(middle, full_matrices=False)[2].T, axis=0))
 
 
 # -- The mistakes ----------------------------------------------------------------------------------------------------

@@ -90,7 +90,7 @@ class SensorPose:
         numbers, ``shift_sd_mm`` and ``turn_sd_deg`` (a number for all three axes, or three) for those that are
         known."""
         usual = {True: FREE, False: HELD, None: None}[table.choice("free")]
-        spread = {name: table.deviations(name, 3) or usual for name in ("shift_sd_mm", "turn_sd_deg")}
+        spread: dict[str, Any] = {name: table.deviations(name, 3) or usual for name in ("shift_sd_mm", "turn_sd_deg")}
         return cls(**keys_from(table, cls.KEYS, cls), **spread)
 
     def to_table(self) -> dict[str, Any]:
@@ -116,6 +116,8 @@ def _deviations(name: str, given: Any) -> Triple:
     return (x, y, z)
 
 
+#: In the robot's own axes, or wherever its kind leaves it open.
+OPEN = SensorPose()
 #: Read in the robot's own axes, exactly.
 OWN_AXES = SensorPose(shift_sd_mm=HELD, turn_sd_deg=HELD)
 

@@ -13,7 +13,7 @@ from sherkit.data.declared import Declared, Inner, key
 from sherkit.data.toml import Table
 from sherkit.errors import OutOfReach, ShapeError
 from sherkit.model.batch import Batch, matrix, vector, why
-from sherkit.model.sensor_pose import SensorPose
+from sherkit.model.sensor_pose import OPEN, SensorPose
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class XYStage(Declared):
     ``sensor_pose`` is where the interferometer stands that reads it."""
 
     travel_mm: tuple[float, float]
-    sensor_pose: SensorPose = SensorPose()
+    sensor_pose: SensorPose = OPEN
     kind: str = field(default="xy_stage", init=False)
 
     TABLES: ClassVar = {

@@ -5,15 +5,16 @@ knows, each with its plausible size as a standard deviation (doubled): a linear 
 (extended Kalman filter, with its rows linearised again from time to time; Bar-Shalom, Li and Kirubarajan, *Estimation
 with Applications to Tracking and Navigation*, ch. 10). It says for every row how far its readings may be from where the
 rows before put them. The first rows may be anywhere; a few rows later motions between poses are known far better than
-any place. What no such robot does, one of the instruments did.
+any place. What no such robot does, one of the instruments did. A sensor that may stand anywhere is first taken to see
+the robot in its own axes; where rows speak against that, they tell where it stands, and are all judged from there.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -21,141 +22,14 @@ from ...base import linalg
 from ...base.names import listed
 from ...base.types import Floats
 from ...data import Measurements
-from ...data.columns import TIME, Layout
+from ...data.columns import TIME
 from ...errors import SherkitError, SherkitWarning
 from ...model.chain import ChainModel
 from ...model.effect import Effect
 from ...model.kinds import Robot, kind_of, model_of
+from ...model.sensor_pose import POSE, TURNS
+from .accused import Accused, Seen, accuse
 from .plan import Point
-
-# -- of which instrument it is the fault: which single one, were it wrong, would make the rest fit -----------------
-
-#: What one free number of an explanation costs, in squares of standard deviations (about Akaike's, a little dearer).
-_COST = 6.0
-#: Explanations this near to the best are told beside it.
-_TIE = 4.0
-#: Part of the motion that was expected, within which a reading "has not changed", "is that of before", "is mirrored".
-_SAME = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """A row beside its prediction: ``read`` and ``predicted`` (m,), covariance ``spread`` (m, m) of their difference,
-    ``by_joints`` gives derivatives (m, k). ``least`` is how far it is at least, by a model that may bend to it."""
-
-    step: int
-    columns: Sequence[str]
-    read: Floats
-    predicted: Floats
-    spread: Floats
-    by_joints: Callable[[], Floats]
-    least: float = np.inf
-
-    @cached_property
-    def miss(self) -> Floats:
-        """What the readings are beyond the prediction."""
-        return self.read - self.predicted
-
-    @cached_property
-    def distance(self) -> float:
-        """Norm of the whitened difference; empty cells are left out."""
-        return min(float(np.sqrt(self.squares(np.isfinite(self.read)))), self.least)
-
-    def squares(self, kept: np.ndarray, miss: Floats | None = None) -> float:
-        """Sum of whitened squares over the columns that are kept."""
-        left = (self.miss if miss is None else miss)[kept]
-        return float(left @ linalg.solve(self.spread[np.ix_(kept, kept)], left)) if len(left) else 0.0
-
-
-@dataclass(frozen=True)
-class Accused:
-    """The ``columns`` that are wrong, those that may be instead among them, and ``why``."""
-
-    columns: tuple[str, ...]
-    why: str
-
-
-def accuse(odd: Sequence[Seen], before: Sequence[Seen], layout: Layout) -> Accused:
-    """Which explanation of the odd rows is the best: some columns wrong, or a joint that stands elsewhere than it says.
-
-    ``before`` are rows that were right. The last of the odd rows is the newest.
-    """
-    newest = odd[-1]
-    names = list(newest.columns)
-    there = np.isfinite(newest.read)
-    tried: list[tuple[float, tuple[str, ...], str]] = []
-    groups = [[k] for k in range(len(names))]
-    if len(names) > 1:
-        groups.append(list(range(len(names))))
-    for which in groups:
-        kept = there.copy()
-        kept[which] = False
-        told, alike = _told(odd, before, which)
-        # readings that may be anything are many free numbers; a look that has a name is one
-        free = 1 if alike else len(odd) * len(which)
-        cost = sum(s.squares(kept & np.isfinite(s.read)) for s in odd) + _COST * free
-        tried.append((cost, tuple(names[k] for k in which), told))
-    motors = [(joint, np.eye(len(layout.joints))[j]) for j, joint in enumerate(layout.joints)]
-    # a zero that was set elsewhere moves all of them
-    motors.append(("all joints", np.ones(len(layout.joints))))
-    unit = layout.joints[0].rpartition("_")[2]
-    by_joints = [s.by_joints() for s in odd]
-    for what, way in motors:
-        by = [one @ way for one in by_joints]
-        moved = _fitted(odd, by)
-        cost = _COST + sum(s.squares(np.isfinite(s.read), s.miss - moved * g) for s, g in zip(odd, by, strict=True))
-        why = f"{what} stand where the encoders do not say, as if those had slipped by {-moved:.3g} {unit}"
-        if what in layout.joints:
-            why = f"{what} is not where its encoder says, as if that had slipped by {-moved:.3g} {unit}"
-        tried.append((cost, (what,) if what in layout.joints else layout.joints, why))
-    tried.sort(key=lambda one: one[0])
-    best = [one for one in tried if one[0] <= tried[0][0] + _TIE]
-    # one sentence for each; what is said of a column is not said again of all of them
-    chosen = [one for k, one in enumerate(best) if not any(set(b[1]) <= set(one[1]) for b in best[:k])]
-    columns = tuple(dict.fromkeys(c for one in chosen for c in one[1]))
-    return Accused(columns, "; or ".join(one[2] for one in chosen))
-
-
-def _fitted(odd: Sequence[Seen], by: Sequence[Floats]) -> float:
-    """By how much the joints would have to be elsewhere, along ``by`` of each row; generalised least squares."""
-    weights = [linalg.solve(s.spread, g) for s, g in zip(odd, by, strict=True)]
-    squares = sum(float(w @ g) for w, g in zip(weights, by, strict=True))
-    moved = sum(float(w @ np.nan_to_num(s.miss)) for w, s in zip(weights, odd, strict=True))
-    return moved / squares if squares > 0 else 0.0
-
-
-def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> tuple[str, bool]:
-    """What these columns look like, in words, and whether that look has a name: frozen, late, mirrored, swapped."""
-    newest = odd[-1]
-    columns = [newest.columns[k] for k in which]
-    unit = columns[0].rpartition("_")[2]
-    read, expected = newest.read[which], newest.predicted[which]
-    said = ", ".join(
-        f"{c} is {r:.3f} {unit} where the joints put it at {p:.3f} ± {np.sqrt(newest.spread[k, k]):.2g} {unit}"
-        for c, r, p, k in zip(columns, read, expected, which, strict=True)
-    )
-    near = _SAME * np.abs(expected).max()
-    last = odd[-2] if len(odd) > 1 else before[-1] if before else None
-    alike = []
-    if last is not None:
-        motion = _SAME * np.abs(expected - last.predicted[which]).max()
-        if np.abs(read - last.read[which]).max() < motion:
-            alike.append(f"it has not changed since step {last.step}, while the robot moved")
-        elif np.abs(read - last.predicted[which]).max() < motion:
-            alike.append(f"as it should have been at step {last.step}, before the robot moved")
-    if np.abs(read + expected).max() < near:
-        alike.append("as if its sign were turned")
-    if len(which) > 1 and _is_permuted(read, expected, near):
-        alike.append("as if columns were swapped")
-    return (f"{said}: {', or '.join(alike)}", True) if alike else (said, False)
-
-
-def _is_permuted(read: Floats, expected: Floats, within: float) -> bool:
-    near = np.abs(read[:, None] - expected[None, :]) < within
-    return bool(near.any(axis=1).all() and near.any(axis=0).all())
-
-
-# -- while a run goes on -------------------------------------------------------------------------------------------
 
 #: Plausible sizes are taken so many times larger: a robot may be worse than most.
 _WORSE = 2.0
@@ -177,6 +51,8 @@ _GROWTH = 0.1
 #: A column that is the same in so many rows is held, where the drawing says that it moved by so many times the noise.
 _STILL = 4
 _MOVED = 20.0
+#: So many rows are asked where a sensor stands, and how well they tell it before the robot is known, rad and mm.
+_STANDS, _TURNED_RAD, _SHIFTED_MM = 6, 0.5, 200.0
 #: Steps of Gauss-Newton in which a model may bend to a row, and how often one of them is halved.
 _BENDS = 4
 _HALVINGS = 5
@@ -217,18 +93,33 @@ class Watch:
         self._steps = _stepping(plain, [e for e in known if e.search == TIME])
         self._owners = owners
         self._prior = _WORSE * np.array([p.size for p in self.model.parameters])
-        self._assumed = self._noise = noise
-        self._values = np.zeros(len(self._prior))
+        self._assumed = noise
+        # the drawing: all errors zero, and the sensor where the rows say that it stands
+        self._drawn = np.zeros(len(self._prior))
+        names, anywhere = [p.name for p in self.model.parameters], plain.stands_anywhere
+        whole = len(self._read) == len(self.layout.coordinates)
+        self._pose = {name: names.index(name) for name in anywhere if whole}
+        self._so_far: list[tuple[int, Point]] = []
+        self._doubted = False
+        self._newest: list[tuple[int, Point]] = []
+        self._first_s: float | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing is known but the drawing."""
+        self._points = []
+        self._noise = self._assumed
+        self._values = self._drawn.copy()
         self._covariance = np.diag(self._prior**2)
         self._linearised = 0
         self._recent: list[Seen] = []
-        self._newest: list[tuple[int, Point]] = []
-        self._first_s: float | None = None
 
     def learn(self, points: Sequence[Point]) -> None:
         """Takes in rows that are known to be right."""
-        if not self._read:
+        if not self._read or not points:
             return
+        if self._pose and (off := self._registration(points)) is not None:
+            self._stands_at(off)
         self._points += points
         for _ in range(_BENDS):
             self._linearise()
@@ -242,6 +133,43 @@ class Watch:
         self._newest = [*self._newest, (step, point)][-_STILL:]
         if (held := self._held()) is not None:
             return held
+        doubt = self._judged(step, point)
+        if not self._pose:
+            return doubt
+        self._so_far.append((step, point))
+        self._doubted |= doubt is not None
+        return self._judged_from_where_it_stands(doubt) if self._doubted else None
+
+    def _judged_from_where_it_stands(self, doubt: Doubt | None) -> Doubt | None:
+        """All rows so far judged anew from where they say that the sensor stands, which is asked once: a turned frame
+        is no fault. None while they are too few to say it."""
+        if len(self._so_far) < _STANDS:
+            return None
+        rows, off = self._so_far, self._registration([point for _, point in self._so_far])
+        if off is None:
+            self._pose, self._so_far = {}, []
+            return doubt
+        self._stands_at(off)
+        anew = (self._judged(*one) for one in rows)
+        return next((one for one in anew if one is not None), None)
+
+    def _stands_at(self, off: Floats) -> None:
+        """Begins anew with the sensor there (6,), which is asked once."""
+        for name, k in self._pose.items():
+            self._drawn[k] = off[POSE.index(name)]
+            self._prior[k] = _TURNED_RAD if name in TURNS else _SHIFTED_MM
+        self._pose, self._so_far = {}, []
+        self._begin()
+
+    def _registration(self, points: Sequence[Point]) -> Floats | None:
+        """Where the sensor must stand (6,) for most of these rows to be as drawn."""
+        rows = self._row(points)
+        readings = np.full(rows.readings.shape, np.nan)
+        readings[:, self._read] = self._readings(points)
+        return self.model.registration(rows.with_readings(readings))
+
+    def _judged(self, step: int, point: Point) -> Doubt | None:
+        """The row by what those before it say; it is taken in where nothing speaks against it."""
         seen = self._seen(step, point)
         if seen is None:
             motors = self._owners[self.layout.joints[0]]
@@ -258,7 +186,7 @@ class Watch:
 
     def judge(self, point: Point) -> Doubt | None:
         """The same for a robot that stands where no row is taken: nothing is taken in."""
-        if not self._read:
+        if not self._read or (self._pose and self._doubted):
             return None
         seen = self._seen(-1, point)
         if seen is None or seen.distance <= _ROW:
@@ -274,7 +202,7 @@ class Watch:
     def _held(self) -> Doubt | None:
         """A column whose last digit stands still while the robot moves, by the drawing: no fit is to explain that."""
         steps, points = [s for s, _ in self._newest], [p for _, p in self._newest]
-        drawing = np.zeros_like(self._values)
+        drawing = self._drawn
         if len(points) < _STILL or not np.isfinite(self._cost(points, drawing)):
             return None
         moved = np.ptp(self._predicted(points, drawing)[0], axis=0)
@@ -313,7 +241,7 @@ class Watch:
         where neither can."""
         values, covariance = self._values, self._covariance
         if not np.isfinite(self._cost([point], values)):
-            values, covariance = np.zeros_like(values), np.diag(self._prior**2)
+            values, covariance = self._drawn, np.diag(self._prior**2)
             if not np.isfinite(self._cost([point], values)):
                 return None
         predicted, by = (a[0] for a in self._predicted([point], values))
@@ -343,7 +271,7 @@ class Watch:
 
     def _start(self, points: Sequence[Point]) -> Floats | None:
         """The present values, or the drawing where those cannot be at these joints; None where neither can."""
-        tried = (self._values, np.zeros_like(self._values))
+        tried = (self._values, self._drawn)
         return next((values for values in tried if np.isfinite(self._cost(points, values))), None)
 
     def _cost(self, points: Sequence[Point], values: Floats) -> float:
@@ -353,7 +281,7 @@ class Watch:
         except SherkitError:
             return np.inf
         miss = (self._readings(points) - predicted) / self._noise
-        return float(np.nansum(miss**2) + ((values / self._prior) ** 2).sum())
+        return float(np.nansum(miss**2) + (((values - self._drawn) / self._prior) ** 2).sum())
 
     def _step(self, points: Sequence[Point], values: Floats) -> tuple[Floats, Floats, Floats]:
         """A step of Gauss-Newton from ``values``, shorter where it would climb: the next values, their covariance, and
@@ -364,8 +292,9 @@ class Watch:
         miss, columns = (readings - predicted)[there], by[there]
         information = columns.T @ columns / self._noise**2 + np.diag(self._prior**-2.0)
         covariance = np.asarray(linalg.inv(information), dtype=np.float64)
-        step = covariance @ (columns.T @ miss / self._noise**2 - values / self._prior**2)
-        cost = float((miss @ miss) / self._noise**2 + ((values / self._prior) ** 2).sum())
+        off = values - self._drawn
+        step = covariance @ (columns.T @ miss / self._noise**2 - off / self._prior**2)
+        cost = float((miss @ miss) / self._noise**2 + ((off / self._prior) ** 2).sum())
         for _ in range(_HALVINGS):
             if self._cost(points, values + step) <= cost:
                 return values + step, covariance, columns

@@ -219,8 +219,8 @@ class Described(Saved, Shown):
             with table.table("sensor_pose") as p:
                 told = SensorPose.from_table(p)
             if self.pose is None or told != self.pose:
-                now = "none, since it reads no place in space" if self.pose is None else f"{self.pose.to_table()}"
-                raise table.fail("sensor_pose", f"that of the machine '{self.name}' as it is now, {now}")
+                stands = "none, since it reads no place in space" if self.pose is None else f"{self.pose.to_table()}"
+                raise table.fail("sensor_pose", f"that of the machine '{self.name}' as it is now, {stands}")
         return self
 
     def __repr__(self) -> str:

@@ -33,10 +33,9 @@ class PrinterPart(DeltaPart):
         fit = run.fit
         left, scatter = run.left_alike(np.isfinite(run.held_out), run.held_out)
         tips = fit.model.tips(fit.data)[~distances(fit.data) & ~fit.data.outlier]
-        # its probe has no axes of its own
-        made = cls.identified(
-            fit, 3, uncorrected_covariance=left, correction=None, sensor_turn=np.eye(3), sensor_origin_mm=np.zeros(3)
-        )
+        # the printer carries its probe: what it reads is of the base's own axes
+        made = cls.identified(fit, 3, uncorrected_covariance=left, correction=None, sensor_turn=np.eye(3),
+                              sensor_origin_mm=np.zeros(3))  # fmt: skip
         return made.leaving(left, scatter, tips)
 
     def model(self, robot: Robot) -> ChainModel:

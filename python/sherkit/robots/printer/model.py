@@ -223,9 +223,9 @@ class Touches(Rows):
 class PrinterModel(DeltaModel):
     """A nominal printer with named errors and effects to identify.
 
-    A height is read above the bed, whose middle plane is the zero, by a probe that the printer carries: where it stands
-    is held. By default the twelve errors of
-    :class:`~sherkit.robots.delta.DeltaModel` are free, and the zero of each probing behind the first.
+    A height is read above the bed, whose middle plane is the zero, by a probe that the printer carries: where that
+    stands is held. By default the twelve errors of :class:`~sherkit.robots.delta.DeltaModel` are free, and the zero of
+    each probing behind the first.
     """
 
     robot: Printer
