@@ -14,7 +14,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ..errors import SherkitError, WorkerLost
 
@@ -42,7 +42,7 @@ class Outcome(Generic[_Answer]):
 
 def processes(
     workers: int | None = None, context: BaseContext | None = None,
-    initializer: Callable[..., object] | None = None, arguments: tuple[object, ...] = (),
+    initializer: Callable[..., object] | None = None, arguments: Any = (),
 ) -> futures.Executor:  # fmt: skip
     """A pool of fresh processes: a copy of one that has threads can hang."""
     import multiprocessing  # only who has many tasks needs it
