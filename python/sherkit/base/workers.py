@@ -14,9 +14,12 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from queue import SimpleQueue
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ..errors import SherkitError, WorkerLost
+
+if TYPE_CHECKING:
+    from multiprocessing.context import BaseContext
 
 _Task = TypeVar("_Task")
 _Answer = TypeVar("_Answer")
@@ -37,11 +40,15 @@ class Outcome(Generic[_Answer]):
     error: BaseException | None = None
 
 
-def processes(workers: int | None = None) -> futures.Executor:
+def processes(
+    workers: int | None = None, context: BaseContext | None = None,
+    initializer: Callable[..., object] | None = None, arguments: Any = (),
+) -> futures.Executor:  # fmt: skip
     """A pool of fresh processes: a copy of one that has threads can hang."""
     import multiprocessing  # only who has many tasks needs it
 
-    return futures.ProcessPoolExecutor(workers or os.cpu_count(), multiprocessing.get_context("spawn"))
+    fresh = context or multiprocessing.get_context("spawn")
+    return futures.ProcessPoolExecutor(workers or os.cpu_count(), fresh, initializer, arguments)
 
 
 def run_tasks(
@@ -123,6 +130,8 @@ class _Workers:
         #: How many tasks it does at a time; None where it does not say, as a cluster.
         self.count: int | None = getattr(executor, "_max_workers", None)
         self._stack = ExitStack()
+        if isinstance(executor, futures.ProcessPoolExecutor) and _copies_this_one(executor):
+            self._start_like(executor)
 
     def __enter__(self) -> _Workers:
         return self
@@ -133,18 +142,28 @@ class _Workers:
     def renew(self) -> bool:
         """Another pool of as many processes; whether one of them could be started."""
         self._stack.close()
-        before, self.count = self.pool, self.count or os.cpu_count() or 1
-        if isinstance(before, futures.ProcessPoolExecutor):
-            # as the person made it: it may prepare each process
-            self.pool = futures.ProcessPoolExecutor(
-                self.count, getattr(before, "_mp_context", None), getattr(before, "_initializer", None),
-                getattr(before, "_initargs", ()),
-            )  # fmt: skip
-        else:
-            self.pool = processes(self.count)
-        self._stack.callback(self.pool.shutdown, cancel_futures=True)
+        self.count = self.count or os.cpu_count() or 1
+        self._start_like(self.pool)
         try:
             self.pool.submit(os.getpid).result()
         except Exception:
             return False
         return True
+
+    def _start_like(self, before: futures.Executor) -> None:
+        if isinstance(before, futures.ProcessPoolExecutor):
+            # as the person made it, who may prepare each process; but never of copies
+            context = None if _copies_this_one(before) else getattr(before, "_mp_context", None)
+            self.pool = processes(
+                self.count, context, getattr(before, "_initializer", None), getattr(before, "_initargs", ())
+            )
+        else:
+            self.pool = processes(self.count)
+        self._stack.callback(self.pool.shutdown, cancel_futures=True)
+
+
+def _copies_this_one(pool: futures.ProcessPoolExecutor) -> bool:
+    """Whether the processes of the pool are forked: locks that a thread of polars or of a solver held while this one
+    was copied stay locked in the copy for ever, and its task never ends."""
+    context = getattr(pool, "_mp_context", None)
+    return context is not None and context.get_start_method() == "fork"
