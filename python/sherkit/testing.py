@@ -31,6 +31,7 @@ from .errors import SherkitError
 from .fit import identify
 from .model.base import missing_columns
 from .model.chain import ChainModel
+from .model.effect import WITHIN
 from .model.kinds import Kind, Robot, kind_of, known_as, model_of
 from .model.robot_file import save_robot
 from .robots.calibrated import load_calibration
@@ -147,7 +148,7 @@ def _there_and_back(a: _Asked) -> None:
 def _every_effect(a: _Asked) -> Iterator[tuple[ChainModel, str]]:
     """The model with each effect of the catalogue that the run allows."""
     for name, effect in a.model.known_effects.items():
-        if name in ("datum", *(e.name for e in a.model.effects)) or missing_columns(effect, a.usual):
+        if name in (*WITHIN, *(e.name for e in a.model.effects)) or missing_columns(effect, a.usual):
             continue
         at = 0.4 * float(np.ptp(a.usual.joints)) if effect.is_periodic else None
         yield a.model.with_effect(effect, at=at), name

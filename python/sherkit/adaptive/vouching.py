@@ -140,7 +140,7 @@ def structure_of(found: Look, seed: int) -> str:
             f"{'are' if many else 'is'} off by the same again: no accident, look at what is there"
         )
     joints = {name: data.joints[:, k] for k, name in enumerate(data.layout.joints)}
-    places = joints | found.family.model.place(data, _predicted(found))
+    places = joints | found.fit.model.place(data, _predicted(found), found.fit.values)
     one = gathered(data.mark_outliers(rows), rows, places, seed=seed)
     return said(one, data) if one is not None else ""
 

@@ -16,7 +16,7 @@ from bokeh.layouts import column, row
 from bokeh.models import Button, CustomJS, Div, Select
 
 from ..diagnosis import Diagnosis
-from ..model.effect import Effect
+from ..model.effect import WITHIN, Effect
 from ..report.card import drawing_of, indistinguishable, its_numbers, what_it_is
 from ..report.parameters import parameters
 from ..report.picture import Picture
@@ -115,7 +115,7 @@ def idle(found: Diagnosis) -> frozenset[str]:
 def ordered(page_state: PageState, would: Mapping[str, float]) -> list[str]:
     """Effects in the model, then those that are named as missing, then by what each ``would`` leave."""
     found = page_state.diagnosis
-    names = [name for name in page_state.known if name != "datum"]
+    names = [name for name in page_state.known if name not in WITHIN]
 
     def order(name: str) -> tuple[int, float]:
         if name in page_state.effects:

@@ -13,7 +13,7 @@ from ..base.names import listed
 from ..data import Measurements
 from ..data.files import write_whole
 from ..errors import SherkitError
-from ..model.effect import Effect, effects_by_name
+from ..model.effect import WITHIN, Effect, effects_by_name
 from ..model.kinds import Option, Robot, SeenInPictures, kind_of, known_kinds
 from ..model.robot_file import load_robot
 from ..robots.tool.effects import TOOL_CATALOGUE
@@ -74,7 +74,7 @@ def effects(name: str | None, robot: Path | None, as_json: bool, picture: Path |
             cards.append(effect_card(catalogues[kind][name], drawn_on))
         write_whole(picture, card_page(name, cards))
         output.say(f"{name} is drawn in {picture}")
-    elif picture is not None and name != "datum":
+    elif picture is not None and name not in WITHIN:
         if nominal is None and EXAMPLE.kind not in holders:
             raise SherkitError(
                 f"'{name}' is an effect of another kind ({holders[0]}); --picture draws on a {EXAMPLE.kind} alone"

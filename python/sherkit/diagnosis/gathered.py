@@ -293,4 +293,4 @@ def places_of(run: FittedRun) -> dict[str, Floats]:
     """Joints and coordinates (n,) of all rows, by name."""
     data = run.data
     joints = {name: data.joints[:, k] for k, name in enumerate(data.layout.joints)}
-    return joints | run.model.place(data, run.fit.predicted)
+    return joints | run.model.place(data, run.fit.predicted, run.fit.values)

@@ -109,6 +109,10 @@ class ModelWithEffects(Saved, ABC):
     def covariates(self, data: Measurements) -> dict[str, Floats]:
         """What the residuals may depend on besides the place, (n,) each."""
 
+    def axes_of_readings(self, data: Measurements, values: Floats) -> Floats | None:
+        """The turn (c, c) from the axes of :meth:`place` to those of the readings; None where they are the same."""
+        return None
+
     @abstractmethod
     def place(self, data: Measurements, predicted: Floats, values: Floats | None = None) -> dict[str, Floats]:
         """Where the machine was at each row, (n,) by name; ``predicted`` (n, m) are the readings of the model with

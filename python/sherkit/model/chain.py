@@ -23,7 +23,7 @@ from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
 from .base import Derivatives, OfEffects, OfModel, Reachable, Tried, beside_one_another, carry
-from .effect import Effect, Parameter, freeing, parameters_of_core
+from .effect import WITHIN, Effect, Parameter, freeing, parameters_of_core
 from .rows import Rows
 from .seen import SeenModel
 
@@ -52,7 +52,7 @@ class ChainModel(SeenModel):
     effects: tuple[Effect, ...] = ()
 
     inputs_known: ClassVar[bool] = True
-    within: ClassVar = frozenset({"datum", "sensor_pose"})
+    within: ClassVar = WITHIN
     #: The built-in effects of this kind of robot by name, in the order of the chain.
     catalogue: ClassVar[Mapping[str, Effect]]
     #: Whether the robot's file says at which joints a place is reached; an arm leaves open how it stands there.

@@ -43,6 +43,9 @@ class Parameter:
 
 # -- Effects ---------------------------------------------------------------------------------------------------------
 
+#: What belongs to the model of a robot that has it: no effect that may be missing.
+WITHIN = frozenset({"datum", "sensor_pose"})
+
 LINKS = ("joints", "structure", "body", "sensor")
 #: Links at which a NumPy function can act, and the columns of what it gives, one row for each row of the run.
 USER_LINKS = {
@@ -318,7 +321,7 @@ def effects_by_name(
             raise EffectError(f"'{effect.name}' is the name of a built-in effect; give yours another")
     out = []
     for name in names:
-        if name in ("datum", "sensor_pose"):
+        if name in WITHIN:
             raise EffectError(f"'{name}' is in the model already: it belongs to the default model")
         if name not in known:
             raise EffectError(f"'{name}' is not a known effect{nearest(name, known)}; known: {listed(known, 30)}")

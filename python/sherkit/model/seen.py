@@ -131,6 +131,13 @@ class SeenModel(ModelWithEffects):
         return ((in_space(places_mm) - shift) @ turn)[:, : places_mm.shape[1]]
 
 
+    def axes_of_readings(self, data: Measurements, values: Floats) -> Floats | None:
+        """The turn (c, c) from the base's axes to those in which readings of places are shown; None where they are
+        the same, or the readings are no places."""
+        turn = self.sensor_frame(values)[0][: data.coordinates, : data.coordinates]
+        return turn if self.reads_places(data) and not np.allclose(turn, np.eye(len(turn)), rtol=0, atol=1e-4) else None
+
+
 def in_space(places: Floats) -> Floats:
     """Places (n, 3); of those in a plane (n, 2) the third coordinate is zero."""
     out = np.zeros((len(places), 3))

@@ -114,7 +114,7 @@ class Planning:
     @cached_property
     def candidates(self) -> dict[str, Effect]:
         """The effects of the catalogue that are not in the model."""
-        inside = {e.name for e in self.model.effects} | {"datum"}
+        inside = {e.name for e in self.model.effects} | self.model.within
         return {name: e for name, e in self.model.known_effects.items() if name not in inside}
 
     def effect(self, name: str) -> Effect:

@@ -211,6 +211,9 @@ def atlas_of(fit: Any, effects: Sequence[Effect] = ()) -> Atlas:
     def at_poses(values: Floats) -> Floats:
         return np.stack([values[group == g].mean(axis=0) for g in chosen])
 
+    turn = run.model.axes_of_readings(fit.data, fit.values)
+    if turn is not None:
+        measured, signatures = measured @ turn, [(name, share, error @ turn) for name, share, error in signatures]
     tiles = [Tile("measured", 1.0, at_poses(measured))]
     size = float(np.sqrt(np.mean(measured**2)))
     for name, share, error in sorted(signatures, key=lambda s: -s[1]):

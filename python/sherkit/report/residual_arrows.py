@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..base.types import Bools, Floats
 from .picture import Table, Tables, float32
-from .residuals import Residuals, in_noise
+from .residuals import Residuals, in_noise, in_place
 from .style import number, padded, quantity
 
 #: One scale for before and after; each its own, so that what is left is seen too; its own, counted in the noise of each
@@ -300,9 +300,10 @@ def _lines(lines: NDArray[np.int64], most: int = 6) -> str:
 
 
 def shown(change: Change) -> tuple[Residuals, Residuals]:
-    """Both moments in the unit in which they are drawn."""
-    counted = change.scale == "noise" and change.before.noise_origin != "unknown"
-    return (in_noise(change.before), in_noise(change.after)) if counted else (change.before, change.after)
+    """Both moments in the unit and along the axes in which they are drawn."""
+    before, after = in_place(change.before), in_place(change.after)
+    counted = change.scale == "noise" and before.noise_origin != "unknown"
+    return (in_noise(before), in_noise(after)) if counted else (before, after)
 
 
 def _short(text: str, most: int) -> str:

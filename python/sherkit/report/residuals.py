@@ -25,7 +25,8 @@ class Residuals:
     ``names`` are those of the m readings; ``noise`` (m,) their noise in ``unit`` and ``noise_origin`` how it is known;
     ``place`` up to three coordinates (n,) of where the machine was; ``variables`` (n,) everything the error may depend
     on; ``group`` (n,) is equal for repeats of a pose; ``row`` (n,) is the row of the run, ``line`` (n,) its number in
-    the file, counted in ``counted``; ``outlier`` (n,) marks rows that were not fitted.
+    the file, counted in ``counted``; ``outlier`` (n,) marks rows that were not fitted; ``turn`` (m, m) is that from the
+    axes of ``place`` to those of the readings, where they are others.
     """
 
     names: tuple[str, ...]
@@ -40,6 +41,7 @@ class Residuals:
     line: Ints
     counted: str
     outlier: Bools
+    turn: Floats | None = None
 
     @classmethod
     def at(cls, place: Mapping[str, Floats], values: Floats, names: Sequence[str], unit: str) -> Residuals:
@@ -128,7 +130,15 @@ def _residuals(fit: Fit) -> Residuals:
         line=data.line[rows],
         counted=data.counted,
         outlier=data.outlier[rows],
+        turn=run.model.axes_of_readings(data, fit.values),
     )
+
+
+def in_place(left: Residuals) -> Residuals:
+    """The same along the axes of its places: an arrow there points where the robot went."""
+    if left.turn is None:
+        return left
+    return replace(left, values=left.values @ left.turn, noise=np.sqrt(left.noise**2 @ left.turn**2), turn=None)
 
 
 def in_noise(left: Residuals) -> Residuals:

@@ -24,7 +24,7 @@ from ..fit.identify import Fit, hold_out, identify
 from ..fit.least_squares import LOSSES
 from ..model.base import missing_columns
 from ..model.chain import ChainModel
-from ..model.effect import Effect, effects_by_name
+from ..model.effect import WITHIN, Effect, effects_by_name
 from ..model.kinds import model_of, robot_from_table
 from ..model.robot_file import RobotLike, robot_of, run_for
 from ..robots.calibrated import Calibration, calibration_class
@@ -199,7 +199,7 @@ class Study(Shown):
         else:
             known = {**self.model.known_effects, **self.model.held}
             (chosen,) = effects_by_name(known, (effect,), tuple(self.own.values()))
-        if chosen.name in self.effects or chosen.name == "datum":
+        if chosen.name in self.effects or chosen.name in WITHIN:
             raise EffectError(f"'{chosen.name}' is in the model already")
         missing = missing_columns(chosen, self.data)
         if missing:
