@@ -301,14 +301,14 @@ def test_grid_is_as_careful_as_scattered(what: str) -> None:
 
 
 def measured(error: Any, seed: int, sigma_mm: float = 0.005, repeats: int = 2) -> Fit:
-    """A fit of the datum alone to the drawing's robot plus an error by position: what is left is the error."""
+    """A fit of the sensor's place alone to the drawing's robot plus an error by position: what is left is the error."""
     rng = np.random.default_rng([seed, 1])
     x = np.repeat(grid(20.0, 9, (-20.0, 0.0, 20.0)), repeats, axis=0)
     q = EXAMPLE.inverse_batch(x).require()
     readings = x + error(x) + sigma_mm * rng.normal(size=x.shape)
     columns = {f"q{k + 1}_mm": q[:, k] for k in range(3)} | {f"{a}_mm": readings[:, k] for k, a in enumerate("xyz")}
     columns["pose"] = np.repeat(np.arange(len(x) // repeats), repeats)
-    return identify(EXAMPLE, from_frame(columns), free=("datum_x", "datum_y", "datum_z"))
+    return identify(EXAMPLE, from_frame(columns), free=("sensor_shift_x", "sensor_shift_y", "sensor_shift_z"))
 
 
 def wave(x: Floats) -> Floats:
@@ -435,10 +435,11 @@ def test_correction_brings_the_region_of_interest_below_20_um(seed: int) -> None
     assert choice.correction is not None
     q = EXAMPLE.inverse_batch(np.random.default_rng(seed).uniform(-9.5, 9.5, (300, 3))).require()
     true = robot.true_reading(q) - robot.true_reading(EXAMPLE.inverse([0.0, 0.0, 0.0]))
-    errors = {n: v for n, v in fit.by_name.items() if not n.startswith("datum")}
-    datum = np.array([fit.by_name[f"datum_{a}"] for a in "xyz"]) + np.array(EXAMPLE.target_offset_mm)
-    predicted = EXAMPLE.kinematics(errors).forward_batch(q)[0] + datum
-    left = true - predicted
+    errors = {n: v for n, v in fit.by_name.items() if not n.startswith("sensor_")}
+    predicted = EXAMPLE.kinematics(errors).forward_batch(q)[0] + np.array(EXAMPLE.target_offset_mm)
+    turn, shift = fit.model.sensor_frame(fit.values)
+    # seen from the base, as the correction is
+    left = (true - shift) @ turn - predicted
     before, after = (1e3 * np.sqrt((d**2).sum(axis=1).mean()) for d in (left, left - choice.correction(predicted)))
     assert 50.0 < before < 300.0
     assert after < 20.0
@@ -485,7 +486,7 @@ def test_paper_protocol_reports_the_other_planes() -> None:
 
     fit = measured(error, 3)
     found = paper_protocol(fit, orders=(2,))
-    # the datum takes the mean
+    # the shift takes the mean
     assert found.plane_mm == pytest.approx(fit.values[2], abs=1e-9)
     low, high = sorted(found.other_planes_um)
     assert (low, high) == pytest.approx((-20.0 + fit.values[2], 20.0 + fit.values[2]), abs=1e-9)

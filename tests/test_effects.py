@@ -37,11 +37,11 @@ EXPECTED = {
     "thermal_shift": (3, "sensor", ("temperature_c",)),
     "beam_alignment": (9, "sensor", ()),
     "sensor_linearity": (3, "sensor", ()),
-    "datum": (3, "sensor", ()),
+    "sensor_slip": (6, "sensor", ("time_s",)),
 }
 #: What else the fourth number of an effect of the simulator is called.
 SETTINGS = {
-    "slip": "slip_time_s", "joint_slip": "joint_slip_time_s", "thermal_shift": "thermal_shift_lag_s",
+    "slip": "slip_time_s", "sensor_slip": "sensor_slip_time_s", "joint_slip": "joint_slip_time_s", "thermal_shift": "thermal_shift_lag_s",
 }  # fmt: skip
 #: The value of ours for one unit of the simulator's: what the whole weight (5 N) does instead of a newton.
 UNITS = {"gravity_sag": 5.0, "drive_compliance": 5.0}
@@ -82,9 +82,9 @@ def run(seed: int, effects: dict[str, Any] | None = None) -> tuple[sk.Measuremen
 
 
 def model_of(names: tuple[str, ...], planted: dict[str, Floats] | None = None) -> sk.delta.DeltaModel:
-    effects = tuple(sk.delta.CATALOGUE[n] for n in names if n != "datum")
+    effects = tuple(sk.delta.CATALOGUE[n] for n in names)
     known = planted or {}
-    settings = {key: float(known[name][3]) for name, key in SETTINGS.items() if name in known}
+    settings = {key: float(known[name][-1]) for name, key in SETTINGS.items() if name in known}
     return sk.delta.DeltaModel(EXAMPLE, (), effects, **settings)
 
 
@@ -93,7 +93,7 @@ def values_of(model: sk.delta.DeltaModel, errors: dict[str, float], planted: dic
     by_name = dict(errors)
     for name, parameters in planted.items():
         names = [p.name for p in sk.delta.CATALOGUE[name].parameters]
-        names = [f"datum_{a}" for a in "xyz"] if name == "datum" else [f"{name}.{n}" for n in names]
+        names = [f"{name}.{n}" for n in names]
         by_name |= dict(zip(names, UNITS.get(name, 1.0) * parameters[: len(names)], strict=True))
     return np.array([by_name.get(p.name, 0.0) for p in model.parameters])
 
@@ -148,7 +148,7 @@ def test_growth_of_a_robot_as_drawn_is_that_of_the_independent_simulator(part: i
 
 @pytest.mark.parametrize("names", [*combinations(EXPECTED, 2), tuple(EXPECTED)], ids="+".join)
 def test_effects_together_act_in_the_order_of_the_chain(names: tuple[str, ...]) -> None:
-    """Catches links in another order: a datum before beams, growth after drift, lean before joint errors."""
+    """Catches links in another order: where the sensor stands before beams, growth after drift, lean before joint errors."""
     agree(names, 5, 3.0)
 
 

@@ -6,6 +6,7 @@ the seed is fixed, so it does not fail at random.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 import sherkit._core as _core
 from second_simulator import Robot, draw_geometric_errors, make_plan, simulate, whole_grid
@@ -23,15 +25,20 @@ from sherkit.data import MeasurementStream
 from sherkit.errors import FitError
 from sherkit.fit import identify_stream
 from sherkit.fit.identify import Fit, hold_out
+from sherkit.model.sensor_pose import HELD, POSE, SHIFTS, TURNS, SensorPose
 from sherkit.robots.delta import VirtualDelta, grid
 from sherkit.robots.delta.model import DeltaModel
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
 
+#: The twelve, and where the sensor stands: 18.
 ALL = DeltaModel(EXAMPLE)
+COUNT = len(ALL.free)
+#: A shift of the sensor, and a turn of it about z, is one of the base.
+OBSERVED = COUNT - 4
 #: The twelve alone: every combination of them is observed.
-TWELVE = DeltaModel(EXAMPLE, tuple(n for n in ALL.free if not n.startswith("datum")))
+TWELVE = DeltaModel(EXAMPLE, tuple(n for n in ALL.free if not n.startswith("sensor_")))
 GEOMETRIC = tuple(EXAMPLE.parameter_names)
 POSES = grid(20.0, 7, (-20.0, 0.0, 20.0))
 SIGMA_MM = 0.005
@@ -52,8 +59,9 @@ def planted(model: DeltaModel, rng: np.random.Generator, scale: float = 1.0) -> 
 def exact(model: DeltaModel, values: Floats, joints_mm: Floats) -> Floats:
     """Readings (n, 3) of the robot with these errors, from Newton's method in NumPy and never from the core."""
     errors = dict(zip(model.free, values.tolist(), strict=True))
-    datum = np.array([errors.pop(f"datum_{a}", 0.0) for a in "xyz"])
-    return VirtualDelta(model.robot, errors).true_reading(joints_mm) + datum
+    turn = Rotation.from_rotvec([errors.pop(name, 0.0) for name in TURNS]).as_matrix()
+    shift = np.array([errors.pop(name, 0.0) for name in SHIFTS])
+    return VirtualDelta(model.robot, errors).true_reading(joints_mm) @ turn.T + shift
 
 
 def table(joints_mm: Floats, readings_mm: Floats, **columns: Any) -> Measurements:
@@ -126,37 +134,38 @@ def test_errors_of_the_twelve_follow_chi_squared() -> None:
 
 
 def test_errors_of_all_parameters_follow_chi_squared() -> None:
-    """Catches an honest covariance spoilt by what no reading tells: the twelve and the datum, planted at their
-    plausible sizes. Noise is coarse, because along directions that no reading fixes the model is curved. Level 0.1 %.
+    """Catches an honest covariance spoilt by what no reading tells: the twelve and the pose, planted at their
+    plausible sizes, wherever the sensor stands. Noise is coarse, because along directions that no reading fixes the model is curved. Level 0.1 %.
     """
     p = []
     for values, fit in fits(ALL, 0.5, 200):
-        assert fit.rank == 12
+        assert fit.rank == OBSERVED
         e = fit.values - values
-        p.append(stats.chi2.sf(e @ np.linalg.solve(fit.covariance + fit.unobserved_covariance, e), 15))
+        p.append(stats.chi2.sf(e @ np.linalg.solve(fit.covariance + fit.unobserved_covariance, e), COUNT))
     assert stats.kstest(p, "uniform").pvalue > 1e-3
 
 
 def test_errors_in_the_observed_directions_follow_chi_squared() -> None:
-    """Catches plausible sizes that leak into what the readings fix: rank 12 of the same fits. Level 0.1 %."""
+    """Catches plausible sizes that leak into what the readings fix: rank 14 of the same fits. Level 0.1 %."""
     size, p = sizes(ALL), []
     for values, fit in fits(ALL, 0.5, 200):
         # in units of plausible size the unobserved directions are orthogonal to the observed ones
         variance, axes = np.linalg.eigh(fit.covariance / np.outer(size, size))
-        assert variance[2] < 1e-9 * variance[-1] < variance[3] * 1e3
-        z = axes[:, 3:].T @ ((fit.values - values) / size) / np.sqrt(variance[3:])
-        p.append(stats.f.sf(z @ z / 12, 12, 3 * len(POSES) - 12))
+        lost = COUNT - OBSERVED
+        assert variance[lost - 1] < 1e-9 * variance[-1] < variance[lost] * 1e3
+        z = axes[:, lost:].T @ ((fit.values - values) / size) / np.sqrt(variance[lost:])
+        p.append(stats.f.sf(z @ z / OBSERVED, OBSERVED, 3 * len(POSES) - OBSERVED))
     assert stats.kstest(p, "uniform").pvalue > 1e-3
 
 
 def test_fitted_readings_err_by_the_rank() -> None:
-    """Catches a fit that is not the minimum: at 5 µm noise the fitted readings miss the true ones by χ² with twelve
-    degrees of freedom, whatever the datum, which is ten millimetres here. Level 0.1 %.
+    """Catches a fit that is not the minimum: at 5 µm noise the fitted readings miss the true ones by χ² with fourteen
+    degrees of freedom, wherever the sensor stands. Level 0.1 %.
     """
     p = []
     for values, fit in fits(ALL, SIGMA_MM, 200):
         missed = fit.predicted[:, :3] - exact(ALL, values, fit.data.joints)
-        p.append(stats.chi2.sf((missed**2).sum() / SIGMA_MM**2, 12))
+        p.append(stats.chi2.sf((missed**2).sum() / SIGMA_MM**2, OBSERVED))
     assert stats.kstest(p, "uniform").pvalue > 1e-3
 
 
@@ -197,13 +206,15 @@ def test_single_step_is_the_least_squares_solution_of_numpy() -> None:
     values = planted(ALL, rng, 0.1)
     data = run(ALL, values, rng)
     fit = identify(ALL, data, linear=True)
-    jacobian = ALL.derivatives(data, np.zeros(15))[:, :3].reshape(-1, 15)
-    left = (data.readings - ALL.predict(data, np.zeros(15)))[:, :3].ravel()
+    start = ALL.start(data)
+    jacobian = ALL.derivatives(data, start)[:, :3].reshape(-1, COUNT)
+    left = (data.readings - ALL.predict(data, start))[:, :3].ravel()
+    step = fit.values - start
     any_solution = np.linalg.lstsq(jacobian, left, rcond=1e-10)[0]
-    np.testing.assert_allclose(jacobian @ fit.values, jacobian @ any_solution, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(jacobian @ step, jacobian @ any_solution, rtol=0, atol=1e-9)
     shortest = sizes(ALL) * np.linalg.lstsq(jacobian * sizes(ALL), left, rcond=1e-10)[0]
-    np.testing.assert_allclose(fit.values, shortest, rtol=0, atol=1e-9)
-    assert fit.rank == 12
+    np.testing.assert_allclose(step, shortest, rtol=0, atol=1e-9)
+    assert fit.rank == OBSERVED
 
 
 def test_single_step_is_not_silently_dropped() -> None:
@@ -216,13 +227,16 @@ def test_single_step_is_not_silently_dropped() -> None:
 
 @pytest.mark.parametrize("rows", [7, 64, 100, 10_000])
 def test_stream_equals_memory(rows: int) -> None:
-    """Catches rows lost or counted twice between blocks, and blocks that weigh otherwise than rows in memory."""
+    """Catches rows lost or counted twice between blocks, and blocks that weigh otherwise than rows in memory. The
+    sensor's turns are held: where they are free, a stream starts from where its first block is seen, and what no
+    reading tells stays near that."""
     rng = np.random.default_rng(31)
+    held = DeltaModel(replace(EXAMPLE, sensor_pose=SensorPose(turn_sd_deg=HELD)))
     sigma = {f"sigma_{a}": rng.uniform(0.003, 0.02, len(POSES)) for a in AXES}
-    data = run(ALL, planted(ALL, rng), rng, **sigma).mark_outliers(np.array([5, 70]))
+    data = run(held, planted(held, rng), rng, **sigma).mark_outliers(np.array([5, 70]))
     blocks = [data.select(np.arange(k, min(k + rows, len(data)))) for k in range(0, len(data), rows)]
-    streamed = identify_stream(ALL, MeasurementStream(lambda: iter(blocks), "blocks"))
-    fit = identify(ALL, data)
+    streamed = identify_stream(held, MeasurementStream(lambda: iter(blocks), "blocks"))
+    fit = identify(held, data)
     assert streamed.converged
     assert (streamed.rows, streamed.rank) == (len(data), fit.rank)
     np.testing.assert_allclose(streamed.values, fit.values, rtol=0, atol=1e-9)
@@ -252,7 +266,7 @@ def test_minimum_is_that_of_scipy_on_the_simulator() -> None:
     def miss(values: Floats) -> Floats:
         return (data.readings[:, :3] - exact(ALL, values, data.joints)).ravel()
 
-    other = least_squares(miss, np.zeros(15), jac="3-point", x_scale=sizes(ALL), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    other = least_squares(miss, np.zeros(COUNT), jac="3-point", x_scale=sizes(ALL), xtol=1e-14, ftol=1e-14, gtol=1e-14)
     assert (fit.residuals[:, :3] ** 2).sum() == pytest.approx(2 * other.cost, rel=1e-6)
     np.testing.assert_allclose(fit.residuals[:, :3].ravel(), miss(other.x), rtol=0, atol=1e-6)
     np.testing.assert_allclose(fit.residuals[:, :3].ravel(), miss(fit.values), rtol=0, atol=1e-9)
@@ -260,14 +274,14 @@ def test_minimum_is_that_of_scipy_on_the_simulator() -> None:
 
 @pytest.mark.parametrize("kind", ["position", "distance"])
 def test_derivatives_of_readings_against_differences(kind: str) -> None:
-    """Catches a wrong column of any of the 21 parameters, and a datum that moves a distance."""
+    """Catches a wrong column of any of the 24 parameters, and a pose of the sensor that changes a distance."""
     rng = np.random.default_rng(51)
-    model = DeltaModel(EXAMPLE, (*GEOMETRIC, "datum_x", "datum_y", "datum_z"))
+    model = DeltaModel(EXAMPLE, (*GEOMETRIC, *POSE))
     at = 0.1 * planted(model, rng)
     data = distances(np.zeros(12), 20, rng) if kind == "distance" else run(TWELVE, np.zeros(12), rng, poses=POSES[::8])
     analytic = model.derivatives(data, at)
     for k, name in enumerate(model.free):
-        h = (2e-4 if "angle" in name else 0.02) * np.eye(21)[k]
+        h = (2e-4 if model.parameters[k].unit == "rad" else 0.02) * np.eye(24)[k]
         one, two, three = (model.predict(data, at + m * h) - model.predict(data, at - m * h) for m in (1, 2, 3))
         numeric = (45 * one - 9 * two + three) / (60 * h[k])
         scale = 1e-7 * np.abs(numeric).max() + 1e-9
@@ -318,21 +332,21 @@ def test_row_out_of_reach_is_named(tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "meant"), [("base_radius1", "base_radius_1"), ("rod_lenght_2", "rod_length_2"), ("datumx", "datum_x")]
+    ("name", "meant"), [("base_radius1", "base_radius_1"), ("rod_lenght_2", "rod_length_2"), ("sensor_shiftx", "sensor_shift_x")]
 )
 def test_misspelt_parameter_is_recognised(name: str, meant: str) -> None:
     """Catches an unknown name that is passed over, or refused without help."""
     with pytest.raises(FitError, match=f"'{name}' is not a parameter of this robot; did you mean '{meant}'"):
-        identify(EXAMPLE, run(ALL, np.zeros(15), np.random.default_rng(0)), free=[name])
+        identify(EXAMPLE, run(ALL, np.zeros(COUNT), np.random.default_rng(0)), free=[name])
 
 
 def test_other_mistakes_are_refused_in_words() -> None:
     """Catches a wrong loss, a name given twice, or a run without a row left that ends in a traceback."""
-    data = run(ALL, np.zeros(15), np.random.default_rng(0))
+    data = run(ALL, np.zeros(COUNT), np.random.default_rng(0))
     with pytest.raises(FitError, match="loss: 'hubert' is not known; choose linear, huber, cauchy, tukey"):
         identify(ALL, data, loss="hubert")
     with pytest.raises(FitError, match="freed twice"):
-        identify(EXAMPLE, data, free=("datum_x", "datum_x"))
+        identify(EXAMPLE, data, free=("sensor_shift_x", "sensor_shift_x"))
     with pytest.raises(FitError, match="every row is marked as an outlier"):
         identify(ALL, data.mark_outliers(np.arange(len(data))))
 

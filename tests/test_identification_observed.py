@@ -9,6 +9,7 @@ from scipy import stats
 from sherkit import from_frame, identify
 from sherkit.fit.identify import Fit
 from sherkit.robots.delta import grid
+from sherkit.robots.delta.model import DeltaModel
 from strategies import EXAMPLE
 from test_identification import (
     ALL,
@@ -36,31 +37,39 @@ def test_full_geometry_has_rank_twelve() -> None:
     _check_unobserved(fit)
 
 
-def test_datum_is_reported_as_unobserved() -> None:
-    """Catches a datum reported as known: shifting the sensor is shifting the base, and rising is all offsets."""
-    fit = fits(ALL, SIGMA_MM, 200)[0][1]
-    assert len(fit.unobserved) == 3
-    for axis in "xyz":
-        assert sum(f"datum_{axis}" in d.change for d in fit.unobserved) == 1, axis
-    (rise,) = (d for d in fit.unobserved if "datum_z" in d.change)
-    assert set(rise.change) == {"datum_z", "joint_offset_1", "joint_offset_2", "joint_offset_3"}
-    assert [rise.change[f"joint_offset_{k}"] / rise.change["datum_z"] for k in (1, 2, 3)] == pytest.approx([-1.0] * 3)
+def test_where_the_sensor_stands_is_reported_as_unobserved() -> None:
+    """Catches a pose of the sensor that is reported as known: shifting it is shifting the base, rising is all offsets,
+    and its turn about the base's axis is one of all base angles; how far it is tilted is observed."""
+    model = DeltaModel(EXAMPLE)
+    fit = identify(model, run(TWELVE, np.zeros(12), np.random.default_rng(62)))
+    assert len(fit.unobserved) == 4
+    for name in ("sensor_shift_x", "sensor_shift_y", "sensor_shift_z", "sensor_turn_z"):
+        assert sum(name in d.change for d in fit.unobserved) == 1, name
+    for name in ("sensor_turn_x", "sensor_turn_y"):
+        assert not any(name in d.change for d in fit.unobserved), name
+    (rise,) = (d for d in fit.unobserved if "sensor_shift_z" in d.change)
+    assert set(rise.change) == {"sensor_shift_z", "joint_offset_1", "joint_offset_2", "joint_offset_3"}
+    rises = [rise.change[f"joint_offset_{k}"] / rise.change["sensor_shift_z"] for k in (1, 2, 3)]
+    assert rises == pytest.approx([-1.0] * 3, rel=1e-3)
+    (about,) = (d for d in fit.unobserved if "sensor_turn_z" in d.change)
+    assert {f"base_angle_{k}" for k in (1, 2, 3)} <= set(about.change)
     assert all(np.isinf(d.std) for d in fit.unobserved)
     _check_unobserved(fit)
 
 
 @pytest.mark.parametrize("planes", [(0.0,), (-20.0, 0.0, 20.0)])
-def test_heights_alone_give_rank_nine(planes: tuple[float, ...]) -> None:
-    """Catches an exception, or certainty, where only z is read: all of x, y and turning about z stays open."""
+def test_heights_alone_give_rank_eleven(planes: tuple[float, ...]) -> None:
+    """Catches an exception, or certainty, where only z is read: shifts in x and y of the base
+    and of the sensor, a turn of either about z, and one height stay open."""
     rng = np.random.default_rng(71)
     full = run(ALL, planted(ALL, rng), rng, poses=grid(20.0, 7, planes))
     data = from_frame(full.to_frame().select(*JOINTS, "z_mm"))
     fit = identify(ALL, data)
-    assert fit.rank == 9
+    assert fit.rank == 11
     scaled = ALL.derivatives(data, fit.values)[:, 2] * sizes(ALL)
-    assert np.linalg.matrix_rank(scaled, tol=1e-9 * np.linalg.norm(scaled, 2)) == 9
-    assert len(fit.unobserved) == 6
-    assert {"datum_x alone", "datum_y alone"} <= {str(d) for d in fit.unobserved}
+    assert np.linalg.matrix_rank(scaled, tol=1e-9 * np.linalg.norm(scaled, 2)) == 11
+    assert len(fit.unobserved) == 7
+    assert {"sensor_shift_x alone", "sensor_shift_y alone"} <= {str(d) for d in fit.unobserved}
     assert fit.rms().keys() == {"z_mm"}
     assert np.isfinite(fit.std).all()
     assert (fit.residuals[:, 2] ** 2).sum() < (fit.nominal_residuals[:, 2] ** 2).sum() / 1e4

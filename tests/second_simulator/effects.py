@@ -26,6 +26,7 @@ Measured point, all evaluated at the point p the mechanism reaches:
   periodic_z (4) *         amplitude x y z in mm, then phase: amplitude sin(2 pi p_z / 7.3 + phase)
 Sensor, whose scale says r where the point is at x after the effects above:
   sensor_pose (6)          rotation vector w, rad, and shift t, mm: the sensor sees the point x at s = exp(w) x + t
+  sensor_slip (7)          what is added to sensor_pose, then the time in s after which it is
   beam_alignment (9)       M by rows: r = (I + M) s
   sensor_linearity (3)     a_k, mm: a_k (r_k / 20 mm)^3 more is shown than r_k
 Effects marked * are outside the catalogue a calibration is expected to know.
@@ -85,6 +86,7 @@ EFFECTS: dict[str, Effect] = {
     "beam_alignment": Effect(9, 1e-3),
     "sensor_linearity": Effect(3, 0.01),
     "sensor_pose": Effect(6, 0.1),
+    "sensor_slip": Effect(6, 0.005, fixed=1),
     "humidity": Effect(3, 1e-3, catalogued=False),
     "joint_coupling": Effect(6, 0.01, catalogued=False),
     "joint_crosstalk": Effect(6, 0.01, catalogued=False),
@@ -121,7 +123,7 @@ def draw_effect(name: str, rng: np.random.Generator, duration_s: float) -> Array
     else:
         amplitudes = rng.normal(size=effect.amplitudes)
     parameters = effect.typical * amplitudes
-    if name == "slip":
+    if name in ("slip", "sensor_slip"):
         return np.append(parameters, duration_s * rng.uniform(0.3, 0.7))
     if name == "joint_slip":  # one motor stalls, not three at once
         return np.append(parameters * np.eye(3)[rng.integers(3)], duration_s * rng.uniform(0.3, 0.7))
@@ -221,9 +223,10 @@ def disturbed_point(point: Array, columns: Columns, effects: Mapping[str, Array]
     )
 
 
-def sensor_reading(x: Array, effects: Mapping[str, Array]) -> Array:
+def sensor_reading(x: Array, columns: Columns, effects: Mapping[str, Array]) -> Array:
     """What the sensor makes of the point x, (n, 3), mm."""
     beams = np.eye(3) + effects["beam_alignment"].reshape(3, 3)
-    turn, shift = Rotation.from_rotvec(effects["sensor_pose"][:3]), effects["sensor_pose"][3:]
-    straight = (turn.apply(x) + shift) @ beams.T
+    before, (*step, when) = effects["sensor_pose"], effects["sensor_slip"]
+    stands = np.where(columns["time_s"][:, None] > when, before + step, before)
+    straight = (Rotation.from_rotvec(stands[:, :3]).apply(x) + stands[:, 3:]) @ beams.T
     return straight + effects["sensor_linearity"] * (straight / SPAN_MM) ** 3

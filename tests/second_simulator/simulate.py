@@ -73,7 +73,7 @@ def truth(robot: Robot, columns: Columns, errors: Errors | None = None, effects:
     full = complete(effects)
     _, centre, turn = platform_pose(robot, columns, errors, effects)
     point = centre + turn @ robot.target_offset
-    return sensor_reading(disturbed_point(point, columns, full), full)
+    return sensor_reading(disturbed_point(point, columns, full), columns, full)
 
 
 def simulate(

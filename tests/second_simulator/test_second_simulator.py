@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from numpy.typing import ArrayLike, NDArray
 
 from . import (
@@ -247,13 +248,14 @@ def test_point_and_sensor_effects_match_their_formulas() -> None:
         "periodic_z": ([*v, 0.4], v * np.sin(2 * np.pi * p[:, 2:] / 7.3 + 0.4)),
         "beam_alignment": (matrix, p @ matrix.reshape(3, 3).T),
         "sensor_linearity": (v, v * (p / 20) ** 3),
-        "datum": (v, np.tile(v, (len(p), 1))),
+        "sensor_pose": ([*v, *v], Rotation.from_rotvec(v).apply(p) + v - p),
+        "sensor_slip": ([*v, *v, 200.0], np.where(t > 200, Rotation.from_rotvec(v).apply(p) + v - p, 0.0)),
     }
     for name, (parameters, moved) in expected.items():
         np.testing.assert_allclose(change(name, parameters), moved, atol=1e-12, err_msg=name)
     # a scale bends about its own zero, not about the robot's
     datum, bent = np.array([30.0, -20.0, 45.0]), 0.01 * v
-    zeros: dict[str, ArrayLike] = {"datum": datum}
+    zeros: dict[str, ArrayLike] = {"sensor_pose": [0.0, 0.0, 0.0, *datum]}
     moved = truth(ROBOT, PLAN, errors(), zeros | {"sensor_linearity": bent}) - truth(ROBOT, PLAN, errors(), zeros)
     np.testing.assert_allclose(moved, bent * ((p + datum) / 20) ** 3, atol=1e-12)
 
@@ -295,7 +297,7 @@ def test_leaning_rail_turns_about_its_home_height() -> None:
     ("name", "target"),
     # a robot of its own in every row takes long to simulate
     [pytest.param(name, target, marks=[pytest.mark.slow] * ((name, target) == ("link_growth", 0.0005)))
-     for target in (0.0005, 0.01) for name in EFFECTS if name != "datum"],
+     for target in (0.0005, 0.01) for name in EFFECTS if name != "sensor_pose"],
 )  # fmt: skip
 def test_scaled_effect_leaves_the_target(name: str, target: float) -> None:
     effect = scaled_effect(ROBOT, PLAN, name, np.random.default_rng(3), target, errors=errors())
@@ -305,9 +307,9 @@ def test_scaled_effect_leaves_the_target(name: str, target: float) -> None:
     assert rms(left) == pytest.approx(target, rel=0.02)
 
 
-def test_constant_shift_cannot_be_scaled() -> None:
+def test_where_the_sensor_stands_cannot_be_scaled() -> None:
     with pytest.raises(ValueError, match="absorbed"):
-        scaled_effect(ROBOT, PLAN, "datum", np.random.default_rng(3), 0.01)
+        scaled_effect(ROBOT, PLAN, "sensor_pose", np.random.default_rng(3), 0.01)
 
 
 def test_fitted_directions_hold_small_geometric_changes() -> None:
