@@ -201,7 +201,7 @@ def of_spherical(set_up: SetUp, seed: int, places: int) -> Kept:
     effects = {name: set_up.times * draw_spherical_effect(name, rng) for name in set_up.hidden}
     if "encoder_cyclic" in effects:
         effects["encoder_cyclic"][-1] = set_up.period
-    for name in {"slip", "camera_slip"} & set(effects):
+    for name in {"slip", "sensor_slip"} & set(effects):
         effects[name][-1] = 0.5 * end
     robot.effects = effects
     noise = NOISE_PX * set_up.noise
@@ -263,7 +263,7 @@ _DELTA_EFFECTS = (
 )  # fmt: skip
 _SPHERICAL_EFFECTS = (
     "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "unequal_limbs", "axis_offset",
-    "gravity_flexure", "marker_offset", "camera_pose", "focal_length", "lens_distortion",
+    "gravity_flexure", "marker_offset", "sensor_pose", "focal_length", "lens_distortion",
 )  # fmt: skip
 _RIPPLE = ("encoder_cyclic",)
 _SPARSE = planes(7)

@@ -208,12 +208,12 @@ class SphericalPair:
         after = before
         if changed in SPHERICAL_MECHANICAL:
             after = before.changed(
-                effects=before.at_ratio(changed, ratio, NOISE_PX, plans[1], rng, fitted=("camera_pose",))
+                effects=before.at_ratio(changed, ratio, NOISE_PX, plans[1], rng, fitted=("sensor_pose",))
             )
         elif changed:
             field = {"alpha": "alpha_rad", "beta": "beta_rad", "radius": "radius_mm"}[changed]
             step = 1e-3 if field.endswith("mm") else 1e-5
-            basis = before.fitted_directions(plans[1], ("camera_pose",))
+            basis = before.fitted_directions(plans[1], ("sensor_pose",))
             moved = before.changed(**{field: getattr(before, field) + step})
             by = (moved.truth(plans[1]) - before.truth(plans[1])).ravel()
             left = by - basis @ (basis.T @ by)

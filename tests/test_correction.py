@@ -345,7 +345,7 @@ def test_planted_polynomial_is_found_again(orders: Orders) -> None:
         assert all(found >= needed for found, needed in zip(choice.correction.orders, orders, strict=True))
         wrong += choice.correction.orders != orders
         x = np.random.default_rng(seed).uniform(-19.0, 19.0, (200, 3))
-        left = 0.1 * p(x) - choice.correction(x + fit.values) - fit.values
+        left = 0.1 * p(x) - choice.correction(x) - fit.values
         assert 1e3 * np.sqrt((left**2).mean()) < 2.0
     assert wrong <= 1
 
@@ -416,7 +416,7 @@ def test_held_out_errors_have_not_seen_their_block() -> None:
     fit = measured(lambda x: wave(x) + 0.05 * (np.abs(x - spike).max(axis=1) < 1e-6)[:, None], 0, sigma_mm=1e-4)
     choice = choose_correction(fit, orders=(4,), heights=2, keep_none=False)
     assert choice.correction is not None
-    at = np.flatnonzero((np.abs(leftover(fit).positions_mm - fit.values - spike) < 1e-6).all(axis=1))
+    at = np.flatnonzero((np.abs(leftover(fit).positions_mm - spike) < 1e-6).all(axis=1))
     assert len(at) == 2
     seen = leftover(fit).errors_mm[at] - choice.correction(leftover(fit).positions_mm[at])
     clean = choose_correction(measured(wave, 0, sigma_mm=1e-4), orders=(4,), heights=2, keep_none=False)
@@ -429,7 +429,7 @@ def test_correction_brings_the_region_of_interest_below_20_um(seed: int) -> None
     """Catches a correction that does not deliver: leaning rails and crossed beams leave 50 to 300 µm, and fresh
     positions in the region of interest come within 20 µm (RMS of the distance) of what noise-free sensors show.
     """
-    robot = VirtualDelta.draw(EXAMPLE, seed, rail_lean_rad=0.012, beam=0.012, noise_mm=0.005)
+    robot = VirtualDelta.draw(EXAMPLE, seed, rail_lean_rad=0.02, beam=0.02, noise_mm=0.005)
     fit = identify(EXAMPLE, robot.measure(paper_local(), repeats=3, seed=seed))
     choice = choose_correction(fit, seed=seed)
     assert choice.correction is not None
@@ -486,10 +486,10 @@ def test_paper_protocol_reports_the_other_planes() -> None:
 
     fit = measured(error, 3)
     found = paper_protocol(fit, orders=(2,))
-    # the shift takes the mean
-    assert found.plane_mm == pytest.approx(fit.values[2], abs=1e-9)
+    # heights are those of the base; the shift takes the mean of the error
+    assert found.plane_mm == pytest.approx(0.0, abs=1e-9)
     low, high = sorted(found.other_planes_um)
-    assert (low, high) == pytest.approx((-20.0 + fit.values[2], 20.0 + fit.values[2]), abs=1e-9)
+    assert (low, high) == pytest.approx((-20.0, 20.0), abs=1e-9)
     assert found.other_planes_um[high]["x"] == pytest.approx(100.0, rel=0.1)
     assert found.other_planes_um[low]["x"] == pytest.approx(200.0, rel=0.1)
     for plane in (low, high):

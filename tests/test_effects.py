@@ -70,7 +70,7 @@ def test_the_catalogue_says_what_each_effect_is() -> None:
             assert p.lever_mm > 0
         assert [p.name for p in effect.qualified()] == [f"{name}.{p.name}" for p in effect.parameters]
     assert {n for n, e in sk.delta.CATALOGUE.items() if e.search} == {
-        "encoder_cyclic", "joint_slip", "slip", "thermal_shift",
+        "encoder_cyclic", "joint_slip", "sensor_slip", "slip", "thermal_shift",
     }  # fmt: skip
 
 

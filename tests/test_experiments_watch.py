@@ -73,7 +73,7 @@ def world(kind, seed, poses=POSES):
 
 #: Errors that the virtual robots have of their own, or what needs a column that these runs lack.
 _NO_PART = (
-    "datum", "camera_pose", "camera_delay", "lens_distortion", "focal_length", "thermal_growth", "unequal_limbs",
+    "datum", "sensor_pose", "camera_delay", "lens_distortion", "focal_length", "thermal_growth", "unequal_limbs",
 )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from test_frames import calibrated, delta
 #: Poses of a run, each read twice, and places at which a robot is asked.
 POSES, ASKED = 45, 60
 #: What the second simulator calls otherwise.
-CALLED = {"camera_slip": "sensor_slip"}
+CALLED = {"sensor_slip": "sensor_slip"}
 
 
 def held(name: str, seed: int) -> float:
@@ -36,7 +36,7 @@ def held(name: str, seed: int) -> float:
     return float(np.mean(world.off(c, there) <= promised))
 
 
-@pytest.mark.parametrize("name", ["", "drift", "thermal_growth", "thermal_shift", "slip", "camera_slip"])
+@pytest.mark.parametrize("name", ["", "drift", "thermal_growth", "thermal_shift", "slip", "sensor_slip"])
 @pytest.mark.parametrize("robots", [3, pytest.param(200, marks=pytest.mark.slow)])
 def test_what_lives_in_time_is_promised_for_its_moment(name: str, robots: int) -> None:
     """Catches a promise by what moves the marker or the camera and turns no tool, and one for another temperature.

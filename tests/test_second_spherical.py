@@ -72,7 +72,7 @@ def random_joints(robot: SecondSpherical, rng: np.random.Generator, n: int = 200
 def core_of(robot: SecondSpherical, geometry: Floats | None = None, readings: str = "pixels") -> Any:
     if geometry is None:
         geometry = np.array([robot.alpha_rad, robot.beta_rad, 0.0] * 2)
-    times = [0.0, robot.effects["slip"][3], robot.effects["joint_slip"][2], robot.effects["camera_slip"][6]]
+    times = [0.0, robot.effects["slip"][3], robot.effects["joint_slip"][2], robot.effects["sensor_slip"][6]]
     period = 2 * np.pi / (robot.effects["encoder_cyclic"][4] or 2.0)
     settings = np.concatenate([[robot.radius_mm], robot.gravity, robot.home_rad, times, [period]])
     return _core.SphericalModel(geometry, robot.camera, settings, robot.assembly, readings=readings)
@@ -280,7 +280,7 @@ def test_what_is_fitted_away_cannot_be_scaled() -> None:
     with pytest.raises(ValueError, match="absorbed"):
         PAPER.at_ratio("focal_length", 2.0, 0.1, PLAN, fitted=("alpha_rad", "focal_length", "principal_point"))
     # all lengths together scale without a trace in the pixels, and a common joint offset is a turn of the camera
-    assert PAPER.fitted_directions(PLAN, (*GEOMETRY, "camera_pose", "joint_offset")).shape[1] == 3 + 6 + 2 - 2
+    assert PAPER.fitted_directions(PLAN, (*GEOMETRY, "sensor_pose", "joint_offset")).shape[1] == 3 + 6 + 2 - 2
 
 
 def test_runs() -> None:

@@ -29,8 +29,8 @@ In no catalogue, and therefore no effect by name (``Unmodelled``): a sine of u i
 marker's centre that is the same in every repeat of a pose.
 
 Sensor:
-  camera_pose (6)            turn about the camera's own axes after its rotation, rad, then translation, mm
-  camera_slip (7)            what is added to camera_pose, then the time in s from which it is
+  sensor_pose (6)            turn about the camera's own axes after its rotation, rad, then translation, mm
+  sensor_slip (7)            what is added to sensor_pose, then the time in s from which it is
   focal_length (1)           relative error of both focal lengths
   lens_distortion (4)        errors of k1, k2, p1, p2
 """
@@ -111,8 +111,8 @@ SPHERICAL_EFFECTS: dict[str, Effect] = {
     "drift": Effect((2.0,) * 3),
     "slip": Effect((0.5, 0.5, 0.5, 100.0), fixed=1),
     "thermal_shift": Effect((0.2, 0.2, 0.2, 60.0), fixed=1),
-    "camera_pose": Effect((1e-3,) * 3 + (0.5,) * 3),
-    "camera_slip": Effect((1e-3,) * 3 + (0.5,) * 3 + (60.0,), fixed=1),
+    "sensor_pose": Effect((1e-3,) * 3 + (0.5,) * 3),
+    "sensor_slip": Effect((1e-3,) * 3 + (0.5,) * 3 + (60.0,), fixed=1),
     "focal_length": Effect((2e-3,)),
     "lens_distortion": Effect((0.01, 0.01, 1e-3, 1e-3)),
     "camera_delay": Effect((5e-3,), positive=True),
@@ -434,8 +434,8 @@ class SecondSpherical:
         longer = 1.0 + self._effects["focal_length"][0]
         dk1, dk2, dp1, dp2 = self._effects["lens_distortion"]
         k1, k2, p1, p2 = k1 + dk1, k2 + dk2, p1 + dp1, p2 + dp2
-        pose = np.tile(self._effects["camera_pose"], (len(points), 1))
-        *step, when = self._effects["camera_slip"]
+        pose = np.tile(self._effects["sensor_pose"], (len(points), 1))
+        *step, when = self._effects["sensor_slip"]
         if np.any(step):
             pose = pose + np.outer((now or Now()).needed("time_s", "a slip of the camera") >= when, step)
         turn = Rotation.from_rotvec(pose[:, :3]) * Rotation.from_rotvec(self.camera[9:12])
