@@ -154,9 +154,9 @@ def test_the_solver_finds_what_was_planted(kind: str) -> None:
     solver = _core.Solver(np.zeros(len(free)), np.full(len(free), 0.01))
     if kind == "inverse":
         weights = np.full((len(readings), 2), 1e3)
-        how, missing = model.solve_inverse(solver, start, free, block, readings, weights, False)
+        how, missing = model.solve_inverse(solver, start, free, block, readings, weights)
     else:
-        how, missing = model.solve(solver, start, free, block, readings, np.ones_like(readings), False)
+        how, missing = model.solve(solver, start, free, block, readings, np.ones_like(readings))
     assert (how, missing) == ("converged", [])
     np.testing.assert_allclose(solver.result()["values"], planted[free], atol=1e-8)
 
