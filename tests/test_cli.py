@@ -202,7 +202,10 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
         (["--loss", "huber"], {"loss": "huber"}),
         (["--linear"], {"linear": True}),
         (["--priors"], {"priors": True}),
-        (["--free", "rod_length_1, rod_length_2,datum_x"], {"free": ("rod_length_1", "rod_length_2", "datum_x")}),
+        (
+            ["--free", "rod_length_1, rod_length_2,sensor_shift_x"],
+            {"free": ("rod_length_1", "rod_length_2", "sensor_shift_x")},
+        ),
         (["--correction", "paper"], {"correction": "paper"}),
         (["--correction", "auto"], {}),
         (["--seed", "5"], {"seed": 5}),
@@ -377,7 +380,7 @@ def test_json_of_a_fit_of_nothing(work: Path) -> None:
     names = ["q1_mm", "q2_mm", "q3_mm", "to_q1_mm", "to_q2_mm", "to_q3_mm", "distance_mm"]
     rows = ["129,129,129,130,127,128,3", "129,128,129,131,127,128,4", "128,128,129,130,127,129,4"]
     Path("distances.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
-    done = sherkit(work, "calibrate", "robot.toml", "distances.csv", "--free", "datum_x", "--json")
+    done = sherkit(work, "calibrate", "robot.toml", "distances.csv", "--free", "sensor_shift_x", "--json")
     assert "Traceback" not in done.stderr
     assert json.loads(done.stdout)["whole"]["rank"] == 0
 

@@ -137,7 +137,7 @@ def value_of(kind: click.ParamType, files: list[str], rng: random.Random) -> str
         return str(rng.choice(list(kind.choices)))
     if isinstance(kind, click.Path):
         return rng.choice((*files, "out.csv", "out.parquet", "out.toml", "out.html", "out.svg", "no/where.csv", "."))
-    return str(rng.choice(("0", "1", "2", "0.5", "5", "rail_lean", "datum", "rod_length_1", "0.01", "9x6")))
+    return str(rng.choice(("0", "1", "2", "0.5", "5", "rail_lean", "sensor_pose", "rod_length_1", "0.01", "9x6")))
 
 
 def run(line: list[str]) -> tuple[int, str, str]:

@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 ROBOT = Robot.from_dict()
 DELTA = EXAMPLE
 NOISE_UM = 5.0
-EFFECTS = tuple(name for name in CATALOGUE if name != "datum")
+EFFECTS = tuple(name for name in CATALOGUE if name not in ("datum", "sensor_pose"))
 GRIDS = {"whole": whole_grid(), "local": local_grid(), "small": grid(20.0, 8, (-20.0, 0.0, 20.0))}
 RATIOS = (1, 2, 5)
 LEVEL = 0.01

@@ -332,7 +332,8 @@ def test_row_out_of_reach_is_named(tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "meant"), [("base_radius1", "base_radius_1"), ("rod_lenght_2", "rod_length_2"), ("sensor_shiftx", "sensor_shift_x")]
+    ("name", "meant"),
+    [("base_radius1", "base_radius_1"), ("rod_lenght_2", "rod_length_2"), ("sensor_shiftx", "sensor_shift_x")],
 )
 def test_misspelt_parameter_is_recognised(name: str, meant: str) -> None:
     """Catches an unknown name that is passed over, or refused without help."""

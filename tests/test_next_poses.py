@@ -82,7 +82,7 @@ def test_the_poses_of_a_tie_are_a_plan(tmp_path: Path) -> None:
 def test_what_no_pose_tells_is_said_with_what_would(tmp_path: Path) -> None:
     """Catches a list of poses that tell nothing. A marker that slips is a camera that slips, in pixels; seed 0."""
     d = spherical.measured("small", 0, scaled={"slip": 2}).diagnose()
-    assert set(d.indistinguishable[0]) == {"slip", "camera_slip"}
+    assert set(d.indistinguishable[0]) == {"slip", "sensor_slip"}
     assert d.next_poses == ()
     assert "these instruments cannot tell" in d.advice
     assert "readings of phi, gamma, as fine as these, would" in d.advice

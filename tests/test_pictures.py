@@ -358,8 +358,9 @@ def test_arrows_stand_where_poses_are(demo: Run) -> None:
             rows = np.asarray(t["rows"][j])
             assert len(set(demo.data.pose[rows])) == 1
             np.testing.assert_allclose(t["ex"][j], 1e3 * before.residuals[rows, 0].mean(), atol=1e-3)
-            np.testing.assert_allclose(t["x"][j], before.predicted[rows, 0].mean(), atol=1e-4)
-            assert abs(before.predicted[rows, 2].mean() - plane_mm) < 5
+            place = demo.fit.model.place(demo.data, before.predicted, before.values)
+            np.testing.assert_allclose(t["x"][j], place["x_mm"][rows].mean(), atol=1e-4)
+            assert abs(place["z_mm"][rows].mean() - plane_mm) < 5
         scale = (t["x1"] - t["x"]) / t["ex"]
         far = np.abs(t["ex"]) > 20
         if far.any():

@@ -27,8 +27,10 @@ TOLD, PLAUSIBLE, ABSURD = 3.0, 5.0, 500.0
 
 
 def sizes_of(fit: Fit) -> Floats:
-    """How many plausible sizes each parameter (p,) is at least, give or take two deviations."""
-    size = np.array([p.size for p in fit.parameters])
+    """How many plausible sizes each parameter (p,) is at least, give or take two deviations; none of what is free of
+    where the sensor stands."""
+    free = fit.model.free_of_pose
+    size = np.array([np.inf if p.name in free else p.size for p in fit.parameters])
     return np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
 
 

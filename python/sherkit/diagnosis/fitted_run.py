@@ -207,6 +207,13 @@ class FittedRun(Saved):
 
     # -- what can be looked at ---------------------------------------------------------------------------
 
+    @property
+    def turn_of_readings(self) -> Floats | None:
+        """The turn (m, m) from the axes of places to those of what is fitted; None where they are the same, or where
+        not all coordinates were read."""
+        turn = self.model.axes_of_readings(self.data, self.fit.values)
+        return turn if turn is not None and tuple(self.axes) == tuple(range(len(turn))) else None
+
     def variables(self, rows: Ints) -> tuple[dict[str, Floats], tuple[str, ...]]:
         """What the residuals of these rows may depend on (rows,), and the names of those that say where it was."""
         part = self.data.select(rows)

@@ -235,6 +235,11 @@ class ModelWithEffects(Saved, ABC):
         return replace(self, **dict.fromkeys(self._held_as(effect), at))  # type: ignore[type-var]
 
     @property
+    def free_of_pose(self) -> tuple[str, ...]:
+        """The numbers of the sensor's pose of which nothing is known: none of them is large or small."""
+        return ()
+
+    @property
     def stands_anywhere(self) -> tuple[str, ...]:
         """Names of the parameters of the sensor's pose, where all of it is free: then any turn of the readings is where
         the sensor stands. None where a part of it is known or held."""

@@ -18,6 +18,9 @@ from .base import ModelWithEffects
 from .effect import Parameter
 from .sensor_pose import FREE, IN_PLANE, OWN_AXES, POSE, SPACE, SensorPose, Triple, registered
 
+#: A turn by so little, rad, moves no arrow of a picture.
+_TO_THE_EYE = 0.02
+
 
 @dataclass(frozen=True)
 class SeenModel(ModelWithEffects):
@@ -63,12 +66,16 @@ class SeenModel(ModelWithEffects):
         return self.sensor_pose.sd(*self.usual_pose_sd)
 
     @property
+    def free_of_pose(self) -> tuple[str, ...]:
+        """As of any model."""
+        return tuple(name for name, sd in zip(POSE, self.pose_sd, strict=True) if np.isinf(sd))
+
+    @property
     def stands_anywhere(self) -> tuple[str, ...]:
         """As of any model; of readings in a plane three numbers are all."""
         in_plane = all(one.coordinates == SPACE[:2] for one in self.layouts)
         whole = IN_PLANE if in_plane else POSE
-        free = {name for name, sd in zip(POSE, self.pose_sd, strict=True) if np.isinf(sd)}
-        return whole if set(whole) <= free & {p.name for p in self.parameters} else ()
+        return whole if set(whole) <= {*self.free_of_pose} & {p.name for p in self.parameters} else ()
 
     def as_known(self, parameter: Parameter) -> Parameter:
         """A parameter of the table; of the sensor's pose as well as that is known."""
@@ -130,12 +137,15 @@ class SeenModel(ModelWithEffects):
             return places_mm
         return ((in_space(places_mm) - shift) @ turn)[:, : places_mm.shape[1]]
 
-
     def axes_of_readings(self, data: Measurements, values: Floats) -> Floats | None:
         """The turn (c, c) from the base's axes to those in which readings of places are shown; None where they are
-        the same, or the readings are no places."""
+        the same to the eye, or the readings are no places."""
         turn = self.sensor_frame(values)[0][: data.coordinates, : data.coordinates]
-        return turn if self.reads_places(data) and not np.allclose(turn, np.eye(len(turn)), rtol=0, atol=1e-4) else None
+        return (
+            turn
+            if self.reads_places(data) and not np.allclose(turn, np.eye(len(turn)), rtol=0, atol=_TO_THE_EYE)
+            else None
+        )
 
 
 def in_space(places: Floats) -> Floats:

@@ -211,7 +211,7 @@ def atlas_of(fit: Any, effects: Sequence[Effect] = ()) -> Atlas:
     def at_poses(values: Floats) -> Floats:
         return np.stack([values[group == g].mean(axis=0) for g in chosen])
 
-    turn = run.model.axes_of_readings(fit.data, fit.values)
+    turn = run.turn_of_readings
     if turn is not None:
         measured, signatures = measured @ turn, [(name, share, error @ turn) for name, share, error in signatures]
     tiles = [Tile("measured", 1.0, at_poses(measured))]

@@ -130,7 +130,7 @@ def _residuals(fit: Fit) -> Residuals:
         line=data.line[rows],
         counted=data.counted,
         outlier=data.outlier[rows],
-        turn=run.model.axes_of_readings(data, fit.values),
+        turn=run.turn_of_readings,
     )
 
 
