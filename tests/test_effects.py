@@ -41,7 +41,8 @@ EXPECTED = {
 }
 #: What else the fourth number of an effect of the simulator is called.
 SETTINGS = {
-    "slip": "slip_time_s", "sensor_slip": "sensor_slip_time_s", "joint_slip": "joint_slip_time_s", "thermal_shift": "thermal_shift_lag_s",
+    "slip": "slip_time_s", "sensor_slip": "sensor_slip_time_s",
+    "joint_slip": "joint_slip_time_s", "thermal_shift": "thermal_shift_lag_s",
 }  # fmt: skip
 #: The value of ours for one unit of the simulator's: what the whole weight (5 N) does instead of a newton.
 UNITS = {"gravity_sag": 5.0, "drive_compliance": 5.0}
@@ -148,7 +149,8 @@ def test_growth_of_a_robot_as_drawn_is_that_of_the_independent_simulator(part: i
 
 @pytest.mark.parametrize("names", [*combinations(EXPECTED, 2), tuple(EXPECTED)], ids="+".join)
 def test_effects_together_act_in_the_order_of_the_chain(names: tuple[str, ...]) -> None:
-    """Catches links in another order: where the sensor stands before beams, growth after drift, lean before joint errors."""
+    """Catches links in another order: where the sensor stands before beams, growth after drift, lean before joint
+    errors."""
     agree(names, 5, 3.0)
 
 

@@ -135,7 +135,8 @@ def test_errors_of_the_twelve_follow_chi_squared() -> None:
 
 def test_errors_of_all_parameters_follow_chi_squared() -> None:
     """Catches an honest covariance spoilt by what no reading tells: the twelve and the pose, planted at their
-    plausible sizes, wherever the sensor stands. Noise is coarse, because along directions that no reading fixes the model is curved. Level 0.1 %.
+    plausible sizes, wherever the sensor stands. Noise is coarse, because along directions that no reading fixes
+    the model is curved. Level 0.1 %.
     """
     p = []
     for values, fit in fits(ALL, 0.5, 200):

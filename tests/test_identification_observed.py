@@ -19,7 +19,6 @@ from test_identification import (
     SIGMA_MM,
     TWELVE,
     distances,
-    fits,
     planted,
     run,
     sizes,

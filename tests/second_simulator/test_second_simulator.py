@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from . import (
     EFFECTS,
