@@ -47,10 +47,9 @@ IN_TIME = {
     "link_growth",
     "slip",
     "joint_slip",
-    "camera_slip",
-    "tracker_slip",
+    "sensor_slip",
 }
-_NOT_OF_THE_ARM = {"payload_compliance", "reading_delay", "slip", "joint_slip", "tracker_slip", "sensor_scale"}
+_NOT_OF_THE_ARM = {"payload_compliance", "reading_delay", "slip", "joint_slip", "sensor_slip", "sensor_scale"}
 HIDDEN = {
     "delta": [n for n in CATALOGUE if n != "datum"],
     "spherical": [n for n in SPHERICAL_EFFECTS if n != "camera_delay"],

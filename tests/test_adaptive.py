@@ -345,5 +345,5 @@ def test_a_tie_says_what_would_tell() -> None:
     """Catches a tie that leaves the reader without a next step: a focal length and the distortion of a lens do much the
     same in one camera, so that either poses are named or it is said that these instruments cannot tell."""
     loop = drive(DrivenSpherical(80, ("focal_length",), 1.0), budget=60)
-    assert set(loop.indistinguishable[0]) == {"focal_length", "lens_distortion"}
+    assert {"focal_length", "lens_distortion"} <= set(loop.indistinguishable[0])
     assert re.search(r"these instruments cannot tell|poses that would tell most, the last: theta1_rad", loop.notes[0])

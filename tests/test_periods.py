@@ -121,9 +121,9 @@ def test_the_period_is_deployed(tmp_path: Path) -> None:
     made.save(tmp_path / "c.toml")
     again = sk.load_calibration(tmp_path / "c.toml")
     point = (3.0, -4.0, 5.0)
-    assert np.array_equal(again.inverse(point), made.inverse(point))
+    assert np.array_equal(again.inverse(point, frame="base"), made.inverse(point, frame="base"))
     wrong = replace(again, whole=replace(again.whole, settings=again.whole.settings | {"period_mm": 2.05}))
-    assert not np.allclose(wrong.inverse(point), made.inverse(point), atol=1e-4)
+    assert not np.allclose(wrong.inverse(point, frame="base"), made.inverse(point, frame="base"), atol=1e-4)
 
 
 def ring(seed: int, per_turn: float) -> World:

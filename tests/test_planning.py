@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from sherkit import identify
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data import Measurements
 from sherkit.errors import EffectError, ExperimentError, FitError
+from sherkit.model.sensor_pose import HELD, SensorPose
 from sherkit.planning.effect_power import POWER, planning_of
 from sherkit.planning.power import EffectSize, study_power
 from sherkit.robots.delta import grid
@@ -164,8 +166,10 @@ def test_known_limits(planning):
 
 def test_a_plan_that_shuffles_tells_drift_from_space():
     """Catches ties that do not depend on the order of the poses: plane by plane, time and height are one."""
-    in_order = planning_of(DeltaModel(EXAMPLE), rows("planes", repeats=1), NOISE_MM)
-    shuffled = planning_of(DeltaModel(EXAMPLE), rows(repeats=1), NOISE_MM)
+    # a turn of the sensor takes most of what grows with the height, where it is free
+    model = DeltaModel(replace(EXAMPLE, sensor_pose=SensorPose(turn_sd_deg=HELD)))
+    in_order = planning_of(model, rows("planes", repeats=1), NOISE_MM)
+    shuffled = planning_of(model, rows(repeats=1), NOISE_MM)
     assert "beam_alignment" in power_of(in_order, "drift").indistinguishable
     assert "beam_alignment" not in power_of(shuffled, "drift").indistinguishable
 
@@ -183,7 +187,7 @@ def test_an_effect_in_the_model_is_not_looked_for():
     """Catches an effect that is in the model and looked for beside itself."""
     planning = planning_of(DeltaModel(EXAMPLE), rows(), NOISE_MM, effects=("rail_lean",))
     assert "rail_lean" not in [o.name for o in planning.effect_powers]
-    assert len(planning.parameters) == 21
+    assert len(planning.parameters) == 24
     with pytest.raises(EffectError, match="rail_lean"):
         planning_of(DeltaModel(EXAMPLE), rows(), NOISE_MM, effects=("rail_leen",))
     with pytest.raises(EffectError, match="radial_1"):
@@ -197,7 +201,7 @@ def test_parameters_are_known_as_well_as_promised(planning):
     virtual = VirtualDelta(EXAMPLE, noise_mm=NOISE_MM)
     fits = [identify(EXAMPLE, virtual.measure(grid(18.0, 5, (-15.0, 0.0, 15.0)), repeats=2, seed=k)) for k in range(40)]
     spread = np.std([fit.values for fit in fits], axis=0)
-    assert spread / planning.design.std == pytest.approx(np.ones(15), rel=0.35)
+    assert spread / planning.design.std == pytest.approx(np.ones(18), rel=0.35)
 
 
 def test_the_command_says_what_a_plan_could_find(tmp_path):

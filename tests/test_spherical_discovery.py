@@ -174,7 +174,7 @@ def test_the_plan_fills_the_picture() -> None:
 #: One of each link and of each way to be found. That every effect is tried, and by the right columns, is asked where
 #: nothing is hidden and in ``test_second_spherical.py``.
 ASKED = (
-    "joint_offset", "backlash", "encoder_cyclic", "gravity_flexure", "marker_offset", "camera_pose", "camera_delay",
+    "joint_offset", "backlash", "encoder_cyclic", "gravity_flexure", "marker_offset", "camera_delay",
 )  # fmt: skip
 
 
@@ -289,8 +289,8 @@ def test_a_turn_that_both_joints_share_is_tied_with_a_camera_that_turned() -> No
 def test_a_camera_that_slipped_early_leaves_no_row_out() -> None:
     """Catches rows before an early slip that are taken for gross errors, and the other readings of their poses with
     them, since one of three spoils the mean: seed 13, where it slips after 59 of 1,728 rows."""
-    d = measured("whole", 13, scaled={"camera_slip": 5}, any_room=True).diagnose()
-    assert d.effects == ("camera_slip",)
+    d = measured("whole", 13, scaled={"sensor_slip": 5}, any_room=True).diagnose()
+    assert d.effects == ("sensor_slip",)
     assert not len(d.outliers)
     assert abs(d.error.rms / np.sqrt(d.error.axes) / NOISE_PX - 1) <= held_out_allowance(d)
 
@@ -299,7 +299,7 @@ def test_a_delay_needs_the_velocity_and_says_so() -> None:
     """Catches an effect that is silently skipped, or tried on columns that are not there."""
     frame = measured("small", 0).data.to_frame().drop("theta2_rad_per_s", "time_s")
     d = sk.diagnose(sk.identify(ROBOT, sk.from_frame(frame)))
-    assert set(d.untestable) == {"camera_delay", "backlash", "drift", "slip", "joint_slip", "camera_slip"}
+    assert set(d.untestable) == {"camera_delay", "backlash", "drift", "slip", "joint_slip", "sensor_slip"}
     assert "theta2_rad_per_s" in d.untestable["camera_delay"]
     assert not set(d.untestable) & {c.effect for c in d.candidates}
 

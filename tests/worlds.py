@@ -265,7 +265,8 @@ def printer_heights(seed: int) -> World:
     scatter = rng.normal(0, 0.02, on.sum())
     plan |= {f"q{k}_mm": plan[f"q{k}_mm"] + scatter for k in (1, 2, 3)}
     columns = {k: plan[k] for k in ("q1_mm", "q2_mm", "q3_mm")} | {"z_mm": np.zeros(on.sum())}
-    return World(config, columns, 20.0, lean)
+    # the printer carries its probe
+    return World(config | {"sensor_pose": {"free": True, "turn_sd_deg": 0.0}}, columns, 20.0, lean)
 
 
 # -- the spherical robot -------------------------------------------------------------------------------------------
