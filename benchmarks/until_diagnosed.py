@@ -51,8 +51,8 @@ IN_TIME = {
 }
 _NOT_OF_THE_ARM = {"payload_compliance", "reading_delay", "slip", "joint_slip", "sensor_slip", "sensor_scale"}
 HIDDEN = {
-    "delta": [n for n in CATALOGUE if n != "datum"],
-    "spherical": [n for n in SPHERICAL_EFFECTS if n != "camera_delay"],
+    "delta": [n for n in CATALOGUE if n != "sensor_pose"],
+    "spherical": [n for n in SPHERICAL_EFFECTS if n not in ("camera_delay", "sensor_pose")],
     # an arm that carries nothing and stands; of the scale of what reads it, its lengths take all
     "arm": [n for n in ARM_EFFECTS if n not in _NOT_OF_THE_ARM],
 }

@@ -184,9 +184,9 @@ ASKED = (
 @pytest.mark.parametrize(
     ("k", "name"),
     [
-        pytest.param(*one, marks=[pytest.mark.slow] * (one[1] not in ASKED))
-        for one in enumerate(ORDER)
-        if one[1] in EFFECTS
+        pytest.param(k, name, marks=[pytest.mark.slow] * (name not in ASKED))
+        for k, name in enumerate(ORDER)
+        if name in EFFECTS
     ],
 )
 def test_each_effect_is_found_by_name(k: int, name: str) -> None:
