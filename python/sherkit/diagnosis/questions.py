@@ -104,7 +104,6 @@ def diagnose(
     rows = np.flatnonzero(run.whole)
     side = is_first_by_side(run, every, outliers)
     notes += sentences(run.fit, outliers, side=side)
-    wrong = checks_of_outliers(run, outliers, seed, side=side)
     if run.is_exact:
         notes.append(
             f"every reading is what the model says, to the last digits: {run.data.source} was computed, it seems, not "
@@ -149,6 +148,8 @@ def diagnose(
     )
     final, rho = found.final, found.search.rho
     of_all = final if run is long else long if final is run else final.as_in(long)
+    # a row that is as what was found says was wrong beside a model that lacked it
+    wrong = checks_of_outliers(of_all, outliers, seed, side=side)
     notes += found.notes
     notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
 
