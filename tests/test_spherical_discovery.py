@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -112,8 +113,9 @@ def measured(
     repeats: int = 3,
     any_room: bool = False,
 ) -> Run:
-    """A run over a plan, filmed in motion in a random order. Of each ``scaled`` effect a fit of α, β and R leaves the
-    given RMS, in noise. In ``any_room`` mean and course of the temperature are drawn, and when the clock starts."""
+    """A run over a plan, filmed in motion in a random order. Of each ``scaled`` effect a fit of α, β, R and the
+    camera's pose leaves the given RMS, in noise. In ``any_room`` mean and course of the temperature are drawn, and when
+    the clock starts."""
     plan = spherical_plan(PLANS[where], repeats, "shuffled", seed)
     if any_room:
         plan["temperature_c"] = room_temperature(np.random.default_rng([seed, 5]), plan["time_s"])
@@ -121,7 +123,7 @@ def measured(
     planted: dict[str, Any] = dict(effects or {})
     for name, ratio in (scaled or {}).items():
         rng = np.random.default_rng([seed, 2, ORDER.index(name)])
-        planted |= robot.at_ratio(name, ratio, NOISE_PX, plan, rng)
+        planted |= robot.at_ratio(name, ratio, NOISE_PX, plan, rng, fitted=("sensor_pose",))
     robot.effects = planted
     columns = robot.run(plan, noise_px=NOISE_PX, seed=1000 + seed)
     if any_room:
@@ -200,7 +202,8 @@ def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     assert name in named(d)
     assert d.p_missing <= LEVEL
     assert d.unit == "px"
-    assert d.steps[0].error.rms / np.sqrt(d.error.axes) > 1.2 * NOISE_PX
+    # where the camera stands takes most of what joints and markers are off by, and is known to a degree of its own
+    assert d.steps[0].error.rms > (1.02 if name in ("joint_offset", "marker_offset") else 1.2) * d.steps[-1].error.rms
     assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_PX - 1) < held_out_allowance(d)
     report = {c.effect: c for c in d.candidates}[name]
     assert report.p_value < LEVEL
@@ -261,11 +264,11 @@ def test_where_the_camera_stands_is_no_effect(seed: int) -> None:
 def test_a_cause_of_many_parameters_is_found_beside_the_small_ones_that_imitate_it() -> None:
     """Catches a true cause that is never fitted, for want of tries, since simpler ones take nearly as much of the run.
 
-    Seed 9 on the local plan at ratio 1: six parameters of a camera against the two of unequal limbs.
+    Seed 9 on the local plan at ratio 1: four parameters of a lens against a longer focal length.
     """
-    d = hidden("sensor_pose", 1, "local", 9)
+    d = hidden("lens_distortion", 1, "local", 9)
     assert d.verdict == "explained"
-    assert "sensor_pose" in named(d)
+    assert "lens_distortion" in named(d)
 
 
 def test_chance_does_not_turn_two_effects_into_three_others() -> None:
@@ -281,16 +284,13 @@ def test_chance_does_not_turn_two_effects_into_three_others() -> None:
     assert d.signature is None or d.signature["shape"] == "periodic"
 
 
-def test_a_turn_that_both_joints_share_is_tied_with_a_camera_that_turned() -> None:
-    """Catches one of two causes that no picture tells apart named as if it were the only one. Exact tie; seed 0."""
-    common = measured("whole", 0, {"joint_offset": [0.002, 0.002]}).diagnose()
-    assert common.effects == ("joint_offset",)
-    assert "sensor_pose" in named(common)
-    # poses may tell others of the tie apart; of this one it is said what would
-    assert "sensor_pose (by 0." in common.advice
-    assert "these instruments cannot tell" in common.advice
-    assert "readings of phi, gamma, as fine as these" in common.advice
-    assert all(pose["separation_sigma"] >= 3.0 for pose in common.next_poses[-1:])
+def test_a_turn_that_both_joints_share_is_one_of_the_camera() -> None:
+    """Catches a joint that is blamed for what a camera does that stands within what is known of it, and a camera that
+    would have to stand ten times as far off and is not told of. No picture tells one from the other; seed 0."""
+    little, much = (measured("whole", 0, {"joint_offset": [by, by]}).diagnose() for by in (0.002, 0.02))
+    assert (little.verdict, little.effects, much.effects) == ("adequate", (), ())
+    assert "sensor_turn" not in little.headline
+    assert re.search(r"sensor_turn_[xyz] = \S+ ± \S+ rad where 0.00175 is usual", much.headline)
 
 
 @pytest.mark.slow
