@@ -15,7 +15,6 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -38,6 +37,7 @@ from changed_worlds import (
     DeltaPair,
     SphericalPair,
 )
+from sherkit.base.workers import processes
 
 PAIRS = (("base_angle_2", "backlash"), ("rod_length_1", "rail_lean"), ("rod_length_1", "base_radius_3"),
          ("joint_scale", "gravity_sag"), ("base_angle_1", "limb_twist"))  # fmt: skip
@@ -153,7 +153,7 @@ def main() -> None:
     asked = reader.parse_args()
     chosen, seeds = asked.parts or every, range(asked.first, asked.first + asked.seeds)
     print("| changed | runs | right | false names | s |\n| --- | ---: | ---: | ---: | ---: |")
-    with ProcessPoolExecutor(asked.workers) as pool:
+    with processes(asked.workers) as pool:
 
         def show(name: str, work: Callable[[int], Outcome | None], over: range) -> None:
             outcomes = list(pool.map(work, over))

@@ -20,7 +20,6 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,6 +34,7 @@ from driven_worlds import UNKNOWN, DrivenArm, DrivenDelta, DrivenSpherical, Worl
 from second_simulator.effects import CATALOGUE
 from second_simulator.plans import grid, whole_grid
 from second_simulator.spherical import SPHERICAL_EFFECTS
+from sherkit.base.workers import processes
 from test_serial import EFFECTS as ARM_EFFECTS
 
 BUDGET, SPAN_MIN, RATIOS = 200, 30.0, (1.0, 2.0, 5.0)
@@ -234,7 +234,7 @@ def main() -> None:
     asked = reader.parse_args()
     print("| hidden | loops | right | wrong names | readings: median, 95 % | minutes: the same | look, s | held |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
-    with ProcessPoolExecutor(asked.workers) as pool:
+    with processes(asked.workers) as pool:
         for name, cases in parts(asked.parts or every, range(asked.first, asked.first + asked.seeds)):
             outcomes = [one for one in pool.map(run, cases) if one is not None]
             if outcomes:

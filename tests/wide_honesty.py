@@ -256,7 +256,7 @@ def rungs(seed: int, experiment: str, size: str) -> tuple[Score, dict[str, Score
 
 
 def _every(function: Callable[..., object], runs: Iterable[tuple[object, ...]]) -> list[object]:
-    with multiprocessing.get_context("fork").Pool(2) as pool:
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
         return pool.starmap(function, list(runs), chunksize=1)
 
 

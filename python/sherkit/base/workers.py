@@ -130,7 +130,7 @@ class _Workers:
         #: How many tasks it does at a time; None where it does not say, as a cluster.
         self.count: int | None = getattr(executor, "_max_workers", None)
         self._stack = ExitStack()
-        if isinstance(executor, futures.ProcessPoolExecutor) and _copies_this_one(executor):
+        if _copies_this_one(executor):
             self._start_like(executor)
 
     def __enter__(self) -> _Workers:
@@ -162,8 +162,8 @@ class _Workers:
         self._stack.callback(self.pool.shutdown, cancel_futures=True)
 
 
-def _copies_this_one(pool: futures.ProcessPoolExecutor) -> bool:
-    """Whether the processes of the pool are forked: locks that a thread of polars or of a solver held while this one
+def _copies_this_one(pool: futures.Executor) -> bool:
+    """Whether it is a pool whose processes are forked: locks that a thread of polars or of a solver held while this one
     was copied stay locked in the copy for ever, and its task never ends."""
     context = getattr(pool, "_mp_context", None)
     return context is not None and context.get_start_method() == "fork"

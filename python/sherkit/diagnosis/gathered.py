@@ -251,8 +251,8 @@ def _part(count: int) -> Ints:
 
 
 def checks_of_outliers(run: FittedRun, outliers: Ints, seed: int, *, side: bool) -> tuple[Check, ...]:
-    """Whether the rows that are left out of a run are few, and accidents; of the first of all nothing is asked where it
-    is left out for the ``side`` that nobody told."""
+    """Whether the rows that are left out of a ``run`` with all that was found in its model are few, and accidents; of
+    the first of all nothing is asked where it is left out for the ``side`` that nobody told."""
     data = run.data
     few = Check(
         "gross_errors", "few rows are wrong", f"all {len(data)} rows",
@@ -276,9 +276,8 @@ def checks_of_outliers(run: FittedRun, outliers: Ints, seed: int, *, side: bool)
 def _still_off(run: FittedRun, rows: Ints) -> Bools:
     """Which of the rows (k,) stand apart from the others with what was found in the model, too: those that an effect
     explains were wrong beside a model that lacked it, and are no structure of their own."""
-    size = np.array([run.residuals[run.used[:, a], a].std() for a in run.axes])
-    left = np.abs(run.data.readings[rows] - run.fit.predicted[rows])[:, list(run.axes)]
-    return np.asarray(((left > _APART * size) & run.data.taken[rows][:, list(run.axes)]).any(axis=1))
+    # a reading that was not taken is NaN, and none
+    return np.asarray((np.abs(run.residuals[rows]) > _APART * run.scatter)[:, list(run.axes)].any(axis=1))
 
 
 def said(found: Gathered, data: Measurements) -> str:
