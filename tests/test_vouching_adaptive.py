@@ -202,15 +202,16 @@ def test_many_rows_that_are_set_aside_are_told() -> None:
 
 
 def test_a_bad_stretch_of_a_scale_is_no_accident() -> None:
-    """Catches a loop that sets aside what it finds in 5 mm of a joint, and calls the rest adequate."""
+    """Catches a loop that sets aside what it finds in 5 mm of a joint, and calls the rest adequate. (What it reads there
+    again is read late: a step in time may be named beside it, never as the whole.)"""
 
     def dented(world: DrivenDelta, row: Row, k: int, before: list[Row]) -> Row:
         return row | {"z_mm": row["z_mm"] + 0.2} if 128.0 < row["q2_mm"] < 133.0 else row
 
     loop = drive(DrivenDelta(3), dented, budget=60, span_min=3.0)
-    assert loop.verdict == "unexplained"
+    assert loop.verdict in ("unexplained", "partly explained")
     assert re.search(r"off by the same again: no accident|they are no accidents", loop.why)
-    assert "set aside" in loop.notes[0]
+    assert any("set aside" in note for note in loop.notes)
 
 
 def test_what_lies_together_is_found_without_being_read_again() -> None:
