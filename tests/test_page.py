@@ -21,6 +21,7 @@ import pytest
 import sherkit as sk
 from browsing import InEachFont, chromium, needs_browser, source
 from sherkit import save_robot
+from sherkit.base.figures import number
 from sherkit.cli.demo import EXAMPLE
 from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
@@ -189,7 +190,7 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
         first = page.get_by_role("button").filter(has_text=re.compile(r"^\+ ")).first
         assert first.inner_text() == "+ rail_lean"
         assert "explained" in text(page, "headline")
-        assert f" {study.history[0].error.rms:.0f} " in text(page, "numbers")
+        assert f" {number(study.history[0].error.rms)} " in text(page, "numbers")
         np.testing.assert_allclose(arrows(page), expected_arrows(study.fit), atol=0.02)
 
         study.add("rail_lean")

@@ -40,7 +40,7 @@ from sherkit.report.parameters import (
 )
 from sherkit.report.picture import Picture
 from sherkit.report.residual_against import ResidualAgainst, noise_picture, residual_against, run_in_time
-from sherkit.report.residual_arrows import SCALES, Change
+from sherkit.report.residual_arrows import SCALES, Change, Sheet
 from sherkit.report.residual_map import Reprojection, reprojection, residual_map, still
 from sherkit.report.residuals import Residuals, residuals_of
 from sherkit.report.states import (
@@ -591,7 +591,8 @@ def test_atlas_puts_the_cause_first(demo: Run) -> None:
     assert demo.study
     atlas = atlas_of(demo.fit)
     assert [tile.title for tile in atlas.tiles[:2]] == ["measured", "rail_lean"]
-    assert atlas.tiles[1].share > 0.99
+    # what of the lean is not a tilt of the instrument is smaller beside the noise
+    assert atlas.tiles[1].share > 0.95
     shares = [tile.share for tile in atlas.tiles[1:]]
     assert shares == sorted(shares, reverse=True)
     measured, lean = (tile.error for tile in atlas.tiles[:2])
@@ -638,12 +639,13 @@ def test_accuracy_map_is_the_calibration(demo: Run) -> None:
     rng = np.random.default_rng(0)
     for _ in range(12):
         k, j, i = rng.integers(3), rng.integers(len(state.y)), rng.integers(len(state.x))
-        place = [state.x[i], state.y[j], z[k]]
+        base = np.array([state.x[i], state.y[j], z[k]])
+        place = demo.calibration.whole.at_sensor(base[None, :])[0]
         assert state.measured[k, j, i] == demo.calibration.measured(place)
         if np.isfinite(state.value_um[k, j, i]):
             assert state.value_um[k, j, i] == pytest.approx(1e3 * demo.calibration.accuracy(place))
         else:
-            assert np.hypot(place[0], place[1]) > EXAMPLE.workspace_radius_mm - 1
+            assert np.hypot(base[0], base[1]) > EXAMPLE.workspace_radius_mm - 1
     made = accuracy_map(state)
     step_x, step_y = state.x[1] - state.x[0], state.y[1] - state.y[0]
     hatched = table(made, "beyond_0")
@@ -738,8 +740,10 @@ def test_readers_without_scripts_see_the_same_map(demo: Run, plane: Run) -> None
     figures = residual_map(both).sources
     keys = [source.data for name, source in figures.items() if name.endswith("_key")]
     assert len(keys) == 6
-    for key in keys:
-        for line in key["title"][0].split("\n") + key["bar_text"]:
+    # a narrow panel has a longer bar of scale
+    bars = [key["bar_text"][0] for name, key in Sheet(both, 290).tables(both).items() if name.endswith("_key")]
+    for key, bar in zip(keys, bars, strict=True):
+        for line in (*key["title"][0].split("\n"), bar):
             assert f">{line}</text>" in drawn
     assert drawn.count("L") - len(keys) == sum(
         len(table(residual_map(both), f"{m}_{k}")["x"]) for m in ("before", "after") for k in range(3)

@@ -202,8 +202,10 @@ def test_many_rows_that_are_set_aside_are_told() -> None:
 
 
 def test_a_bad_stretch_of_a_scale_is_no_accident() -> None:
-    """Catches a loop that sets aside what it finds in 5 mm of a joint, and calls the rest adequate. (What it reads there
-    again is read late: a step in time may be named beside it, never as the whole.)"""
+    """Catches a loop that sets aside what it finds in 5 mm of a joint, and calls the rest adequate.
+
+    What it reads there again is read late: a step in time may be named beside it, never as the whole.
+    """
 
     def dented(world: DrivenDelta, row: Row, k: int, before: list[Row]) -> Row:
         return row | {"z_mm": row["z_mm"] + 0.2} if 128.0 < row["q2_mm"] < 133.0 else row
