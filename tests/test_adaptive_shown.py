@@ -17,10 +17,10 @@ HIDDEN = "rail_lean"
 
 @pytest.fixture(scope="module")
 def on_its_way() -> tuple[sk.Adaptive, World, list[str]]:
-    """A loop after five looks, and why each row was asked for."""
+    """A loop after four looks, and why each row was asked for."""
     world = DrivenDelta(1, (HIDDEN,), 5.0)
     loop, asked = sk.Adaptive(world.robot, budget=150, span_min=60.0, required_um=20), []
-    for _ in range(5):
+    for _ in range(4):
         rows = loop.ask()
         asked += [row["reason"] for row in rows]
         # what read them hands on what it was asked
