@@ -59,9 +59,9 @@ impl Parts {
     }
 
     fn made(&self) -> Calibrated<'_> {
-        let branch = |k: usize| Branch {
-            chain: model_of(&self.robot).with(&self.values[k]).expect("values"),
-            correction: self.correction(),
+        let branch = |k: usize| {
+            let chain = model_of(&self.robot).with(&self.values[k]);
+            Branch::new(&chain.expect("values"), self.correction())
         };
         Calibrated {
             whole: branch(0),
