@@ -44,8 +44,8 @@ KNOCK = np.array([1e-3, -2e-3, 1e-3, 0.1, -0.2, 0.1])
 
 
 def delta(frame: str = "sensor") -> _core.Calibrated:
-    """The example delta with small errors, a correction, and a local model blended in, read by an instrument that is not
-    right either; positions in a frame."""
+    """The example delta with small errors, a correction, and a local model blended in, read by an instrument that is
+    not right either; positions in a frame."""
     random = np.random.default_rng(1)
     settings = np.array([40.0, 2.0, 130.0, 130.0, 130.0, 0.0, 0.0, 0.0, 0.0])
     offset = np.array(EXAMPLE.target_offset_mm)
@@ -80,8 +80,8 @@ def spherical() -> _core.SphericalCalibrated:
 
 
 def serial(frame: str = "base") -> _core.SerialCalibrated:
-    """A six-axis arm with small geometric errors; its joints give way, under a payload too, and have play; its tracker is
-    not right either; places in a frame."""
+    """A six-axis arm with small geometric errors; its joints give way, under a payload too, and have play; its tracker
+    is not right either; places in a frame."""
     at_work = ("joint_compliance", "payload_compliance", "joint_coupling", "backlash", "encoder_eccentricity")
     random = np.random.default_rng(2)
     arm = replace(KIND.example, sensor_pose=BESIDE_ARM)

@@ -226,8 +226,8 @@ def test_c_and_python_agree_to_the_last_bit(archive: Path, tmp_path: Path, of_fo
 
 @pytest.mark.parametrize("kind", ["delta", "serial"])
 def test_both_frames_tell_of_one_place(kind: str) -> None:
-    """Catches a frame that is the other one, a pose of the sensor that is its inverse, and errors of the instrument that
-    are lost, or in where the robot is: the bits of C are those of this."""
+    """Catches a frame that is the other one, a pose of the sensor that is its inverse, and errors of the instrument
+    that are lost, or in where the robot is: the bits of C are those of this."""
     based, sensed = (getattr(make_robots, kind)(frame) for frame in ("base", "sensor"))
     rows = {"delta": delta_rows, "serial": serial_rows}[kind]()
     count = 3 if kind == "delta" else 6

@@ -83,8 +83,8 @@ def test_the_page_on_instruments_runs(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_the_page_on_c_compiles(work: Path) -> None:
-    """Catches a header that does not compile, and a program that commands another place than Python, or has it elsewhere in
-    one of the two frames: the same bits in both."""
+    """Catches a header that does not compile, and a program that commands another place than Python, or has it
+    elsewhere in one of the two frames: the same bits in both."""
     import sherkit as sk
 
     test_c = pytest.importorskip("test_c_library")

@@ -116,9 +116,9 @@ class KnownStand:
 def known_stand(fit: Fit) -> KnownStand | None:
     """How far the sensor is from where it is known to stand; None where nothing is known of it that readings tell.
 
-    With ``z`` (k,) the values in what is known of them and ``c`` an eigenvalue of their covariance there, readings weigh
-    ``a = r² (1/c - 1)`` along its direction, by noise that is ``r`` times as large as it was taken for. If the sensor
-    stands as well as is known, ``z`` has the variance ``(a/(1 + a))² (1 + r²/a)``.
+    With ``z`` (k,) the values in what is known of them and ``c`` an eigenvalue of their covariance there, readings
+    weigh ``a = r² (1/c - 1)`` along its direction, by noise that is ``r`` times as large as it was taken for. If the
+    sensor stands as well as is known, ``z`` has the variance ``(a/(1 + a))² (1 + r²/a)`` there.
     """
     named = [(k, p) for k, p in enumerate(fit.parameters) if p.known and p.name in POSE]
     if not named:

@@ -127,7 +127,7 @@ class SeenModel(ModelWithEffects):
         return self._stood(values, POSE)
 
     def deployed_frame(self, values: Floats) -> tuple[Floats, Floats]:
-        """:meth:`sensor_frame` as a control loop has it, after a slip: what a loop is told, it is told after the run."""
+        """:meth:`sensor_frame` as a control loop has it, after a slip: what it is told, it is told after the run."""
         return self._stood(values, POSE, SLIP)
 
     def _stood(self, values: Floats, *rows: Sequence[str]) -> tuple[Floats, Floats]:

@@ -36,8 +36,8 @@ class Deployed(Saved, ABC):
     an effect that needs them; left out, :attr:`Part.now` stands for them.
 
     Places are given in :attr:`frame` unless another of :attr:`frames` is asked for by name: that of the robot's
-    ``base``, as its drawing has it, where nothing of the instrument counts; or that of the ``sensor``, as the instrument
-    reads that measured it, from where it stood at last.
+    ``base``, as its drawing has it, where nothing of the instrument counts; or that of the ``sensor``, as the
+    instrument reads that measured it, from where it stood at last.
     """
 
     #: The frame of places unless another is asked for, and why there is no other where there is none.

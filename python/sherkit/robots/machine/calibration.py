@@ -86,8 +86,8 @@ class MachineCalibrated:
 @dataclass(frozen=True, eq=False, repr=False)
 class MachineCalibration(Calibration):
     """A calibrated machine. Its coordinates are its readings, without the errors of the instrument itself: as its
-    instrument sees it, where that stood at last, unless the frame of the base is asked for of a machine whose sensor's pose is
-    in the model.
+    instrument sees it, where that stood at last, unless the frame of the base is asked for of a machine whose sensor's
+    pose is in the model.
 
     ``box`` (k, 2) is where its joints went, or may go.
     """
