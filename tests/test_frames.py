@@ -29,10 +29,11 @@ from sherkit.fit.error import radius_95
 from sherkit.fit.identify import hold_out
 from sherkit.model.kinds import model_of
 from sherkit.model.robot_file import run_for
-from sherkit.model.sensor_pose import POSE
+from sherkit.model.sensor_pose import POSE, SLIP
 from sherkit.robots.calibrated import calibration_class
 from sherkit.robots.calibration_run import CalibrationRun
-from sherkit.robots.serial import VirtualSerial, postures
+from sherkit.robots.part import Part
+from sherkit.robots.serial import SerialCalibration, VirtualSerial, postures
 from test_arm_counted import arm_in
 from test_calibration import made, seen
 from worlds import SPHERICAL, World, real_spherical
@@ -69,14 +70,115 @@ def test_both_frames_are_one_robot() -> None:
     np.testing.assert_array_equal(c.forward(q[0], frame="sensor"), c.forward(q[0]))
 
 
-def test_errors_of_the_instrument_are_none_of_the_base() -> None:
-    """Catches beams that are not square, or a knock of the stand, in where the robot is."""
-    c = made(2, effects=("beam_alignment",), local=False)
-    q = c.robot.inverse([3.0, -4.0, 5.0])
-    beams = np.array([p.name.startswith("beam_alignment") for p in c.model.parameters])
-    other = replace(c, whole=replace(c.whole, values=np.where(beams, 0.0, c.whole.values)))
-    assert np.abs(c.forward(q) - other.forward(q)).max() > 1e-3
-    np.testing.assert_array_equal(c.forward(q, frame="base"), other.forward(q, frame="base"))
+OF_INSTRUMENT = ("beam_alignment", "sensor_linearity", "sensor_slip")
+
+
+@pytest.mark.parametrize("effect", OF_INSTRUMENT)
+@pytest.mark.parametrize("local", [False, True])
+def test_errors_of_the_instrument_are_none_of_the_base(effect: str, local: bool) -> None:
+    """Catches beams that are not square, an end that bends, or a knock of the stand, in where the robot is; and none of
+    them in what the instrument reads there. What it reads has no part in the base to the last bit; where it stood is
+    turned there and back."""
+    c = made(2, effects=(effect,), local=local)
+
+    def without(part: Any) -> Any:
+        its = np.array([p.name.startswith(effect) for p in part.model(c.robot).parameters])
+        return replace(part, values=np.where(its, 0.0, part.values))
+
+    # the same instrument saw both
+    parts = {"local": replace(c.local, values=c.whole.values)} if local else {}
+    c = replace(c, **parts)
+    other = replace(c, whole=without(c.whole), **({"local": without(c.local)} if local else {}))
+    x = np.random.default_rng(0).uniform(-15.0, 15.0, (10, 3))
+    q = c.robot.inverse_batch(x).require()
+    assert np.abs(c.forward_batch(q).require() - other.forward_batch(q).require()).max() > 1e-4
+    np.testing.assert_allclose(
+        c.forward_batch(q, frame="base").require(), other.forward_batch(q, frame="base").require(), atol=1e-9
+    )
+    if effect != "sensor_slip":
+        np.testing.assert_array_equal(c.forward(q[0], frame="base"), other.forward(q[0], frame="base"))
+        np.testing.assert_array_equal(c.inverse(x[0], frame="base"), other.inverse(x[0], frame="base"))
+
+
+def test_a_delta_is_read_as_the_instrument_reads_after_its_last_slip() -> None:
+    """Catches a deployed robot that is seen from where its instrument stood before it was knocked, or without its
+    errors, and a frame that says another pose than the core has. Readings are those of the fitted model, 1e-9 mm."""
+    c = made(4, effects=OF_INSTRUMENT, local=False)
+    c = replace(c, whole=replace(c.whole, correction=None))
+    model, q = c.model, c.robot.inverse_batch(np.random.default_rng(4).uniform(-15.0, 15.0, (10, 3))).require()
+    values = dict(zip((p.name for p in model.parameters), c.whole.values, strict=True))
+    off = np.array([values[one] + values[two] for one, two in zip(POSE, SLIP, strict=True)])
+    turn, shift = Rotation.from_rotvec(off[:3]).as_matrix() @ model.sensor_pose.turn, off[3:]
+    for found in (c.sensor_frame, (c.core.sensor()[:9].reshape(3, 3), c.core.sensor()[9:])):
+        np.testing.assert_allclose(found[0], turn, atol=1e-12)
+        np.testing.assert_allclose(found[1], shift + model.sensor_pose.origin_mm, atol=1e-12)
+    # rows of the run after the slip, which is at 0 s
+    after = [1.0, 20.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 20.0]
+    read = model.core.predict(model.full(c.whole.values), (q, None, np.tile(after, (len(q), 1)), None))[0][:, :3]
+    for time_s in (1.0, -1e6):
+        early = replace(c, whole=replace(c.whole, now=(time_s, 20.0, 0.0, 0.0, 0.0)))
+        np.testing.assert_allclose(early.forward_batch(q).require(), read, atol=1e-9)
+        np.testing.assert_allclose(early.inverse_batch(read).require(), q, atol=1e-6)
+
+
+def test_an_arm_is_read_as_its_tracker_reads_after_its_last_slip() -> None:
+    """Catches an arm whose tracker has no scale, no bend and never slipped where its places are asked for as that reads
+    them; and any of these in where the arm is. Readings are those of the fitted model, 1e-9 mm."""
+    effects = ("sensor_scale", "sensor_linearity", "sensor_slip")
+    with TemporaryDirectory() as folder:
+        robot = arm_in(Path(folder))
+    rng, q = np.random.default_rng(6), postures(robot, 12, 0.7, 6)
+    model = model_of(robot)
+    for name in effects:
+        model = model.with_effect(model.known_effects[name])
+    values = rng.normal(size=len(model.parameters)) * [0.3 * p.size for p in model.parameters]
+    values[[p.name in POSE for p in model.parameters]] = draw_pose(rng)
+    rows = {name: q[:, k] for k, name in enumerate(robot.layout.joints)} | {"time_s": np.arange(len(q)) + 1.0}
+    run = sk.from_frame(pl.DataFrame(rows | dict.fromkeys(("x_mm", "y_mm", "z_mm"), np.zeros(len(q)))))
+    read = model.predict(run, values)[:, :3]
+    k = len(model.indices)
+    part = Part(
+        free=model.free, effects=effects, settings=dict.fromkeys(model.settings(), 0.0), left_out=(),
+        now=(0.0, 20.0, *np.zeros(len(robot.joints))), values=values[:k], covariance=np.zeros((k, k)),
+        residual_covariance=np.zeros((3, 3)), low=np.full(3, -2000.0), high=np.full(3, 2000.0), made_from="a test",
+        rows=len(q), readings=("x_mm", "y_mm", "z_mm"),
+    )  # fmt: skip
+    for time_s in (0.0, -1e6):
+        c: Any = SerialCalibration(robot, replace(part, now=(time_s, *part.now[1:])))
+        np.testing.assert_allclose(c.forward_batch(q, frame="sensor").require(), read, atol=1e-9)
+        back = c.inverse_batch(read, frame="sensor", starts=q + 1e-3).require()
+        np.testing.assert_allclose(c.forward_batch(back, frame="sensor").require(), read, atol=1e-6)
+        np.testing.assert_allclose(c.inverse(read[0], frame="sensor", start=q[0] + 1e-3), back[0], atol=1e-12)
+        own = np.array([any(p.name.startswith(name) for name in effects) for p in c.model.parameters])
+        straight: Any = replace(c, whole=replace(c.whole, values=np.where(own, 0.0, c.whole.values)))
+        np.testing.assert_array_equal(c.forward_batch(q).require(), straight.forward_batch(q).require())
+        assert np.abs(straight.forward_batch(q, frame="sensor").require() - read).max() > 0.05
+
+
+def test_a_machine_is_seen_from_where_its_instrument_stood_at_last() -> None:
+    """Catches a machine that is sent to where its tracker would have seen it before that was knocked."""
+    machine = sk.Machine(
+        lambda q, p: q * (1.0 + p.scale), joints=("x_axis_mm", "y_axis_mm", "z_axis_mm"),
+        readings=("x_mm", "y_mm", "z_mm"), parameters={"scale": ("", 1e-4)}, sensor_pose="free",
+    )  # fmt: skip
+    rng = np.random.default_rng(8)
+    q, stood, knock = rng.uniform(0.0, 400.0, (60, 3)), draw_pose(rng), np.array([1e-3, -2e-3, 1e-3, 0.5, -0.5, 0.3])
+    late = np.arange(60) >= 30
+
+    def read(places: Floats, after: bool) -> Floats:
+        off = stood + knock * after
+        return Rotation.from_rotvec(off[:3]).apply(places) + off[3:]
+
+    seen_mm = np.where(late[:, None], read(q, True), read(q, False)) + 1e-3 * rng.normal(size=q.shape)
+    names = ("x_axis_mm", "y_axis_mm", "z_axis_mm", "x_mm", "y_mm", "z_mm")
+    columns = dict(zip(names, np.column_stack([q, seen_mm]).T, strict=True)) | {"time_s": np.arange(60.0)}
+    run = run_for(machine, pl.DataFrame(columns))
+    model = model_of(machine)
+    c = calibrated(model.with_effect(model.known_effects["sensor_slip"], at=29.5), run)
+    there = rng.uniform(50.0, 350.0, (5, 3))
+    np.testing.assert_allclose(c.forward_batch(there).require(), read(there, True), atol=0.02)
+    np.testing.assert_allclose(c.to_sensor(there), read(there, True), atol=0.02)
+    np.testing.assert_allclose(c.forward_batch(there, frame="base").require(), there, atol=0.02)
 
 
 def test_an_unknown_frame_is_refused() -> None:

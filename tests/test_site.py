@@ -83,7 +83,8 @@ def test_the_page_on_instruments_runs(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_the_page_on_c_compiles(work: Path) -> None:
-    """Catches a header that does not compile, and a program that commands another place than Python."""
+    """Catches a header that does not compile, and a program that commands another place than Python, or has it
+    elsewhere in one of the two frames: the same bits in both."""
     import sherkit as sk
 
     test_c = pytest.importorskip("test_c_library")
@@ -100,12 +101,15 @@ def test_the_page_on_c_compiles(work: Path) -> None:
     archive = test_c.built_archive()
     flags = ["-std=c11", "-Wall", "-Wextra", "-Werror", f"-I{HERE / 'rust/c/include'}"]
     test_c.run("cc", *flags, work / "main.c", archive, "-lm", "-o", work / "main")
-    found = [float(word) for word in test_c.run(work / "main").split()]
+    found = dict(re.findall(r"(\w+) +(.*) mm", test_c.run(work / "main")))
     made: Any = sk.load_calibration(work / "calibrated.toml")
-    pose = made.core.sensor()
-    # the same place as the instrument sees it, which is the frame of Python's deltas
-    expected = made.inverse(pose[:9].reshape(3, 3) @ [1.0, -2.0, 3.0] + pose[9:])
-    assert found == pytest.approx(expected, abs=1e-6)
+    joints = made.inverse([1.0, -2.0, 3.0], frame="base")
+    expected = {"joints": joints} | {frame: made.forward(joints, frame=frame) for frame in ("base", "sensor")}
+    assert {name: [float(word) for word in words.split()] for name, words in found.items()} == {
+        name: numbers.tolist() for name, numbers in expected.items()
+    }
+    # the instrument's beams are not square, and that is nowhere in the base
+    assert abs(expected["sensor"] - made.to_sensor([expected["base"]])[0]).max() > 1e-4
 
 
 # -- the site ----------------------------------------------------------------------------------------------------

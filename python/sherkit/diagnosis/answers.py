@@ -28,6 +28,8 @@ SINGLY = "apart"
 REPEATS = "repeats_are_noise"
 #: The check that tests lack of fit.
 POSES_AS_REPEATS = "poses_as_repeats"
+#: The check that a sensor stands where it is known to.
+STANDS = "stands_as_known"
 #: The checks that compare rows held out with the noise, and with what few poses make of it.
 SMALL, LOOSE = "as_small_as_noise", "poses_suffice"
 #: The checks that the poses are no line, and that the fit came to rest; where these alone fail, or that the poses

@@ -11,7 +11,19 @@ from ..base.names import listed
 from ..base.types import Floats
 from ..data.doubts import Doubt
 from ..fit.set_up import Mistake
-from .answers import AS_DRAWN, DECLARED, DIGITS, LOOSE, PLACES, POSES_AS_REPEATS, REPEATS, SETTLED, SMALL, Check
+from .answers import (
+    AS_DRAWN,
+    DECLARED,
+    DIGITS,
+    LOOSE,
+    PLACES,
+    POSES_AS_REPEATS,
+    REPEATS,
+    SETTLED,
+    SMALL,
+    STANDS,
+    Check,
+)  # fmt: skip
 from .explanation import ABSURD, PLAUSIBLE, largest, sizes_of
 from .fitted_run import FittedRun
 from .held_out import PRAISE, FewEnough, HeldOutGain
@@ -20,6 +32,7 @@ from .named import Named
 from .one_unknown import OneUnknown
 from .repeats import Repeats
 from .rounded import Rounded, rounded
+from .sensor_pose import KNOWN_LEVEL, known_stand
 from .where import SlowDrift
 
 
@@ -68,6 +81,7 @@ def checks_of(
     beyond = fitness.size if fitness else float(np.sqrt(max(error**2 - known * _noise(final, sigma) ** 2, 0.0)))
     steps = digits or (rounded(final, beyond, sigma, noise_known=known) if fails else None)
     out += [left, _poses(final, fitness, followed=bool(found.result.signature) or steps is not None), small]
+    out += _stands(final, used)
     if (loose := _loosely(final, small, error, sigma, enough)) is not None:
         out.append(loose)
     out.append(_digits(steps, used, asked=fails, alone=digits is not None))
@@ -153,7 +167,8 @@ def _plausible(final: FittedRun, used: str) -> Check:
 
 def _as_drawn(final: FittedRun, used: str) -> Check:
     tested = "the robot is as near to its drawing as robots are"
-    own = np.ones(len(final.fit.values), dtype=bool)
+    # where a sensor stands that is known is asked by itself
+    own = np.array([not p.known for p in final.fit.parameters], dtype=bool)
     for effect in final.model.effects:
         own[final.owns(effect)] = False
     if not own.any():
@@ -165,6 +180,21 @@ def _as_drawn(final: FittedRun, used: str) -> Check:
         AS_DRAWN, tested, used, f"farthest is {told}{more}", holds=far == 0, decisive=False,
         fails=f"{told}{more}: is the robot file that of this robot?",
     )  # fmt: skip
+
+
+def _stands(final: FittedRun, used: str) -> list[Check]:
+    """Asked of a sensor of which it is known where it stands."""
+    stand = known_stand(final.fit)
+    if stand is None:
+        return []
+    its = "camera" if final.unit == "px" else "sensor"
+    return [
+        Check(
+            STANDS, f"the {its} stands where the robot's file has it, as well as that is known", used,
+            f"it stands {stand}", holds=stand.p > KNOWN_LEVEL, p=stand.p,
+            fails=f"the {its} stands {stand}: measure again where it stands, or free it ([sensor_pose] free = true)",
+        )
+    ]  # fmt: skip
 
 
 def _poses(final: FittedRun, fitness: LackOfFit | None, *, followed: bool) -> Check:

@@ -9,7 +9,20 @@ from ..base.figures import in_names, number, stated
 from ..base.names import listed
 from ..model.effect import Effect
 from ..model.kinds import required_um
-from .answers import APART, FILES, MISSING, NEXT, SINGLY, WHERE, WHICH, WRONG, CandidateReport, Diagnosis, Finding
+from .answers import (
+    APART,
+    FILES,
+    MISSING,
+    NEXT,
+    SINGLY,
+    STANDS,
+    WHERE,
+    WHICH,
+    WRONG,
+    CandidateReport,
+    Diagnosis,
+    Finding,
+)  # fmt: skip
 from .outliers import sentences
 from .sensor_pose import pose_in_words
 from .template import indistinguishable, sentence
@@ -122,6 +135,13 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
             "Measure more poses, out to the rim of the workspace, and ask again.",
         )
     failing = [check for check in d.checks if check.forbids_praise]
+    if [check.name for check in failing] == [STANDS]:
+        return (
+            f"The sensor is not where the robot's file has it: {failing[0].fails.partition(':')[0]}. With it there the "
+            f"model is {off}.",
+            "Measure again where it stands and write that into the robot's file, or free it; what turns or shifts the "
+            "whole robot, as zeros that its joints share, looks the same.",
+        )
     if [check.name for check in failing] == [SINGLY]:
         return (
             f"Rows that are wrong lie together: {failing[0].fails}. Without them the model is {off}.",

@@ -27,6 +27,8 @@ Triple = tuple[float, float, float]
 TURNS = ("sensor_turn_x", "sensor_turn_y", "sensor_turn_z")
 SHIFTS = ("sensor_shift_x", "sensor_shift_y", "sensor_shift_z")
 POSE = (*TURNS, *SHIFTS)
+#: By how much they changed at a moment, in the same order.
+SLIP = tuple(f"sensor_slip.{one.removeprefix('sensor_')}" for one in POSE)
 #: The coordinates of an instrument that reads places in space; of one in a plane the first two.
 SPACE = ("x_mm", "y_mm", "z_mm")
 #: The numbers that readings of a plane show.

@@ -36,7 +36,8 @@ class Deployed(Saved, ABC):
     an effect that needs them; left out, :attr:`Part.now` stands for them.
 
     Places are given in :attr:`frame` unless another of :attr:`frames` is asked for by name: that of the robot's
-    ``base``, as its drawing has it, or that of the ``sensor``, where the instrument stood that measured it.
+    ``base``, as its drawing has it, where nothing of the instrument counts; or that of the ``sensor``, as the
+    instrument reads that measured it, from where it stood at last.
     """
 
     #: The frame of places unless another is asked for, and why there is no other where there is none.
@@ -90,8 +91,8 @@ class Deployed(Saved, ABC):
 
     @cached_property
     def sensor_frame(self) -> tuple[Floats, Floats]:
-        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm."""
-        made: tuple[Floats, Floats] = self.model.sensor_frame(self.whole.values)
+        """From the base to the sensor as identified, where it stood at last: the turn (3, 3) and the shift (3,), mm."""
+        made: tuple[Floats, Floats] = self.model.deployed_frame(self.whole.values)
         return made
 
     def from_sensor(self, readings_mm: ArrayLike) -> Floats:

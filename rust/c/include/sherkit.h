@@ -14,10 +14,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// The base of the robot, as its drawing and its controller have it.
+// The base of the robot, as its drawing and its controller have it: where the robot is. Nothing of the instrument counts.
 #define SHERKIT_FRAME_BASE 0
 
-// The instrument that measured the robot, where that stood.
+// The instrument that measured the robot: what it reads, errors and all, from where it stood at last.
 #define SHERKIT_FRAME_SENSOR 1
 
 // Done.
@@ -297,8 +297,9 @@ extern void sherkit_has_a_path_to_a_panic(void);
 sherkit_result sherkit_delta_init(struct sherkit_delta *robot, const double *numbers, size_t count);
 
 // Chooses the frame of positions from now on: SHERKIT_FRAME_SENSOR, which it is after sherkit_delta_init, or
-// SHERKIT_FRAME_BASE. A delta is sent where its instrument sees the tool, because only there the readings promise
-// anything: how the base itself is tilted and shifted against them is no better known than the readings tell.
+// SHERKIT_FRAME_BASE. A delta is sent where its instrument reads the tool, because only there the readings promise
+// anything: how the base itself is tilted and shifted against them is no better known than the readings tell. In the
+// frame of the base the robot is where it is, whatever the instrument makes of it.
 // SHERKIT_INVALID for any other value, which changes nothing.
 sherkit_result sherkit_delta_use_frame(struct sherkit_delta *robot, sherkit_frame frame);
 
@@ -363,7 +364,8 @@ sherkit_result sherkit_serial_init(struct sherkit_serial *robot, const double *n
 
 // Chooses the frame of positions from now on: SHERKIT_FRAME_BASE, which it is after sherkit_serial_init, or
 // SHERKIT_FRAME_SENSOR. An arm's programs are written in its base, from which its controller counts, and the instrument
-// is taken away after the measurement. SHERKIT_INVALID for any other value, which changes nothing.
+// is taken away after the measurement; in the frame of the sensor positions are what it would read where it stood at
+// last. SHERKIT_INVALID for any other value, which changes nothing.
 sherkit_result sherkit_serial_use_frame(struct sherkit_serial *robot, sherkit_frame frame);
 
 // How many joints it has, 1 to 9.

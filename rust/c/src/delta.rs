@@ -92,8 +92,9 @@ pub unsafe extern "C" fn sherkit_delta_init(
 }
 
 /// Chooses the frame of positions from now on: SHERKIT_FRAME_SENSOR, which it is after sherkit_delta_init, or
-/// SHERKIT_FRAME_BASE. A delta is sent where its instrument sees the tool, because only there the readings promise
-/// anything: how the base itself is tilted and shifted against them is no better known than the readings tell.
+/// SHERKIT_FRAME_BASE. A delta is sent where its instrument reads the tool, because only there the readings promise
+/// anything: how the base itself is tilted and shifted against them is no better known than the readings tell. In the
+/// frame of the base the robot is where it is, whatever the instrument makes of it.
 /// SHERKIT_INVALID for any other value, which changes nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_delta_use_frame(

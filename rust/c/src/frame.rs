@@ -7,9 +7,9 @@ use sherkit_core::chain::Frame;
 /// One of the SHERKIT_FRAME codes: where the coordinates of a place are counted from.
 pub type sherkit_frame = u32;
 
-/// The base of the robot, as its drawing and its controller have it.
+/// The base of the robot, as its drawing and its controller have it: where the robot is. Nothing of the instrument counts.
 pub const SHERKIT_FRAME_BASE: u32 = 0;
-/// The instrument that measured the robot, where that stood.
+/// The instrument that measured the robot: what it reads, errors and all, from where it stood at last.
 pub const SHERKIT_FRAME_SENSOR: u32 = 1;
 
 /// A calibrated robot whose places can be counted from either.

@@ -94,7 +94,8 @@ pub unsafe extern "C" fn sherkit_serial_init(
 
 /// Chooses the frame of positions from now on: SHERKIT_FRAME_BASE, which it is after sherkit_serial_init, or
 /// SHERKIT_FRAME_SENSOR. An arm's programs are written in its base, from which its controller counts, and the instrument
-/// is taken away after the measurement. SHERKIT_INVALID for any other value, which changes nothing.
+/// is taken away after the measurement; in the frame of the sensor positions are what it would read where it stood at
+/// last. SHERKIT_INVALID for any other value, which changes nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sherkit_serial_use_frame(
     robot: *mut sherkit_serial,

@@ -322,10 +322,10 @@ impl<'a> Reader<'a> {
             joint_slip_time_s,
             sensor_slip_time_s,
         };
-        Ok(Branch {
-            chain: model.with(&self.finite()?)?,
-            correction: self.correction()?,
-        })
+        Ok(Branch::new(
+            &model.with(&self.finite()?)?,
+            self.correction()?,
+        ))
     }
 }
 

@@ -6,7 +6,7 @@ use common::{
     Random, Robot, config, derivative, drawn, effects, model_of, plausible, range_of, robots,
     some_covariates, stand, straight_over_all,
 };
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use proptest::prelude::*;
 use sherkit_core::Error;
 use sherkit_core::chain::effects::Wanted;
@@ -37,12 +37,12 @@ struct Parts {
 impl Parts {
     fn with<T>(&self, use_it: impl FnOnce(&Calibrated<'_>) -> T) -> T {
         let model = model_of(&self.robot);
-        let branch = |k: usize, values: &Values| Branch {
-            chain: model.with(values).expect("plausible values"),
-            correction: self.corrected[k].then(|| {
+        let branch = |k: usize, values: &Values| {
+            let correction = self.corrected[k].then(|| {
                 Correction::new(self.orders[k], self.boxes[k], &self.coefficients[k])
                     .expect("coefficients that fit")
-            }),
+            });
+            Branch::new(&model.with(values).expect("plausible values"), correction)
         };
         use_it(&Calibrated {
             whole: branch(0, &self.whole),
@@ -58,17 +58,14 @@ impl Parts {
         self.with(|c| {
             let now = some_covariates();
             let of = |branch: &Branch<'_>| {
-                let still = Vector3::zeros();
-                let wanted = Wanted::default();
-                let seen = branch.chain.predict(joints, &now, &still, wanted);
-                let sensor = branch.sensor_at(&now).expect("the time is known");
-                sensor.apply_inverse(&seen.expect("in reach").value)
+                let point = branch.chain().point(joints, &now, &Vector3::zeros());
+                point.expect("in reach")
             };
             let whole = of(&c.whole);
             let local = c.local.as_ref().map_or(whole, |(branch, _)| of(branch));
-            let corrected = c.whole.forward(joints, &now).expect("in reach").0;
-            let sensor = c.sensor_at(&now).expect("the time is known");
-            [whole, local, sensor.apply_inverse(&corrected)]
+            let corrected = c.whole.seen(joints, &now);
+            let corrected = c.sensor().apply_inverse(&corrected.expect("in reach").0);
+            [whole, local, corrected]
         })
     }
 
@@ -108,7 +105,9 @@ fn parts() -> impl Strategy<Value = Parts> {
                 let share = if SENSOR_POSE.contains(&p) { 1e-3 } else { 0.1 };
                 *value += share * sizes[p] * random.unit();
             }
-            local[SENSOR_LINEARITY].copy_from_slice(&whole[SENSOR_LINEARITY]);
+            for range in [SENSOR_LINEARITY, SENSOR_SLIP] {
+                local[range.clone()].copy_from_slice(&whole[range]);
+            }
             let orders = [(); 2]
                 .map(|()| [(); 3].map(|()| usize::try_from(random.next() % 4).expect("small")));
             let coefficients = orders.map(|o| {
@@ -145,7 +144,7 @@ fn joints_near(parts: &Parts, away: &Vector3<f64>) -> Option<Vector3<f64>> {
     let position = parts
         .with(|c| {
             c.whole
-                .chain
+                .chain()
                 .value(&joints, &some_covariates(), &Vector3::zeros())
         })
         .ok()?;
@@ -181,26 +180,38 @@ proptest! {
     }
 
     /// A frame that is another one: turned the wrong way, shifted before it is turned, that of the local model, or that of before
-    /// a slip; an inverse that is asked in one frame and answers in the other.
+    /// a slip; an inverse that is asked in one frame and answers in the other; beams, bends, a slip of the stand or its warmth
+    /// in where the robot is.
     #[test]
-    fn both_frames_tell_of_one_place(parts in parts(), away in aways(60.0), slipped in any::<bool>()) {
+    fn both_frames_tell_of_one_place(parts in parts(), away in aways(60.0), before in any::<bool>()) {
         let Some(joints) = joints_near(&parts, &away) else { return Ok(()) };
         let (model, mut now) = (model_of(&parts.robot), some_covariates());
-        let pose = |values: &Values| -> [f64; 6] {
-            let slip = if slipped { 1.0 } else { 0.0 };
-            std::array::from_fn(|k| values[SENSOR_POSE.start + k] + slip * values[SENSOR_SLIP.start + k])
-        };
-        if !slipped {
+        if before {
             now.time_s = model.sensor_slip_time_s - 1.0;
         }
-        let sensor = stand(&model.sensor, &pose(&parts.whole));
-        parts.with(|c| {
+        // an instrument without errors that has always stood where the other one stands at last
+        let mut straight = parts.clone();
+        for values in [&mut straight.whole, &mut straight.local] {
+            for k in 0..6 {
+                values[SENSOR_POSE.start + k] += values[SENSOR_SLIP.start + k];
+            }
+            for range in [BEAM_ALIGNMENT, SENSOR_LINEARITY, SENSOR_SLIP] {
+                values[range].fill(0.0);
+            }
+        }
+        let pose: [f64; 6] = std::array::from_fn(|k| straight.whole[SENSOR_POSE.start + k]);
+        let sensor = stand(&model.sensor, &pose);
+        let based = parts.with(|c| c.in_frame(Frame::Base).forward(&joints, &now).unwrap());
+        straight.with(|c| {
+            prop_assert_eq!(c.in_frame(Frame::Base).forward(&joints, &now).unwrap(), based);
             let seen = c.forward(&joints, &now).unwrap();
-            let based = c.in_frame(Frame::Base);
-            let place = based.forward(&joints, &now).unwrap();
-            prop_assert!((sensor.apply(&place.0) - seen.0).amax() < 1e-11 * (1.0 + seen.0.norm()));
-            prop_assert!((sensor.rotation * place.1 - seen.1).amax() < 1e-12 * (1.0 + seen.1.norm()));
-            for (c, at) in [(c, seen.0), (&based, place.0)] {
+            prop_assert!((sensor.apply(&based.0) - seen.0).amax() < 1e-11 * (1.0 + seen.0.norm()));
+            prop_assert!((sensor.rotation * based.1 - seen.1).amax() < 1e-12 * (1.0 + seen.1.norm()));
+            Ok(())
+        })?;
+        parts.with(|c| {
+            for c in [*c, c.in_frame(Frame::Base)] {
+                let at = c.forward(&joints, &now).unwrap().0;
                 let back = c.inverse(&at, &now).unwrap();
                 let (again, _) = c.forward(&back, &now).unwrap();
                 prop_assert!((again - at).norm() < 1e-9, "{}", (again - at).norm());
@@ -208,16 +219,18 @@ proptest! {
             }
             Ok(())
         })?;
-        // straight sensors see the point itself, and where that is in the frame of the base their pose does not matter
-        let mut straight = parts.clone();
-        (straight.corrected, straight.has_local, now.stand_c) = ([false; 2], false, REFERENCE_TEMPERATURE_C);
-        for range in [BEAM_ALIGNMENT, SENSOR_LINEARITY] {
-            straight.whole[range].fill(0.0);
-        }
-        straight.with(|c| {
+        // without a correction the robot is where its chain has the point, and is read as the chain has it after the slip
+        let mut bare = parts.clone();
+        (bare.corrected, bare.has_local) = ([false; 2], false);
+        let chain = model.with(&bare.whole).unwrap();
+        bare.with(|c| {
             let place = c.in_frame(Frame::Base).forward(&joints, &now).unwrap().0;
-            let point = c.whole.chain.point(&joints, &now, &Vector3::zeros()).unwrap();
+            let point = chain.point(&joints, &now, &Vector3::zeros()).unwrap();
             prop_assert!((place - point).amax() < 1e-11 * (1.0 + point.norm()));
+            (now.time_s, now.stand_c) = (model.sensor_slip_time_s, REFERENCE_TEMPERATURE_C);
+            let read = chain.value(&joints, &now, &Vector3::zeros()).unwrap();
+            let found = c.forward(&joints, &now).unwrap().0;
+            prop_assert!((found - read).amax() < 1e-11 * (1.0 + read.norm()));
             Ok(())
         })?;
     }
@@ -282,14 +295,17 @@ proptest! {
         let Some(joints) = joints_near(&parts, &away) else { return Ok(()) };
         let now = some_covariates();
         parts.with(|c| {
-            let all = c.forward(&joints, &now).unwrap();
-            let whole = c.whole.forward(&joints, &now).unwrap();
+            let based = |(x, by_joints): (Vector3<f64>, Matrix3<f64>)| {
+                (c.sensor().apply_inverse(&x), c.sensor().rotation.transpose() * by_joints)
+            };
+            let all = c.in_frame(Frame::Base).forward(&joints, &now).unwrap();
+            let whole = based(c.whole.seen(&joints, &now).unwrap());
             let Some((local, region)) = &c.local else {
                 prop_assert_eq!(all, whole);
                 return Ok(());
             };
-            let inner = local.forward(&joints, &now).unwrap();
-            let at = c.sensor_at(&now).unwrap().apply_inverse(&whole.0);
+            let inner = based(local.seen(&joints, &now).unwrap());
+            let at = whole.0;
             let beyond = |k: usize| (region.low[k] - at[k]).max(at[k] - region.high[k]);
             let farthest = (0..3).map(beyond).fold(f64::NEG_INFINITY, f64::max);
             if farthest <= 0.0 {
@@ -340,10 +356,7 @@ fn a_bare_calibration_is_the_identified_robot() {
     let robot = drawn();
     let chain = model_of(&robot).with(&[0.0; PARAMETERS]).unwrap();
     let bare = Calibrated {
-        whole: Branch {
-            chain,
-            correction: None,
-        },
+        whole: Branch::new(&chain, None),
         local: None,
         frame: Frame::Sensor,
     };

@@ -30,13 +30,13 @@ struct Parts {
 }
 
 impl Parts {
-    fn new(robot: Robot, values: &Values, seed: u64) -> Self {
+    fn new(robot: &Robot, values: &Values, seed: u64) -> Self {
         let mut random = Random(seed);
-        let centre = robot.position + model_of(&robot).target_offset;
+        let centre = robot.position + model_of(robot).target_offset;
         let orders = [(); 3].map(|()| usize::try_from(random.next() % 4).expect("small"));
-        let values = straight_over_all(&robot, *values);
+        let values = straight_over_all(robot, *values);
         Self {
-            robot,
+            robot: *robot,
             values: [values, values.map(|v| 0.9 * v)],
             orders,
             coefficients: (0..coefficients_len(orders))
@@ -59,9 +59,9 @@ impl Parts {
     }
 
     fn made(&self) -> Calibrated<'_> {
-        let branch = |k: usize| Branch {
-            chain: model_of(&self.robot).with(&self.values[k]).expect("values"),
-            correction: self.correction(),
+        let branch = |k: usize| {
+            let chain = model_of(&self.robot).with(&self.values[k]);
+            Branch::new(&chain.expect("values"), self.correction())
         };
         Calibrated {
             whole: branch(0),
@@ -90,7 +90,7 @@ proptest! {
     /// A number lost, doubled or in another place.
     #[test]
     fn a_delta_comes_back_to_the_last_bit(robot in robots(), values in effects(), seed in any::<u64>()) {
-        let parts = Parts::new(robot, &values, seed);
+        let parts = Parts::new(&robot, &values, seed);
         let row = parts.written();
         let read = read_delta(&row).expect("what was written");
         let joints = robot.joints + Vector3::new(0.3, -0.2, 0.1);
@@ -100,7 +100,7 @@ proptest! {
         for frame in [Frame::Sensor, Frame::Base] {
             let (read, made) = (read.in_frame(frame), made.in_frame(frame));
             let found = made.forward(&joints, &now);
-            prop_assert_eq!(read.forward(&joints, &now), found.clone());
+            prop_assert_eq!(read.forward(&joints, &now), found);
             if let Ok((place, _)) = found {
                 prop_assert_eq!(read.inverse(&place, &now), made.inverse(&place, &now));
             }
@@ -110,7 +110,7 @@ proptest! {
     /// A row that is cut, continued or spoilt, and that is taken all the same or panics.
     #[test]
     fn a_row_that_is_no_delta_is_refused(robot in robots(), values in effects(), seed in any::<u64>()) {
-        let parts = Parts::new(robot, &values, seed);
+        let parts = Parts::new(&robot, &values, seed);
         let row = parts.written();
         for end in 0..row.len() {
             prop_assert!(read_delta(&row[..end]).is_err(), "{} of {}", end, row.len());

@@ -126,10 +126,7 @@ fn the_calibrated_robot_allocates_nothing() {
             fade: 20.0,
         };
         let correction = Correction::new([3; 3], domain, &coefficients).unwrap();
-        let branch = |chain| Branch {
-            chain,
-            correction: Some(correction),
-        };
+        let branch = |chain| Branch::new(&chain, Some(correction));
         let calibrated = Calibrated {
             whole: branch(chain),
             local: Some((branch(other), domain)),

@@ -7,7 +7,8 @@ use nalgebra::{Matrix3, SVector, Vector3};
 use proptest::prelude::*;
 use sherkit_core::chain::effects::Wanted;
 use sherkit_core::chain::{
-    Aim, CENTRES, Covariates, Fixed, Flat, Frame, PLANES, Prediction, Robot, Row,
+    Aim, CENTRES, Covariates, Fixed, Flat, Frame, PLANES, Prediction, REFERENCE_TEMPERATURE_C,
+    Robot, Row,
 };
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::serial::{
@@ -223,15 +224,38 @@ proptest! {
         }
 
         let limits = Limits { low: [-1e3; JOINTS], high: [1e3; JOINTS] };
-        let based = Calibrated::new(&model, &values, &limits).unwrap();
+        let arm_of = |values: &Values| Calibrated::new(&model, values, &limits).unwrap();
+        let based = arm_of(&values);
         let sensed = based.in_frame(Frame::Sensor);
-        let (joints, now) = (SVector::from(row.joints), row.covariates);
+        let joints = SVector::from(row.joints);
+        let mut now = row.covariates;
+        (now.stand_c, now.velocity) = (REFERENCE_TEMPERATURE_C, [0.0; JOINTS]);
         let (place, by_joints) = based.forward(&joints, &now).unwrap();
         let (there, seen_by_joints) = sensed.forward(&joints, &now).unwrap();
-        // an arm knows where the tracker stood at first
-        let first = stand(&sensor, &off);
-        prop_assert!((there - first.apply(&place)).amax() < 1e-10);
-        prop_assert!((seen_by_joints - first.rotation * by_joints).amax() < 1e-10);
+        // as the tracker reads it after its slip, errors and all; none of them is in where the arm is
+        let pose: [f64; 6] = std::array::from_fn(|k| off[k] + slip[k]);
+        let last = stand(&sensor, &pose);
+        prop_assert!((arm_of(&from_base).forward(&joints, &now).unwrap().0 - place).amax() == 0.0);
+        let straight = arm_of(&true_to_size).in_frame(Frame::Sensor);
+        let (seen, seen_by) = straight.forward(&joints, &now).unwrap();
+        prop_assert!((seen - last.apply(&place)).amax() < 1e-10);
+        prop_assert!((seen_by - last.rotation * by_joints).amax() < 1e-10);
+        row.covariates = now;
+        row.covariates.time_s = now.time_s.max(model.sensor_slip_time_s);
+        row.push = Vector3::zeros();
+        if slipped {
+            let read = model.with(&values).unwrap().row_value(&row).unwrap();
+            prop_assert!((there - read).amax() < 1e-10, "{there} {read}");
+        }
+        for k in 0..JOINTS {
+            let differences = derivative(|h| {
+                let mut q = joints;
+                q[k] += h;
+                sensed.forward(&q, &now).unwrap().0
+            }, 1e-3);
+            let column = seen_by_joints.column(k).into_owned();
+            prop_assert!((column - differences).norm() < 1e-6 * column.norm().max(1.0), "{k}: {column} {differences}");
+        }
         let start = joints.map(|q| 0.98 * q);
         for (arm, at) in [(based, place), (sensed, there)] {
             let back = arm.inverse(&at, &start, &now).unwrap();

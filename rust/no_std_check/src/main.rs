@@ -41,10 +41,7 @@ pub extern "C" fn loop_step(
     let Ok(chain) = model.with(&[0.0; PARAMETERS]) else {
         return 1;
     };
-    let whole = Branch {
-        chain,
-        correction: None,
-    };
+    let whole = Branch::new(&chain, None);
     let robot = Calibrated {
         whole,
         local: None,

@@ -175,10 +175,8 @@ impl OwnedBranch {
     }
 
     fn view(&self) -> PyResult<Branch<'_>> {
-        Ok(Branch {
-            chain: self.chain,
-            correction: self.correction.as_ref().map(Bernstein::view).transpose()?,
-        })
+        let correction = self.correction.as_ref().map(Bernstein::view).transpose()?;
+        Ok(Branch::new(&self.chain, correction))
     }
 
     fn parts(&self) -> PyResult<BranchParts<'_>> {

@@ -30,13 +30,13 @@ pub fn iterate(
     loop {
         solver.begin();
         let missing = evaluate(solver)?;
-        if !missing.is_empty() {
+        if missing.is_empty() {
+            solver.add_priors();
+        } else {
             if first {
                 return Ok(("unreachable", missing));
             }
             solver.fail_trial();
-        } else {
-            solver.add_priors();
         }
         first = false;
         match solver.step()? {
@@ -213,6 +213,10 @@ impl Solver {
     #[new]
     #[pyo3(signature = (start, sizes, *, loss="linear", max_evaluations=100, step_tolerance=1e-5,
                         rank_tolerance=1e-9, single_step=false, known=None))]
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "one argument for each setting of the solve"
+    )]
     fn new(
         start: PyReadonlyArray1<'_, f64>,
         sizes: PyReadonlyArray1<'_, f64>,

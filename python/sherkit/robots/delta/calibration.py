@@ -23,7 +23,6 @@ from ...data.toml import Table
 from ...errors import CalibrationError, FitError
 from ...fit.identify import Fit
 from ...model.kinds import Robot
-from ...model.sensor_pose import POSE
 from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun, Cells, Corrected
@@ -165,7 +164,7 @@ class DeltaPart(Part):
         where = fit.predicted[~fit.data.is_distance & ~fit.data.outlier, :3]
         found = cast(DeltaCorrected | None, run.correction)
         correction = found.choice.correction if found is not None else None
-        turn, origin = fit.model.sensor_frame(fit.values)
+        turn, origin = fit.model.deployed_frame(fit.values)
         made = cls.identified(
             fit, 3, shrink=shrink, uncorrected_covariance=before, correction=correction, sensor_turn=turn,
             sensor_origin_mm=origin,
@@ -204,10 +203,10 @@ class DeltaPart(Part):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeltaCalibration(Calibration):
-    """A calibrated delta. Positions, mm, are those of the measured point as the sensors saw it, where they stood,
-    unless the frame of the base is asked for: readings alone leave a shift of the base open, a tilt common to all rails
-    and its turn, so that what is promised of a delta is promised where it was seen. The region of interest is the
-    base's."""
+    """A calibrated delta. Positions, mm, are those of the measured point as the sensors read it, where they stood at
+    last, unless the frame of the base is asked for, where the robot is without their errors: readings alone leave a
+    shift of the base open, a tilt common to all rails and its turn, so that what is promised of a delta is promised
+    where it was seen. The region of interest is the base's."""
 
     frame: ClassVar = SENSOR
     coordinates: ClassVar = POSITION
@@ -280,13 +279,9 @@ class DeltaCalibration(Calibration):
 
     # -- the model ---------------------------------------------------------------------------------------
 
-    def _core_part(self, part: DeltaPart, frame: str) -> tuple[_core.DeltaModel, Floats, _core.Bernstein | None]:
+    def _core_part(self, part: DeltaPart) -> tuple[_core.DeltaModel, Floats, _core.Bernstein | None]:
         model = part.model(self.robot)
-        # in the frame of the base no error of the instrument moves anything; where it stood says which frame that is
-        names = [p.name for p in model.core_parameters]
-        none = [frame == BASE and name in model.of_sensor and name not in POSE for name in names]
-        full = np.where(none, 0.0, model.full(part.values))
-        return model.core, full, part.correction.core if part.correction else None
+        return model.core, model.full(part.values), part.correction.core if part.correction else None
 
     @cached_property
     def core(self) -> _core.Calibrated:
@@ -300,11 +295,11 @@ class DeltaCalibration(Calibration):
     def _made_in(self, frame: str) -> _core.Calibrated:
         local = region = None
         if self.local is not None and self.region_half_width_mm is not None:
-            local = self._core_part(self.local, frame)
+            local = self._core_part(self.local)
             half = float(self.region_half_width_mm)
             blend = self.blend_mm if self.blend_mm is not None else _BLEND * half
             region = (np.full(3, -half), np.full(3, half), blend)
-        return _core.Calibrated(self._core_part(self.whole, frame), local, region, frame)
+        return _core.Calibrated(self._core_part(self.whole), local, region, frame)
 
     @property
     def frames(self) -> tuple[str, ...]:

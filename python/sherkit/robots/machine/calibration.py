@@ -24,7 +24,7 @@ from .described import Described
 from .function import settled, starts
 
 #: Effects of the instrument: where the machine goes, they are not.
-_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "sensor_slip", "instrument_turned", "thermal_shift")
+_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned", "thermal_shift")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,8 @@ class MachineCalibrated:
 @dataclass(frozen=True, eq=False, repr=False)
 class MachineCalibration(Calibration):
     """A calibrated machine. Its coordinates are its readings, without the errors of the instrument itself: as its
-    instrument sees it, where that stood, unless the frame of the base is asked for of a machine whose sensor's pose is
-    in the model.
+    instrument sees it, where that stood at last, unless the frame of the base is asked for of a machine whose sensor's
+    pose is in the model.
 
     ``box`` (k, 2) is where its joints went, or may go.
     """

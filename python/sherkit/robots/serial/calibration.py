@@ -13,7 +13,6 @@ import sherkit._core as _core
 
 from ...base.types import Floats
 from ...model.batch import Batch, vector
-from ...model.sensor_pose import POSE
 from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
@@ -25,8 +24,8 @@ from .robot import POSITION, Serial
 @dataclass(frozen=True, eq=False, repr=False)
 class SerialCalibration(Calibration):
     """A calibrated serial arm. Positions, mm, are those of the target in the frame of the base, which first axis and
-    tracker define together: programs of an arm are written in it. As the sensor sees them they are where the frame of
-    the sensor is asked for. What else was identified of the tracker is left out.
+    tracker define together: programs of an arm are written in it, and nothing of the tracker is in it. Where the frame
+    of the sensor is asked for they are as the tracker reads them, errors and all, from where it stood at last.
 
     A place leaves open how the arm stands there: joints are those to which damped steps lead from a start.
     """
@@ -116,10 +115,9 @@ class SerialCalibration(Calibration):
         arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach` with how near it comes.
         """
         now = self._now(temperature_c, direction, payload_kg)
-        # starts are looked for at places of the base
-        place = self._own(self._place(coordinates)[None, :], self.frame_of(frame))[0]
-        made = self.robot.found_from(lambda x, q: self.core.inverse(x, now, q), place, start)
-        self._went_to(place, None)
+        core, place = self.core_in(frame), self._place(coordinates)
+        made = self.robot.found_from(lambda x, q: core.inverse(x, now, q), place, start)
+        self._went_to(place, frame)
         return made
 
     def inverse_batch(
@@ -128,24 +126,24 @@ class SerialCalibration(Calibration):
     ) -> Batch:  # fmt: skip
         """Joint readings (n, k) for positions (n, 3), each from its own of ``starts`` (n, k); those out of reach are
         marked. ``direction`` (k,) as :meth:`forward`."""
-        now = self._now(temperature_c, direction)
-        places = self._own(self._places(coordinates), self.frame_of(frame))
-        found = self.robot.all_found_from(lambda x, q: self.core.inverse_batch(x, now, q), places, starts)
+        core, now = self.core_in(frame), self._now(temperature_c, direction)
+        places = self._places(coordinates)
+        found = self.robot.all_found_from(lambda x, q: core.inverse_batch(x, now, q), places, starts)
         return Batch(*found)
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
     def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
-        """Of positions (n, 3, p), in the axes of the base; of where the sensor stands as it sees them."""
+        """Of positions (n, 3, p), in the axes of the base; what is the tracker's as it reads them."""
         del part
         columns, _ = self.core.by_parameters_batch(joints, now, self.model.indices)
         names = [self.model.core_parameters[k].name for k in self.model.indices]
-        pose = [k for k, name in enumerate(names) if name in POSE]
-        if pose:
+        its = [k for k, name in enumerate(names) if name in self.model.of_sensor]
+        if its and SENSOR in self.frames:
             turn, _ = self.sensor_frame
             known = np.array([[*now[: 2 + self._joints]]] * len(joints))
             seen, _, _ = at_rest(self.model, self.whole.values, self.whole.readings, joints, known)
-            columns[:, :, pose] = turn.T @ seen[:, : len(POSITION), pose]
+            columns[:, :, its] = turn.T @ seen[:, : len(POSITION), its]
         return np.asarray(columns)
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:

@@ -5,6 +5,7 @@
 
 use super::columns::Columns;
 use super::effects::{Wanted, values_of};
+use super::robot::checked;
 use super::sensor::{Look, Sensor};
 use super::sensor_pose::SensorPose;
 use super::table::Table;
@@ -46,6 +47,15 @@ impl Cartesian {
         }
     }
 
+    /// As a control loop has it.
+    #[must_use]
+    pub(crate) fn deployed(self) -> Self {
+        Self {
+            pose: self.pose.deployed(),
+            ..self
+        }
+    }
+
     #[inline]
     fn seen(&self, point: &Vector3<f64>) -> Seen {
         let value = point + self.beams * point;
@@ -66,6 +76,26 @@ impl Cartesian {
     #[inline]
     fn shown(&self, seen: &Seen) -> Vector3<f64> {
         seen.value + self.linearity.component_mul(&seen.cubes)
+    }
+
+    /// How that changes with the point.
+    #[inline]
+    fn by_point(&self, seen: &Seen) -> Matrix3<f64> {
+        let mut by_point = self.beams;
+        for k in 0..3 {
+            by_point[(k, k)] += 1.0;
+            by_point.row_mut(k).scale_mut(seen.steep[k]);
+        }
+        by_point
+    }
+
+    /// What it reads of a point of its own frame, and the derivative by that.
+    ///
+    /// # Errors
+    /// [`crate::Error::NotFinite`] where that is no number.
+    pub(crate) fn shows(&self, point: &Vector3<f64>) -> Result<(Vector3<f64>, Matrix3<f64>)> {
+        let seen = self.seen(point);
+        Ok((checked(self.shown(&seen))?, self.by_point(&seen)))
     }
 }
 
@@ -88,11 +118,7 @@ impl Sensor<3> for Cartesian {
         let turned = stand.frame.rotation * point;
         let point = turned + stand.frame.translation;
         let seen = self.seen(&point);
-        let mut by_point = self.beams;
-        for k in 0..3 {
-            by_point[(k, k)] += 1.0;
-            by_point.row_mut(k).scale_mut(seen.steep[k]);
-        }
+        let by_point = self.by_point(&seen);
         let at = T::AT.cartesian;
         self.pose
             .columns::<T, 3, P>(stand, &turned, &by_point, look, wanted, d);

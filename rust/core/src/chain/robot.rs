@@ -212,7 +212,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         clippy::too_many_arguments,
         reason = "one argument for each thing that a reading depends on"
     )]
-    pub(super) fn predict_by(
+    pub(crate) fn predict_by(
         &self,
         sensor: &impl Sensor<M>,
         readings: &SVector<f64, J>,
@@ -228,7 +228,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         self.shown(sensor, &joints, &solved, row, push, wanted, out)
     }
 
-    /// Reading of one row with its derivative by the joints, from the pose that `trail` remembers, and whether the pose is
+    /// What an instrument reads in one row with its derivative by the joints, from the pose that `trail` remembers, and whether the pose is
     /// solved to the end ([`Mechanism::solve_near`]).
     ///
     /// # Errors
@@ -236,6 +236,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     #[inline]
     pub(crate) fn predict_near(
         &self,
+        sensor: &impl Sensor<M>,
         readings: &SVector<f64, J>,
         row: &Covariates<J>,
         trail: &mut Trail<R, J, M, P>,
@@ -247,7 +248,7 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
             .solve_near(&joints.value, row, &mut trail.solved)?;
         let solved = trail.solved.as_ref().ok_or(Error::Singular)?;
         let out = &mut trail.prediction;
-        self.shown(&self.sensor, &joints, solved, row, &still, wanted, out)?;
+        self.shown(sensor, &joints, solved, row, &still, wanted, out)?;
         Ok(settled)
     }
 
@@ -314,7 +315,8 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     }
 }
 
-fn checked<const M: usize>(value: SVector<f64, M>) -> Result<SVector<f64, M>> {
+/// A reading, where it is one.
+pub(super) fn checked<const M: usize>(value: SVector<f64, M>) -> Result<SVector<f64, M>> {
     value
         .iter()
         .position(|v| !v.is_finite())

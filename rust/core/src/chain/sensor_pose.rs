@@ -6,12 +6,12 @@
 
 use super::body::since;
 use super::effects::{Wanted, values_of};
-use super::sensor::Look;
+use super::sensor::{Look, Sensor};
 use super::table::Table;
 use crate::camera::{left_jacobian, rotation_matrix};
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// Where an instrument stands, with what a robot's table has of it.
 #[derive(Clone, Copy, Debug)]
@@ -71,6 +71,17 @@ impl SensorPose {
         }
     }
 
+    /// As a control loop has it, at all times: what a loop is told, it is told after the run, when the stand has long been
+    /// knocked, and nobody sends a robot to where an instrument would have seen it before. So a loop needs no time for it.
+    #[must_use]
+    pub(crate) fn deployed(self) -> Self {
+        Self {
+            first: self.slipped.unwrap_or(self.first),
+            slipped: None,
+            ..self
+        }
+    }
+
     /// Before it slips, if ever.
     pub(crate) fn first(&self) -> &Stand {
         &self.first
@@ -86,17 +97,9 @@ impl SensorPose {
     /// # Errors
     /// [`Error::NotFinite`] where it slips and the time is not known.
     pub(crate) fn at(&self, look: Look) -> Result<&Stand> {
-        self.at_time(look.time_s)
-    }
-
-    /// Where it stands at a time, s.
-    ///
-    /// # Errors
-    /// As [`Self::at`].
-    pub(crate) fn at_time(&self, time_s: f64) -> Result<&Stand> {
         match &self.slipped {
-            Some(_) if time_s.is_nan() => Err(Error::NotFinite { index: 0 }),
-            Some(slipped) if time_s >= self.slip_time_s => Ok(slipped),
+            Some(_) if look.time_s.is_nan() => Err(Error::NotFinite { index: 0 }),
+            Some(slipped) if look.time_s >= self.slip_time_s => Ok(slipped),
             _ => Ok(&self.first),
         }
     }
@@ -127,5 +130,28 @@ impl SensorPose {
                     .copy_from(&(by_seen * share));
             }
         }
+    }
+}
+
+/// An instrument without errors of its own: it shows points as they are seen from where it stands.
+impl Sensor<3> for SensorPose {
+    #[inline]
+    fn value(&self, point: &Vector3<f64>, look: Look) -> Result<SVector<f64, 3>> {
+        Ok(self.at(look)?.frame.apply(point))
+    }
+
+    #[inline]
+    fn predict<T: Table, const P: usize>(
+        &self,
+        point: &Vector3<f64>,
+        look: Look,
+        wanted: Wanted,
+        d: &mut SMatrix<f64, 3, P>,
+    ) -> Result<(SVector<f64, 3>, Matrix3<f64>)> {
+        let stand = self.at(look)?;
+        let turned = stand.frame.rotation * point;
+        let straight = Matrix3::identity();
+        self.columns::<T, 3, P>(stand, &turned, &straight, look, wanted, d);
+        Ok((turned + stand.frame.translation, stand.frame.rotation))
     }
 }

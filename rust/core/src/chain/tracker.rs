@@ -1,6 +1,7 @@
 //! A sensor that shows coordinates in a frame of its own: a laser tracker, a stereo camera, a measuring arm.
 
 use super::effects::{Wanted, values_of};
+use super::robot::checked;
 use super::sensor::{Look, Sensor};
 use super::sensor_pose::SensorPose;
 use super::table::Table;
@@ -35,11 +36,38 @@ impl Tracker {
         }
     }
 
+    /// As a control loop has it.
+    #[must_use]
+    pub(crate) fn deployed(self) -> Self {
+        Self {
+            pose: self.pose.deployed(),
+            ..self
+        }
+    }
+
     /// What it shows of a point in its frame, and cubes of the coordinates over the span.
     fn shown(&self, seen: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
         let cubes = (seen / SPAN_MM).map(|t| t * t * t);
         let bent = self.linearity.component_mul(&cubes);
         (seen * (1.0 + self.scale) + bent, cubes)
+    }
+
+    /// How that changes with the point in its frame.
+    fn by_seen(&self, seen: &Vector3<f64>) -> Matrix3<f64> {
+        let slope = (seen / SPAN_MM).component_mul(seen) * (3.0 / SPAN_MM / SPAN_MM);
+        let steep = self
+            .linearity
+            .component_mul(&slope)
+            .add_scalar(1.0 + self.scale);
+        Matrix3::from_diagonal(&steep)
+    }
+
+    /// What it reads of a point of its own frame, and the derivative by that.
+    ///
+    /// # Errors
+    /// [`crate::Error::NotFinite`] where that is no number.
+    pub(crate) fn shows(&self, seen: &Vector3<f64>) -> Result<(Vector3<f64>, Matrix3<f64>)> {
+        Ok((checked(self.shown(seen).0)?, self.by_seen(seen)))
     }
 }
 
@@ -62,12 +90,7 @@ impl Sensor<3> for Tracker {
         let turned = stand.frame.rotation * point;
         let seen = turned + stand.frame.translation;
         let (value, cubes) = self.shown(&seen);
-        let slope = (seen / SPAN_MM).component_mul(&seen) * (3.0 / SPAN_MM / SPAN_MM);
-        let steep = self
-            .linearity
-            .component_mul(&slope)
-            .add_scalar(1.0 + self.scale);
-        let by_seen = Matrix3::from_diagonal(&steep);
+        let by_seen = self.by_seen(&seen);
         self.pose
             .columns::<T, 3, P>(stand, &turned, &by_seen, look, wanted, d);
         if let Some(place) = wanted.wants(at.sensor_scale) {

@@ -1,17 +1,18 @@
 //! The calibrated robot that a control loop runs: geometry, correction, local model blended into the whole.
 //!
-//! Positions are those of the measured point, in the frame of the sensors that measured it unless that of the base is asked
-//! for: a delta is sent where its instrument sees the tool. Nothing here allocates; an iteration is bounded. NaN input gives
+//! Positions are those of the measured point, as the sensors that measured it read it unless the frame of the base is asked
+//! for: a delta is sent where its instrument sees the tool. In the frame of the base the robot is where it is, whatever its
+//! sensors make of it. Nothing here allocates; an iteration is bounded. NaN input gives
 //! [`crate::Error::NotFinite`].
 
 use super::correction::{Correction, Domain};
 use super::effects::PARAMETERS;
 use super::geometry::LIMBS;
-use super::model::{Chain, Covariates, READINGS};
+use super::model::{Chain, Covariates, Prediction, READINGS};
 use super::nominal::Model;
 use crate::Result;
 use crate::chain::effects::Wanted;
-use crate::chain::{self, Frame, inverse};
+use crate::chain::{self, Frame, REFERENCE_TEMPERATURE_C, inverse};
 use crate::numbers::rigid::Rigid;
 use nalgebra::{Matrix3, Vector3};
 
@@ -27,65 +28,96 @@ type Reached = (Vector3<f64>, Matrix3<f64>, bool);
 /// A calibrated model of one region: identified robot with its effects, and what they leave.
 #[derive(Clone, Copy, Debug)]
 pub struct Branch<'a> {
-    /// Identified robot.
-    pub chain: Chain,
-    /// Correction by where the identified robot says the point is, both in the frame of the base.
-    pub correction: Option<Correction<'a>>,
+    chain: Chain,
+    correction: Option<Correction<'a>>,
 }
 
-impl Branch<'_> {
-    /// From the base frame to that of the sensors, before they slip, if ever.
+impl<'a> Branch<'a> {
+    /// An identified robot, and its correction by where that says the point is, both in the frame of the base.
+    #[must_use]
+    pub fn new(chain: &Chain, correction: Option<Correction<'a>>) -> Self {
+        let sensor = chain.sensor.deployed();
+        Self {
+            chain: Chain { sensor, ..*chain },
+            correction,
+        }
+    }
+
+    /// The identified robot as it is deployed.
+    #[must_use]
+    pub fn chain(&self) -> &Chain {
+        &self.chain
+    }
+
+    /// From the base frame to that of the sensors, where they stand at last.
     #[must_use]
     pub fn sensor(&self) -> &Rigid {
         &self.chain.sensor.pose.first().frame
     }
 
-    /// From the base frame to that of the sensors as they stand now.
-    ///
-    /// # Errors
-    /// [`crate::Error::NotFinite`] where they slip and the time is not known.
-    pub fn sensor_at(&self, now: &Covariates) -> Result<&Rigid> {
-        Ok(&self.chain.sensor.pose.at_time(now.time_s)?.frame)
-    }
-
-    /// Position and its derivative by the joints.
+    /// Where the point is seen from where the sensors stand, and its derivative by the joints: as they would read it had they no
+    /// errors of their own.
     ///
     /// # Errors
     /// As [`Chain::predict`].
-    pub fn forward(
+    pub fn seen(
         &self,
         joints: &Vector3<f64>,
         now: &Covariates,
     ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
-        let still = Vector3::zeros();
-        let predicted = self.chain.predict(joints, now, &still, Wanted::default())?;
-        let sensor = self.sensor_at(now)?;
-        Ok(self.corrected(predicted.value, predicted.by_joints, sensor))
+        let (chain, still, none) = (&self.chain, Vector3::zeros(), Wanted::default());
+        let mut out = Prediction::new();
+        chain.predict_by(
+            &chain.sensor.pose,
+            joints,
+            &known(now),
+            &still,
+            0,
+            none,
+            &mut out,
+        )?;
+        Ok(self.corrected(out.value, out.by_joints))
     }
 
-    /// [`Self::forward`] from the pose that `trail` remembers, and whether it is solved to the end.
-    fn forward_near(
+    /// [`Self::seen`] from the pose that `trail` remembers, and whether it is solved to the end.
+    fn seen_near(
         &self,
         joints: &Vector3<f64>,
         now: &Covariates,
         trail: &mut Trail,
     ) -> Result<Reached> {
-        let settled = self.chain.predict_near(joints, now, trail)?;
+        let chain = &self.chain;
+        let settled = chain.predict_near(&chain.sensor.pose, joints, &known(now), trail)?;
         let predicted = &trail.prediction;
-        let sensor = self.sensor_at(now)?;
-        let (position, by_joints) = self.corrected(predicted.value, predicted.by_joints, sensor);
+        let (position, by_joints) = self.corrected(predicted.value, predicted.by_joints);
         Ok((position, by_joints, settled))
+    }
+
+    /// What is seen as positions of a frame have it: as the sensors read it, or for the base, where they do not count, as it is.
+    fn shown(
+        &self,
+        frame: Frame,
+        seen: Vector3<f64>,
+        by_joints: Matrix3<f64>,
+    ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
+        Ok(match frame {
+            Frame::Base => (seen, by_joints),
+            Frame::Sensor => {
+                let (read, by_seen) = self.chain.sensor.shows(&seen)?;
+                (read, by_seen * by_joints)
+            }
+        })
     }
 
     fn corrected(
         &self,
         position: Vector3<f64>,
         by_joints: Matrix3<f64>,
-        sensor: &Rigid,
     ) -> (Vector3<f64>, Matrix3<f64>) {
         match &self.correction {
             None => (position, by_joints),
             Some(correction) => {
+                let sensor = self.sensor();
                 let (shift, by_place) = correction.at(&sensor.apply_inverse(&position));
                 let by_position = sensor.rotation * by_place * sensor.rotation.transpose();
                 (
@@ -115,18 +147,10 @@ impl Calibrated<'_> {
         Self { frame, ..self }
     }
 
-    /// From the base frame to that of the sensors, by the model of the whole workspace, before they slip, if ever.
+    /// From the base frame to that of the sensors, by the model of the whole workspace, where they stand at last.
     #[must_use]
     pub fn sensor(&self) -> &Rigid {
         self.whole.sensor()
-    }
-
-    /// [`Self::sensor`] as they stand now.
-    ///
-    /// # Errors
-    /// As [`Branch::sensor_at`].
-    pub fn sensor_at(&self, now: &Covariates) -> Result<&Rigid> {
-        self.whole.sensor_at(now)
     }
 
     /// Position for joint readings, and its derivative by them.
@@ -138,25 +162,25 @@ impl Calibrated<'_> {
         joints: &Vector3<f64>,
         now: &Covariates,
     ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
-        let (seen, by_joints) = self.seen(joints, now)?;
+        let (shown, by_joints) = self.shown(joints, now)?;
         Ok(match self.frame {
-            Frame::Sensor => (seen, by_joints),
+            Frame::Sensor => (shown, by_joints),
             Frame::Base => {
-                let sensor = self.sensor_at(now)?;
+                let sensor = self.sensor();
                 let back = sensor.rotation.transpose();
-                (sensor.apply_inverse(&seen), back * by_joints)
+                (sensor.apply_inverse(&shown), back * by_joints)
             }
         })
     }
 
-    /// [`Self::forward`] in the frame of the sensors.
-    fn seen(
+    /// [`Self::forward`] in the axes of the sensors, and read by them where the frame is theirs.
+    fn shown(
         &self,
         joints: &Vector3<f64>,
         now: &Covariates,
     ) -> Result<(Vector3<f64>, Matrix3<f64>)> {
-        self.blended(now, |branch, _| {
-            let (position, by_joints) = branch.forward(joints, now)?;
+        self.blended(|branch, _| {
+            let (position, by_joints) = branch.seen(joints, now)?;
             Ok((position, by_joints, true))
         })
         .map(|(position, by_joints, _)| (position, by_joints))
@@ -166,25 +190,26 @@ impl Calibrated<'_> {
     /// whether both are exact.
     fn blended(
         &self,
-        now: &Covariates,
         mut reach: impl FnMut(&Branch<'_>, bool) -> Result<Reached>,
     ) -> Result<Reached> {
-        let (position, by_joints, settled) = reach(&self.whole, false)?;
+        let (seen, by_seen, settled) = reach(&self.whole, false)?;
+        let (position, by_joints) = self.whole.shown(self.frame, seen, by_seen)?;
         let Some((local, region)) = &self.local else {
             return Ok((position, by_joints, settled));
         };
-        let sensor = self.sensor_at(now)?;
-        let (share, gradient) = region.share(&sensor.apply_inverse(&position));
+        let sensor = self.sensor();
+        let (share, gradient) = region.share(&sensor.apply_inverse(&seen));
         if share == 0.0 {
             return Ok((position, by_joints, settled));
         }
-        let (inner, inner_by_joints, also) = reach(local, true)?;
+        let (inner, by_inner, also) = reach(local, true)?;
+        let (inner, inner_by_joints) = local.shown(self.frame, inner, by_inner)?;
         let difference = inner - position;
         Ok((
             position + difference * share,
             by_joints
                 + (inner_by_joints - by_joints) * share
-                + difference * ((sensor.rotation * gradient).transpose() * by_joints),
+                + difference * ((sensor.rotation * gradient).transpose() * by_seen),
             settled && also,
         ))
     }
@@ -196,23 +221,31 @@ impl Calibrated<'_> {
     pub fn inverse(&self, position: &Vector3<f64>, now: &Covariates) -> Result<Vector3<f64>> {
         let position = &match self.frame {
             Frame::Sensor => *position,
-            Frame::Base => self.sensor_at(now)?.apply(position),
+            Frame::Base => self.sensor().apply(position),
         };
         let start = self.whole.chain.rough_inverse(position)?;
         let (mut of_whole, mut of_local) = (Trail::new(), Trail::new());
         let miss = |joints: &Vector3<f64>| {
-            let (reached, by_joints, settled) = self.blended(now, |branch, is_local| {
+            let (reached, by_joints, settled) = self.blended(|branch, is_local| {
                 let trail = if is_local {
                     &mut of_local
                 } else {
                     &mut of_whole
                 };
-                branch.forward_near(joints, now, trail)
+                branch.seen_near(joints, now, trail)
             })?;
             Ok((position - reached, by_joints, settled))
         };
-        let again = |joints: &Vector3<f64>| Ok(position - self.seen(joints, now)?.0);
+        let again = |joints: &Vector3<f64>| Ok(position - self.shown(joints, now)?.0);
         inverse(start, miss, again, |missed| missed.norm() < NEAR_MM)
+    }
+}
+
+/// What a loop knows: not how warm the stands are, on which instrument and robot move apart.
+fn known(now: &Covariates) -> Covariates {
+    Covariates {
+        stand_c: REFERENCE_TEMPERATURE_C,
+        ..*now
     }
 }
 

@@ -31,14 +31,12 @@ pub struct Limits {
     pub high: [f64; JOINTS],
 }
 
-/// An identified arm: where its target really is, in the frame of its base, which its programs are written in, unless that of
-/// the sensor is asked for.
-///
-/// What else belongs to the measurement alone is left out: slip, scale, straightness and delay of the sensor.
+/// An identified arm: where its target really is, in the frame of its base, which its programs are written in, unless it is
+/// asked for as its tracker reads it. A delay of the tracker is left out: a loop asks where the arm stands.
 #[derive(Clone, Copy, Debug)]
 pub struct Calibrated {
     chain: Chain,
-    sensor: Rigid,
+    tracker: Tracker,
     frame: Frame,
     limits: Limits,
     count: usize,
@@ -52,7 +50,8 @@ impl Calibrated {
     /// # Errors
     /// As [`Model::with`]; [`Error::InvalidGeometry`] for limits of which the lower is above the higher.
     pub fn new(model: &Model, values: &Values, limits: &Limits) -> Result<Self> {
-        let sensor = Tracker::new::<Model, PARAMETERS>(&model.sensor, 0.0, values);
+        let slip_time_s = model.sensor_slip_time_s;
+        let tracker = Tracker::new::<Model, PARAMETERS>(&model.sensor, slip_time_s, values);
         let mut values = *values;
         let (pose, at) = (AT.pose, AT.tracker);
         for measured in [
@@ -89,7 +88,7 @@ impl Calibrated {
         }
         Ok(Self {
             chain,
-            sensor: sensor.pose.first().frame,
+            tracker: tracker.deployed(),
             frame: Frame::Base,
             limits: *limits,
             count: model.count,
@@ -109,10 +108,10 @@ impl Calibrated {
         Self { frame, ..self }
     }
 
-    /// From the base frame to that of the sensor.
+    /// From the base frame to that of the sensor, where it stands at last.
     #[must_use]
     pub fn sensor(&self) -> &Rigid {
-        &self.sensor
+        &self.tracker.pose.first().frame
     }
 
     /// Where the target is, mm, with its derivative by the joints.
@@ -127,7 +126,11 @@ impl Calibrated {
         let (place, by_joints) = self.at_base(joints, now)?;
         Ok(match self.frame {
             Frame::Base => (place, by_joints),
-            Frame::Sensor => (self.sensor.apply(&place), self.sensor.rotation * by_joints),
+            Frame::Sensor => {
+                let sensor = self.sensor();
+                let (read, by_seen) = self.tracker.shows(&sensor.apply(&place))?;
+                (read, by_seen * sensor.rotation * by_joints)
+            }
         })
     }
 
@@ -180,12 +183,8 @@ impl Calibrated {
         if let Some(index) = place.iter().chain(start).position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
         }
-        let place = &match self.frame {
-            Frame::Base => *place,
-            Frame::Sensor => self.sensor.apply_inverse(place),
-        };
         let mut joints = self.within(start);
-        let (mut reached, mut by_joints) = self.at_base(&joints, now)?;
+        let (mut reached, mut by_joints) = self.forward(&joints, now)?;
         let mut damping = DAMPING;
         for _ in 0..ITERATIONS {
             let missed = place - reached;
@@ -197,7 +196,7 @@ impl Calibrated {
                 return Err(Error::TargetOutOfReach { miss_mm });
             }
             let trial = self.within(&(joints + self.step(&joints, &by_joints, &missed, damping)));
-            let (there, slope) = self.at_base(&trial, now)?;
+            let (there, slope) = self.forward(&trial, now)?;
             if (place - there).norm() < miss_mm {
                 (joints, reached, by_joints) = (trial, there, slope);
                 damping *= 0.1;
