@@ -16,7 +16,7 @@ from ..data import Measurements
 from ..data.columns import Layout
 from .base import ModelWithEffects
 from .effect import Parameter
-from .sensor_pose import FREE, IN_PLANE, OWN_AXES, POSE, SPACE, SensorPose, Triple, registered
+from .sensor_pose import FREE, IN_PLANE, OWN_AXES, POSE, SPACE, SensorPose, Triple, registered, slip_of
 
 #: A turn by so little, rad, moves no arrow of a picture.
 _TO_THE_EYE = 0.02
@@ -122,10 +122,11 @@ class SeenModel(ModelWithEffects):
 
     # -- as it was identified ------------------------------------------------------------------------------
 
-    def sensor_frame(self, values: Floats) -> tuple[Floats, Floats]:
-        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm."""
+    def sensor_frame(self, values: Floats, *, slipped: bool = False) -> tuple[Floats, Floats]:
+        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm; once it has ``slipped``
+        those from then on."""
         known = dict(zip((p.name for p in self.core_parameters), self.full(values).tolist(), strict=True))
-        off = np.array([known.get(name, 0.0) for name in POSE])
+        off = np.array([known.get(name, 0.0) + slipped * known.get(slip_of(name), 0.0) for name in POSE])
         by = scipy.spatial.transform.Rotation.from_rotvec(off[:3]).as_matrix()
         return by @ self.sensor_pose.turn, np.array(self.sensor_pose.origin_mm) + off[3:]
 

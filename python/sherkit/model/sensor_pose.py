@@ -27,6 +27,8 @@ Triple = tuple[float, float, float]
 TURNS = ("sensor_turn_x", "sensor_turn_y", "sensor_turn_z")
 SHIFTS = ("sensor_shift_x", "sensor_shift_y", "sensor_shift_z")
 POSE = (*TURNS, *SHIFTS)
+#: The effect that says how the pose changed in the course of a run; its parameters are called as those are.
+SLIP = "sensor_slip"
 #: The coordinates of an instrument that reads places in space; of one in a plane the first two.
 SPACE = ("x_mm", "y_mm", "z_mm")
 #: The numbers that readings of a plane show.
@@ -35,6 +37,12 @@ IN_PLANE = ("sensor_turn_z", "sensor_shift_x", "sensor_shift_y")
 #: Rows that tell where a sensor stands; in so many rounds, in each of which rows count that are off by no more than
 #: this many times the median; and how thin a cloud of places is a line.
 _FEWEST, _ROUNDS, _FAR, _LINE = 4, 5, 5.0, 1e-3
+
+
+def slip_of(name: str) -> str:
+    """The parameter of :data:`SLIP` by which one of :data:`POSE` changes, as it is called in a model."""
+    return f"{SLIP}.{name.removeprefix('sensor_')}"
+
 
 FREE: Triple = (np.inf, np.inf, np.inf)
 HELD: Triple = (0.0, 0.0, 0.0)
