@@ -12,8 +12,9 @@ import numpy as np
 from ..base.types import Floats
 from ..errors import FitError, SherkitWarning
 from ..fit.identify import Fit
-from ..model.effect import Effect
+from ..model.effect import Effect, Parameter
 from ..model.sensor_pose import SLIP, slip_of
+from ..model.set_ups import SETUP_PREFIX
 from .fitted_run import FittedRun
 from .linearised import orthonormal
 from .scan import Scan
@@ -32,8 +33,12 @@ def sizes_of(fit: Fit) -> Floats:
     where the sensor stands, and of where it was put since."""
     of_pose = fit.model.free_of_pose
     free = {*of_pose, *map(slip_of, of_pose)}
-    size = np.array([np.inf if p.name in free else p.size for p in fit.parameters])
+    size = np.array([np.inf if p.name in free or _is_set_up(p) else p.size for p in fit.parameters])
     return np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
+
+
+def _is_set_up(p: Parameter) -> bool:
+    return p.name.startswith(SETUP_PREFIX) and not p.known
 
 
 def displaces(fit: Fit, before: Fit) -> bool:
@@ -177,7 +182,7 @@ def as_near(leading: Sequence[Explanation], every: Sequence[Explanation]) -> lis
 def said_of_the_instrument(near: list[Explanation]) -> list[Explanation]:
     """The same sets, in front the one that has a step of the instrument where the first has what the robot does in
     time: where both come as near the data, an instrument is moved more easily than a robot."""
-    lead = set(near[0].names)
+    lead = set(near[0].names) if near else set()
     for k, other in enumerate(near):
         step = next((c.effect for c in other.candidates if c.name == SLIP and SLIP not in lead), None)
         instead = [c.effect for c in near[0].candidates if c.name not in other.names]

@@ -95,7 +95,13 @@ def diagnose(
     for effect in effects:
         run.model.check_effect(effect, run.data, fit.values)
     every = (*run.catalogue, *effects)
-    notes = [*(one.sentence for one in mistakes), *(one.sentence for one in table), *held(run.data), *unread(run.data)]
+    notes = [
+        *(one.sentence for one in mistakes),
+        *(one.sentence for one in table),
+        *held(run.data),
+        *unread(run.data),
+        *map(str, run.data.set_ups),
+    ]
 
     step("noise and outliers")
     # beside a mistake of the set-up every row may look wrong

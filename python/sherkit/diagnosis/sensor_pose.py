@@ -16,6 +16,7 @@ from ..fit.identify import Fit
 from ..fit.plausible import thinned
 from ..model.effect import Effect
 from ..model.sensor_pose import POSE
+from ..model.set_ups import SETUP_PREFIX
 from .linearised import orthonormal
 
 #: Part of a direction that is left at most where it is taken up.
@@ -29,7 +30,8 @@ def taken_by_pose(fit: Fit, effects: Sequence[Effect]) -> dict[str, tuple[int, i
     leave; those of which it takes none are not there."""
     names = [p.name for p in fit.parameters]
     of_pose = np.array(
-        [name in POSE and not p.known for name, p in zip(names, fit.parameters, strict=True)], dtype=bool
+        [name.startswith((*POSE, SETUP_PREFIX)) and not p.known for name, p in zip(names, fit.parameters, strict=True)],
+        dtype=bool,
     )
     if not of_pose.any():
         return {}
@@ -67,8 +69,8 @@ def pose_in_words(fit: Fit, taken: dict[str, tuple[int, int]]) -> str | None:
     named = [f"{count} of the {of} directions of {name}" for name, (count, of) in taken.items()]
     same = []
     for one in fit.unobserved:
-        mine = [name for name in one.change if name in POSE]
-        others = [name for name in one.change if name not in POSE]
+        mine = [name for name in one.change if name.startswith((*POSE, SETUP_PREFIX))]
+        others = [name for name in one.change if name not in mine]
         if mine and others:
             same.append(f"{listed(mine)} from {listed(sorted(others))} together")
     if not named and not same:
