@@ -237,7 +237,7 @@ def _apart(d: Diagnosis) -> Iterator[Finding]:
         yield Finding(APART, "tie", f"{' or '.join(tie)}: these poses cannot tell")
     for name, parameters in d.confounded_with.items():
         yield Finding(APART, "confounded", f"{name}, if there is any, is confounded with {listed(parameters)}")
-    if said := pose_in_words(d.base, d.taken_by_pose):
+    if said := pose_in_words(d.base.unobserved, d.taken_by_pose):
         yield Finding(APART, "sensor_pose", said)
     for name, reason in d.untestable.items():
         yield Finding(APART, "untestable", f"{name} could not be tried: {reason}")

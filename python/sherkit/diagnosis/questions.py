@@ -226,7 +226,7 @@ def diagnose(
         confirmed=max((one.p for one in found.gains), default=None),
         signature=signature,
         confounded_with=confounded_with(base_stage),
-        taken_by_pose={} if run.is_exact else taken_by_pose(run.fit, run.catalogue),
+        taken_by_pose={} if run.is_exact else taken_by_pose(run.model, run.data, run.fit.values, run.catalogue),
         outliers=outliers,
         next_poses=proposal.poses,
         advice=proposal.advice,

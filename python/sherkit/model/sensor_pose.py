@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
 from ..base import linalg
 from ..base.types import Bools, Floats
@@ -93,6 +94,41 @@ class SensorPose:
         return np.array([*np.deg2rad(turn), *shift])
 
     @classmethod
+    def from_targets(cls, base_mm: ArrayLike, read_mm: ArrayLike, sigma_mm: float | None = None) -> SensorPose:
+        """Where a sensor stands that read points fixed to the base at ``read_mm`` (n, 3), whose places in its frame are
+        ``base_mm`` (n, 3), and how well these tell it: by the noise ``sigma_mm`` of a reading, or by what they leave.
+
+        Raises :class:`~sherkit.errors.RobotError` for fewer than three points, and for points on a line.
+
+            pose = sk.SensorPose.from_targets(
+                [[100, 0, 0], [0, 100, 0], [0, 0, 0]], [[100, 5, 0], [0, 105, 0], [0, 5, 0]], 0.01
+            )
+            print(pose.origin_mm, pose.turn_sd_deg)
+        """
+        base, read = (np.asarray(one, dtype=float) for one in (base_mm, read_mm))
+        if base.ndim != 2 or base.shape[1:] != (3,) or base.shape != read.shape or len(base) < 3:
+            raise RobotError(
+                f"sensor_pose: three points fixed to the base or more tell where the sensor stands, (n, 3) each, got "
+                f"{base.shape} and {read.shape}"
+            )
+        if not (np.isfinite(base).all() and np.isfinite(read).all()):
+            raise RobotError("sensor_pose: targets: expected finite numbers, mm")
+        found = registered(base, read, fewest=3)
+        if found is None:
+            raise RobotError(
+                "sensor_pose: the points fixed to the base lie on a line: the turn about it is not told; read one aside"
+            )
+        left, free = read - base @ found.turn.T - found.shift_mm, 3 * len(base) - len(POSE)
+        # of few readings their own spread is a guess
+        squares = float(np.square(left).sum()) / max(free - 2, 1) if sigma_mm is None else sigma_mm**2
+        by_turn = np.cross(np.eye(3)[None], (base @ found.turn.T)[:, None, :]).transpose(0, 2, 1)
+        columns = np.concatenate([by_turn, np.broadcast_to(np.eye(3), (len(base), 3, 3))], axis=2).reshape(-1, 6)
+        sd = np.sqrt(squares * np.diag(linalg.inv(columns.T @ columns)))
+        angles = scipy.spatial.transform.Rotation.from_matrix(found.turn).as_euler("xyz", degrees=True)
+        triples = (found.shift_mm, angles, sd[3:], np.rad2deg(sd[:3]))
+        return cls(*(tuple(one.tolist()) for one in triples))
+
+    @classmethod
     def from_table(cls, table: Table) -> SensorPose:
         """Reads the table ``[sensor_pose]``: ``origin_mm``, ``rpy_deg``; ``free = true`` or ``false`` for all six
         numbers, ``shift_sd_mm`` and ``turn_sd_deg`` (a number for all three axes, or three) for those that are
@@ -157,7 +193,9 @@ class Registered:
         return made
 
 
-def registered(points_mm: Floats, read_mm: Floats, *, mirrored: bool = False) -> Registered | None:
+def registered(
+    points_mm: Floats, read_mm: Floats, *, mirrored: bool = False, fewest: int = _FEWEST
+) -> Registered | None:
     """The turn and shift that bring points (n, 3) to where they were read (n, 3); None where they are too few, or stand
     in a line. Rows with an empty cell (NaN) and rows far off do not count. ``mirrored`` is the best turn with a
     mirror."""
@@ -165,7 +203,7 @@ def registered(points_mm: Floats, read_mm: Floats, *, mirrored: bool = False) ->
     near, found = whole.copy(), None
     hand = -1.0 if mirrored else 1.0
     for _ in range(_ROUNDS):
-        if near.sum() < _FEWEST:
+        if near.sum() < fewest:
             return found
         middle, there = points_mm[near].mean(axis=0), read_mm[near].mean(axis=0)
         a, b = points_mm[near] - middle, read_mm[near] - there

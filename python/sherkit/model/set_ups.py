@@ -145,8 +145,8 @@ def _registered(model: Any, data: Measurements, where: dict[str, Bools]) -> dict
             if one is None:
                 raise FitError(
                     f"{data.source}: setup '{name}' has {len(rows)} rows with {listed(read)}: these do not tell where "
-                    "the instrument stood (four or more, at poses that are not in a line); measure more poses in it, or "
-                    "leave its rows out (outlier = 1)"
+                    "the instrument stood (four or more, at poses that are not in a line); measure more poses in it, "
+                    "or leave its rows out (outlier = 1)"
                 )
             found.setdefault(mirrored, {})[name] = one
             missed[mirrored] += one.missed_mm * len(rows)
