@@ -76,7 +76,7 @@ def part(
 ) -> DeltaPart:
     """A part of a robot whose sensor stands where the values have it, with a box about where that sees the base."""
     model = DeltaModel(EXAMPLE, MODEL.free, effects_by_name(CATALOGUE, effects))
-    turn, origin = model.deployed_frame(values)
+    turn, origin = model.sensor_frame(values, slipped=True)
     return DeltaPart(
         free=MODEL.free,
         effects=effects,

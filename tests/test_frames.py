@@ -29,7 +29,7 @@ from sherkit.fit.error import radius_95
 from sherkit.fit.identify import hold_out
 from sherkit.model.kinds import model_of
 from sherkit.model.robot_file import run_for
-from sherkit.model.sensor_pose import POSE, SLIP
+from sherkit.model.sensor_pose import POSE, slip_of
 from sherkit.robots.calibrated import calibration_class
 from sherkit.robots.calibration_run import CalibrationRun
 from sherkit.robots.part import Part
@@ -107,7 +107,7 @@ def test_a_delta_is_read_as_the_instrument_reads_after_its_last_slip() -> None:
     c = replace(c, whole=replace(c.whole, correction=None))
     model, q = c.model, c.robot.inverse_batch(np.random.default_rng(4).uniform(-15.0, 15.0, (10, 3))).require()
     values = dict(zip((p.name for p in model.parameters), c.whole.values, strict=True))
-    off = np.array([values[one] + values[two] for one, two in zip(POSE, SLIP, strict=True)])
+    off = np.array([values[one] + values[slip_of(one)] for one in POSE])
     turn, shift = Rotation.from_rotvec(off[:3]).as_matrix() @ model.sensor_pose.turn, off[3:]
     for found in (c.sensor_frame, (c.core.sensor()[:9].reshape(3, 3), c.core.sensor()[9:])):
         np.testing.assert_allclose(found[0], turn, atol=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,7 @@ from .data.reader import RunLike
 from .diagnosis.explanation import refuse_absurd
 from .diagnosis.named import setting_for
 from .diagnosis.outliers import gross_errors, warn_of_outliers
-from .errors import EffectError, FitError
+from .errors import EffectError, FitError, SherkitWarning
 from .fit.identify import hold_out, identify
 from .model.base import missing_columns
 from .model.effect import Effect, named_effects
@@ -96,6 +97,15 @@ def calibrate(
 
     def run(data: Measurements, name: str) -> CalibrationRun:
         model = model_of(robot, free)
+        data = model.as_declared(data)
+        if data.set_ups:
+            warnings.warn(
+                f"{data.source}: the instrument was moved ({listed(one.name for one in data.set_ups)}, then "
+                f"{data.last_set_up}): what is deployed is as seen from where it stood last, in setup "
+                f"'{data.last_set_up}'",
+                SherkitWarning,
+                stacklevel=2,
+            )
         outliers = np.zeros(0, dtype=np.int64)
         if not with_outliers:
             step(f"looking for gross errors in the {name} run")

@@ -14,7 +14,7 @@ import polars as pl
 from ..data import Measurements, from_frame, read_measurements
 from ..data.columns import OUTLIER, POSE, REASON, REPEAT, TIME, Layout
 from ..data.frames import to_polars
-from ..data.rows import directions
+from ..data.in_time import directions
 from ..errors import FitError, MeasurementError
 from ..model.base import ModelWithEffects
 from ..model.chain import ChainModel

@@ -26,6 +26,7 @@ from ..errors import FitError
 from ..fit.identify import Fit
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter
+from ..model.set_ups import SETUP_PREFIX
 from .stand import Stand, stand_of
 
 #: A row farther off than so many robust deviations is left out; rounds in which such rows are looked for.
@@ -39,7 +40,7 @@ LASTS = "in all runs"
 #: A part of a column that is rounding.
 _ROUNDING = 1e-5
 #: Parameters that say where the sensor stands, by how their names begin.
-_OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip")
+_OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip", SETUP_PREFIX)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,14 @@ zero is free.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..base import linalg
-from ..base.types import Bools, Floats
+from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare, unit_in
 from ..errors import FitError, SherkitError
@@ -39,6 +40,8 @@ class Stand:
 def stand_of(model: ModelWithEffects, data: Measurements, values: Floats, axes: tuple[int, ...], used: Bools) -> Stand:
     """The stand from which these rows were read, of a model at these values. Raises
     :class:`~sherkit.errors.FitError` for rows that are too few to tell it."""
+    if len(parts := _set_ups(data)) > 1:
+        return _each(parts, [stand_of(model, data.select(rows), values, axes, used[rows]) for rows in parts], used)
     chosen = list(axes)
     predicted = model.predict(data, values)[:, chosen]
     seen = np.where(used, data.readings[:, chosen], predicted)
@@ -57,6 +60,26 @@ def stand_of(model: ModelWithEffects, data: Measurements, values: Floats, axes: 
     columns = np.broadcast_to(np.eye(len(axes)), (len(seen), len(axes), len(axes))).copy()
     moved = {f"zero_{bare(name)}_{unit_in(name)}": float(v) for name, v in zip(names, zero, strict=True)}
     return Stand(np.where(used, seen - predicted - zero, 0.0), columns, moved)
+
+
+def _set_ups(data: Measurements) -> list[Ints]:
+    """The rows of each set-up of the instrument, the last in the end; all of them where there is one."""
+    if data.set_up is None:
+        return [np.arange(len(data))]
+    every = [str(one) for one in dict.fromkeys(data.set_up.tolist()) if one != data.last_set_up]
+    return [np.flatnonzero(data.set_up == name) for name in (*every, data.last_set_up)]
+
+
+def _each(parts: Sequence[Ints], stands: Sequence[Stand], used: Bools) -> Stand:
+    """The stands of set-ups as one: each moves its own rows alone; how far, is said of the last."""
+    residual = np.zeros(used.shape)
+    columns = np.zeros((*used.shape, sum(one.columns.shape[2] for one in stands)))
+    first = 0
+    for rows, one in zip(parts, stands, strict=True):
+        end = first + one.columns.shape[2]
+        residual[rows], columns[rows, :, first:end] = one.residual, one.columns
+        first = end
+    return Stand(residual, columns, stands[-1].moved)
 
 
 def _rigid(predicted: Floats, seen: Floats, whole: Bools) -> Stand:

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ..base.figures import in_names
 from ..base.names import listed
 from ..data import Measurements
+from ..diagnosis.sensor_pose import pose_in_words, taken_by_pose
 from ..errors import SherkitError
 from ..lab.experiment import Experiment, load_experiment
 from ..model.kinds import Robot, kind_of, model_of
@@ -76,6 +77,8 @@ def plan(
     _show_effects(effect_powers, rows.layout.unit)
     for line in _sentences(effect_powers):
         output.say(line)
+    if (told := _taken_by_pose(planning, rows)) is not None:
+        output.say(told)
     _show_parameters(planning)
     if found:
         _show_study(found)
@@ -182,6 +185,13 @@ def _sentences(effect_powers: tuple[EffectPower, ...]) -> list[str]:
     if tied:
         said.append(f"Found, but not told from what it is tied with: {listed(tied)}.")
     return said
+
+
+def _taken_by_pose(planning: Planning, rows: Measurements) -> str | None:
+    """What these poses could not tell from where the sensor stands, and what would."""
+    model = planning.model
+    tried = model.known_effects.values()
+    return pose_in_words((), taken_by_pose(model, rows, np.zeros(len(model.parameters)), tuple(tried)))
 
 
 def _show_parameters(planning: Planning) -> None:

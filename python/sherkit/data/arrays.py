@@ -12,7 +12,8 @@ from ..base.names import listed
 from ..base.types import Bools, Floats, Ints
 from ..errors import NotFinite, ShapeError
 from .columns import Layout
-from .rows import Measurements, begin_of, order_in_time
+from .in_time import begin_of, order_in_time
+from .rows import Measurements
 
 
 def from_arrays(

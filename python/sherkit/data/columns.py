@@ -21,6 +21,8 @@ TEMPERATURE = "temperature_c"
 POSE = "pose"
 REPEAT = "repeat"
 OUTLIER = "outlier"
+#: Numbers or names that say which rows were read from one and the same place of the instrument.
+SETUP = "setup"
 #: Why a row was driven, where a loop has chosen it.
 REASON = "reason"
 

@@ -16,6 +16,7 @@ from ..errors import MeasurementError
 from . import columns as c
 from .columns import Columns, proposal, refuse_unmapped, renamed
 from .rows import Measurements
+from .set_up import names_of
 
 #: Beyond this, squares overflow and no reading was meant.
 _LARGEST = 1e100
@@ -105,6 +106,9 @@ def clean(
     made: dict[str, Any] = {}
     for name in frame.columns:
         column = frame[name]
+        if name == c.SETUP:
+            made[name] = names_of(column.to_numpy(), place, line)
+            continue
         number = _numbers(column, name, place, line, layout)
         made[name] = _labels(column) if number is None else number * factors.get(name, 1.0)
     return Measurements.from_columns(made, source, line, counted, layout)

@@ -17,12 +17,11 @@ from ..base.names import listed, nearest
 from ..base.types import Bools, Floats, Ints
 from ..errors import EffectError, ShapeError, SherkitWarning
 from . import columns as c
+from .in_time import begin_of, directions, order_in_time
 from .lagged import Room
 from .row_checks import check_rows
+from .set_up import SetUp, names_of
 from .tables import write_table
-
-#: A joint that moved by less than this part of its range stood still.
-_NO_MOTION = 1e-9
 
 
 @dataclass(frozen=True)
@@ -74,6 +73,8 @@ class Measurements:
     room: Room | None = None
     #: The clock at the begin of that run; zero where no times are known.
     begins_s: float = 0.0
+    #: Set-ups before the last whose readings were brought into its axes.
+    set_ups: tuple[SetUp, ...] = ()
 
     # -- making ------------------------------------------------------------------------------------------
 
@@ -109,6 +110,8 @@ class Measurements:
         whole = {k: values[k].astype(np.int64) if k in values else None for k in (c.POSE, c.REPEAT)}
         known = set(layout.known)
         rest = {k: v for k, v in values.items() if k not in known}
+        if c.SETUP in rest:
+            rest[c.SETUP] = names_of(rest[c.SETUP], f"{source}: {counted}", line)
         data = cls(
             joints=joints,
             to_joints=to,
@@ -262,6 +265,9 @@ class Measurements:
             direction=np.ones_like(joints),
             room=None,
             outlier=np.zeros(n, dtype=bool),
+            labels={
+                k: np.full(n, self.last_set_up, dtype=object) if k == c.SETUP else v for k, v in made.labels.items()
+            },
             covariates={
                 # a robot warms and stays warm; other covariates come back, numbers of things with the first of them
                 k: np.full(n, float(v[-1] if k == c.TEMPERATURE else 1.0 if k in self.layout.apart else v.mean()))
@@ -286,7 +292,20 @@ class Measurements:
         """Numbers that tell readings at one pose apart (n,), those that this run holds."""
         ends = dict(zip(self.layout.to_joints, np.nan_to_num(self.to_joints.T), strict=False))
         known = {**self.covariates, **ends}
-        return tuple(known[name] for name in self.layout.apart if name in known)
+        own = [known[name] for name in self.layout.apart if name in known]
+        if self.set_up is not None and len(numbers := np.unique(self.set_up, return_inverse=True)[1]):
+            own.append(numbers.astype(float))
+        return tuple(own)
+
+    @property
+    def set_up(self) -> NDArray[Any] | None:
+        """The set-up (n,) of the instrument in which each row was read, by name; None where all are of one place."""
+        return self.labels.get(c.SETUP)
+
+    @property
+    def last_set_up(self) -> str:
+        """The set-up in which the instrument stood last."""
+        return "" if self.set_up is None else str(self.set_up[int(np.argmax(self.order))])
 
     @cached_property
     def groups(self) -> Ints:
@@ -404,37 +423,6 @@ def _directions(values: Mapping[str, NDArray[Any]], joints: Floats) -> Floats:
     for k in range(joints.shape[1]):
         if f"direction_{k + 1}" in values:
             out[:, k] = np.sign(np.asarray(values[f"direction_{k + 1}"], dtype=float))
-    return out
-
-
-def directions(joints: Floats, order: Ints, *, begins: float) -> Floats:
-    """Sign (n, k) of the last motion of each joint (n, k), in the ``order`` (n,) of time; ``begins`` before the first.
-
-    A joint that was sent to where it stood moves by the last digit of a number, if at all: that is no motion.
-    """
-    if not len(joints):
-        return joints.copy()
-    at = np.argsort(order, kind="stable")
-    move = np.diff(joints[at], axis=0, prepend=joints[at[:1]])
-    step = np.where(np.abs(move) > _NO_MOTION * np.ptp(joints, axis=0), np.sign(move), 0.0)
-    # where a joint did not move, the direction of the motion before still holds
-    last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step))[:, None], 0), axis=0)
-    step[:1] = begins
-    out = np.empty_like(step)
-    out[at] = np.take_along_axis(step, last, axis=0)
-    return out
-
-
-def begin_of(time_s: NDArray[Any] | None) -> float:
-    """The earliest time; zero where none is known."""
-    return float(np.min(time_s)) if time_s is not None and len(time_s) else 0.0
-
-
-def order_in_time(time_s: NDArray[Any] | None, n: int) -> Ints:
-    """Places (n,) of rows in time, from 0; as they stand where no time is known."""
-    out = np.arange(n, dtype=np.int64)
-    if time_s is not None:
-        out[np.argsort(np.asarray(time_s, dtype=float), kind="stable")] = np.arange(n)
     return out
 
 

@@ -16,6 +16,7 @@ from ..base.types import Ints
 from ..fit.error import ErrorSize
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
+from .instrument import called
 from .where import Dependence
 
 # -- What a verdict rests on: checks, each made on numbers that the same report shows ------------------------------
@@ -93,7 +94,7 @@ def headline(checks: Sequence[Check], effects: Sequence[str], not_needed: Sequen
     """The verdict in one line: never more praise than the noise allows, and why not where there is none."""
     verdict = verdict_of(checks, effects)
     failing = [check.fails for check in checks if check.forbids_praise and check.fails]
-    named = ", ".join(effects)
+    named = called(effects)
     if verdict == "adequate":
         line = "adequate: no effect is missing" if noise_known else (
             "nothing with structure is missing; how much of the rest is noise is not known"

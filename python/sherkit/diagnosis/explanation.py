@@ -12,7 +12,9 @@ import numpy as np
 from ..base.types import Floats
 from ..errors import FitError, SherkitWarning
 from ..fit.identify import Fit
-from ..model.effect import Effect
+from ..model.effect import Effect, Parameter
+from ..model.sensor_pose import SLIP, slip_of
+from ..model.set_ups import SETUP_PREFIX
 from .fitted_run import FittedRun
 from .linearised import orthonormal
 from .scan import Scan
@@ -28,10 +30,15 @@ TOLD, PLAUSIBLE, ABSURD = 3.0, 5.0, 500.0
 
 def sizes_of(fit: Fit) -> Floats:
     """How many plausible sizes each parameter (p,) is at least, give or take two deviations; none of what is free of
-    where the sensor stands."""
-    free = fit.model.free_of_pose
-    size = np.array([np.inf if p.name in free else p.size for p in fit.parameters])
+    where the sensor stands, and of where it was put since."""
+    of_pose = fit.model.free_of_pose
+    free = {*of_pose, *map(slip_of, of_pose)}
+    size = np.array([np.inf if p.name in free or _is_set_up(p) else p.size for p in fit.parameters])
     return np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
+
+
+def _is_set_up(p: Parameter) -> bool:
+    return p.name.startswith(SETUP_PREFIX) and not p.known
 
 
 def displaces(fit: Fit, before: Fit) -> bool:
@@ -170,6 +177,20 @@ def as_near(leading: Sequence[Explanation], every: Sequence[Explanation]) -> lis
 
     limit = np.min([scores(e) for e in leading], axis=0) + CLEARLY
     return [*leading, *(e for e in every if e not in leading and (scores(e) < limit).any())]
+
+
+def said_of_the_instrument(near: list[Explanation]) -> list[Explanation]:
+    """The same sets, in front the one that has a step of the instrument where the first has what the robot does in
+    time: where both come as near the data, an instrument is moved more easily than a robot."""
+    lead = set(near[0].names) if near else set()
+    for k, other in enumerate(near):
+        step = next((c.effect for c in other.candidates if c.name == SLIP and SLIP not in lead), None)
+        instead = [c.effect for c in near[0].candidates if c.name not in other.names]
+        if step is None or {*other.names} - lead != {SLIP} or len(instead) != 1:
+            continue
+        if "time_s" in instead[0].needs and instead[0].link != step.link and other in as_near(near[:1], [other]):
+            return [other, *near[:k], *near[k + 1 :]]
+    return near
 
 
 def bic(scan: Scan, members: Sequence[Candidate]) -> float:

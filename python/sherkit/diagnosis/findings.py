@@ -3,12 +3,13 @@ and JSON render it and word nothing themselves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from ..base.figures import in_names, number, stated
 from ..base.names import listed
 from ..model.effect import Effect
 from ..model.kinds import required_um
+from ..model.sensor_pose import SLIP
 from .answers import (
     APART,
     FILES,
@@ -23,6 +24,7 @@ from .answers import (
     Diagnosis,
     Finding,
 )  # fmt: skip
+from .instrument import motion_of
 from .outliers import sentences
 from .sensor_pose import pose_in_words
 from .template import indistinguishable, sentence
@@ -80,28 +82,52 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
     end = in_names(d.unit)
     came = {f"before_{end}": float(d.steps[0].error.rms)}
     if d.effects:
-        causes = [effect for effect in d.fit.model.effects if effect.name in d.effects]
+        causes = [effect for effect in d.fit.model.effects if effect.name in d.effects and effect.name != SLIP]
         physics = " ".join(f"{_first_sentence(e.physics)} {_most(d, e)}".strip() for e in causes)
         tied = f" These poses cannot tell it from {listed(d.indistinguishable[0][1:])}." if d.indistinguishable else ""
         whole = "" if d.verdict == "explained" else " That is not all: the rest has a pattern, too."
         if d.too_few_poses:
             whole = " These poses are too few to say whether that is all."
         doubt = f" With a caveat: {d.caveat}." if d.caveat else ""
-        repair = " ".join(d.known[e.name].remedy if e.name in d.known else e.remedy for e in causes)
-        yield Finding(WRONG, "cause", f"The model lacks {listed(d.effects)}. {physics}".strip() + tied)
+        lacks = f"The model lacks {listed(e.name for e in causes)}. {physics}".strip() if causes else ""
+        yield Finding(WRONG, "cause", _with_motion(d, lacks) + tied, _motion_in_numbers(d))
         yield Finding(
             WRONG, "brings",
             f"With that in the model the error falls from {first} to {last} {d.unit} RMS {d.error.in_words}, 95 % "
             f"within {number(d.error.p95)}, on poses that the fit had not seen{_beside(d)}.{whole}{doubt}",
             came | {f"after_{end}": float(d.steps[-1].error.rms)},
             sure="" if d.confirmed is None else _with_p(d.confirmed),
-            to_do=f"To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}" if repair else "",
+            to_do=" ".join(_repairs(d, causes)),
         )  # fmt: skip
     else:
         off = f"off by {first} {d.unit} RMS {d.error.in_words}, 95 % within {number(d.error.p95)}{_beside(d)}"
         cause, to_do = _without_effect(d, off)
         yield Finding(WRONG, "cause", cause, came, to_do=to_do)
     yield Finding(WRONG, "verdict", d.headline)
+
+
+def _with_motion(d: Diagnosis, lacks: str) -> str:
+    """What the model ``lacks``; what the instrument did stands before it, and is nothing that the robot's lacks."""
+    motion = motion_of(d.fit) if SLIP in d.effects else None
+    if motion is None:
+        return lacks
+    if lacks:
+        return f"T{str(motion)[1:]}. Beside that, {lacks[:1].lower()}{lacks[1:]}"
+    said = f"{motion}: it or its stand was knocked, or the robot moved on its floor."
+    return f"The robot's model lacks nothing; {said}" if d.verdict == "explained" else f"T{said[1:]}"
+
+
+def _motion_in_numbers(d: Diagnosis) -> dict[str, float]:
+    motion = motion_of(d.fit) if SLIP in d.effects else None
+    return {} if motion is None else motion.numbers
+
+
+def _repairs(d: Diagnosis, causes: Sequence[Effect]) -> Iterator[str]:
+    """What to do about the causes in the machine, and about the instrument."""
+    if repair := " ".join(d.known[e.name].remedy if e.name in d.known else e.remedy for e in causes):
+        yield f"To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}"
+    yield from (f"Of the instrument: {e.remedy[:1].lower()}{e.remedy[1:]}" for e in d.fit.model.effects
+                if e.name == SLIP and SLIP in d.effects)  # fmt: skip
 
 
 def _beside(d: Diagnosis) -> str:
@@ -192,6 +218,8 @@ def _missing(d: Diagnosis) -> Iterator[Finding]:
             {"rows": len(d.fit.data)}, rows=tuple(d.fit.data.line[d.outliers].tolist()),
             to_do=" ".join(sentences(d.fit, d.outliers)),
         )  # fmt: skip
+    if SLIP not in d.effects and (motion := motion_of(d.fit)) is not None:
+        yield Finding(MISSING, "note", str(motion), motion.numbers)
     for note in d.notes:
         yield Finding(MISSING, "note", note)
 
@@ -229,7 +257,7 @@ def _apart(d: Diagnosis) -> Iterator[Finding]:
         yield Finding(APART, "tie", f"{' or '.join(tie)}: these poses cannot tell")
     for name, parameters in d.confounded_with.items():
         yield Finding(APART, "confounded", f"{name}, if there is any, is confounded with {listed(parameters)}")
-    if said := pose_in_words(d.base, d.taken_by_pose):
+    if said := pose_in_words(d.base.unobserved, d.taken_by_pose):
         yield Finding(APART, "sensor_pose", said)
     for name, reason in d.untestable.items():
         yield Finding(APART, "untestable", f"{name} could not be tried: {reason}")

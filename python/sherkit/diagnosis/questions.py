@@ -95,7 +95,13 @@ def diagnose(
     for effect in effects:
         run.model.check_effect(effect, run.data, fit.values)
     every = (*run.catalogue, *effects)
-    notes = [*(one.sentence for one in mistakes), *(one.sentence for one in table), *held(run.data), *unread(run.data)]
+    notes = [
+        *(one.sentence for one in mistakes),
+        *(one.sentence for one in table),
+        *held(run.data),
+        *unread(run.data),
+        *map(str, run.data.set_ups),
+    ]
 
     step("noise and outliers")
     # beside a mistake of the set-up every row may look wrong
@@ -220,7 +226,7 @@ def diagnose(
         confirmed=max((one.p for one in found.gains), default=None),
         signature=signature,
         confounded_with=confounded_with(base_stage),
-        taken_by_pose={} if run.is_exact else taken_by_pose(run.fit, run.catalogue),
+        taken_by_pose={} if run.is_exact else taken_by_pose(run.model, run.data, run.fit.values, run.catalogue),
         outliers=outliers,
         next_poses=proposal.poses,
         advice=proposal.advice,

@@ -32,6 +32,7 @@ from .explanation import (
     lowest,
     plausible,
     refit,
+    said_of_the_instrument,
     schwarz,
     schwarz_of,
     simplicity,
@@ -140,7 +141,7 @@ class Search:
             explanations, singles, nearest = self.explanations(stage)
             shape = self.simpler_shape(stage, explanations)
             if explanations and shape is None:
-                lead, *others = explanations
+                lead, *others = said_of_the_instrument(explanations)
                 found.added += lead.candidates
                 found.alternatives = others
                 found.replaced = lead.names
@@ -157,7 +158,9 @@ class Search:
                 elif not found.added:
                     # what it leaves, whatever stands in its place leaves too
                     same = [e for e in singles if e.names == (best.name,)]
-                    found.alternatives, found.replaced = as_near(same, singles)[1:], (best.name,)
+                    if near := said_of_the_instrument(as_near(same, singles)):
+                        after, added, found.alternatives = near[0].stage, near[0].candidates, near[1:]
+                    found.replaced = tuple(c.name for c in added)
                 found.added += added
                 stage = after
                 found.stages.append(stage)

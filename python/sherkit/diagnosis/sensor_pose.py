@@ -21,8 +21,11 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..fit.identify import Fit
 from ..fit.plausible import thinned
+from ..fit.table import Direction
+from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.sensor_pose import POSE, SHIFTS, TURNS
+from ..model.set_ups import SETUP_PREFIX
 from .linearised import orthonormal
 
 #: Part of a direction that is left at most where it is taken up.
@@ -35,22 +38,27 @@ KNOWN_LEVEL = 1e-4
 _TELLS = 0.01
 
 
-def taken_by_pose(fit: Fit, effects: Sequence[Effect]) -> dict[str, tuple[int, int]]:
+def taken_by_pose(
+    model: ModelWithEffects, rows: Measurements, values: Floats, effects: Sequence[Effect]
+) -> dict[str, tuple[int, int]]:
     """Of each effect how many of its directions only the sensor's pose takes up, of how many that the other parameters
     leave; those of which it takes none are not there."""
-    names = [p.name for p in fit.parameters]
+    names = [p.name for p in model.parameters]
     of_pose = np.array(
-        [name in POSE and not p.known for name, p in zip(names, fit.parameters, strict=True)], dtype=bool
+        [
+            name.startswith((*POSE, SETUP_PREFIX)) and not p.known
+            for name, p in zip(names, model.parameters, strict=True)
+        ],
+        dtype=bool,
     )
     if not of_pose.any():
         return {}
-    data = thinned(fit.data)
-    model = fit.model
-    fitted = _flat(data, model.derivatives(data, fit.values))
+    data = thinned(rows)
+    fitted = _flat(data, model.derivatives(data, values))
     others, whole = orthonormal(fitted[:, ~of_pose]), orthonormal(fitted)
     # what is searched for besides is a moment, a lag or a period: no pose that stays
     asked = [one for one in model.can_be_tried(effects, data)[0] if one.search is None]
-    tried = model.tried(data, fit.values, asked)
+    tried = model.tried(data, values, asked)
     every = _flat(data, tried.columns(slice(None)))
     out = {}
     for effect, at in tried.effects:
@@ -73,13 +81,14 @@ def _flat(data: Measurements, columns: Floats) -> Floats:
     return np.asarray(columns[data.used])
 
 
-def pose_in_words(fit: Fit, taken: dict[str, tuple[int, int]]) -> str | None:
-    """What the pose takes up, in a sentence; None where it is told from everything."""
+def pose_in_words(unobserved: Sequence[Direction], taken: dict[str, tuple[int, int]]) -> str | None:
+    """What the pose takes up, in a sentence, with the combinations of parameters that no reading shows; None where it
+    is told from everything."""
     named = [f"{count} of the {of} directions of {name}" for name, (count, of) in taken.items()]
     same = []
-    for one in fit.unobserved:
-        mine = [name for name in one.change if name in POSE]
-        others = [name for name in one.change if name not in POSE]
+    for one in unobserved:
+        mine = [name for name in one.change if name.startswith((*POSE, SETUP_PREFIX))]
+        others = [name for name in one.change if name not in mine]
         if mine and others:
             same.append(f"{listed(mine)} from {listed(sorted(others))} together")
     if not named and not same:
@@ -89,7 +98,10 @@ def pose_in_words(fit: Fit, taken: dict[str, tuple[int, int]]) -> str | None:
         told += f": it takes up {listed(named, 12)}"
     if same:
         told += f"{'; nor' if named else ':'} can these readings tell {'; '.join(same)}"
-    return f"{told}. Two points fixed to the base that are read as well would tell, or a level on the base."
+    return (
+        f"{told}. Three points fixed to the base that are read as well would tell where their places in its frame are "
+        "known (sensor_pose of the robot's file, by SensorPose.from_targets), or a level on the base."
+    )
 
 
 # -- where it is known to stand ------------------------------------------------------------------------------------

@@ -43,6 +43,11 @@ def identify_stream(
     first = next(iter(stream.blocks()), None)
     if first is None:
         raise FitError(f"{stream.source}: the stream holds no row")
+    if first.set_up is not None:
+        raise FitError(
+            f"{stream.source}: column 'setup': a stream is read from one place of the instrument; read the run whole "
+            "(read_measurements, identify), or leave the column out where it was not moved"
+        )
     solver = _core.Solver(
         model.start(first), np.array([p.size for p in model.parameters]), known=[p.known for p in model.parameters]
     )

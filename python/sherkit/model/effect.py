@@ -17,7 +17,7 @@ from ..base.names import listed, nearest
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data.columns import unit_in
-from ..errors import EffectError, FitError
+from ..errors import EffectError, SherkitError
 from .python_file import Named, named, run_python
 
 # -- Parameters of a model ------------------------------------------------------------------------------------------
@@ -96,7 +96,7 @@ class Effect(Shown):
         made = {one.name: getattr(self, one.name) for one in fields(self)}
         if self.function is None:
             return _made, (made,)
-        place = named(self.function.__module__, self.function.__qualname__)
+        place = named(self.function.__module__, getattr(self.function, "__qualname__", ""))
         own = None if place is None else place.found()
         if place is None or not isinstance(own, Effect) or own.function is not self.function:
             return _made, (made,)
@@ -137,7 +137,7 @@ class Effect(Shown):
         p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
         try:
             out = np.asarray(self.function(rows, p))
-        except (EffectError, FitError):
+        except SherkitError:
             raise
         except (Exception, SystemExit) as error:
             raise EffectError(f"effect '{self.name}' failed: {type(error).__name__}: {error}") from error
@@ -160,6 +160,8 @@ class Effect(Shown):
             p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
             try:
                 out = np.asarray(self.derivative(rows, p), dtype=float)
+            except SherkitError:
+                raise
             except (Exception, SystemExit) as error:
                 raise EffectError(
                     f"effect '{self.name}': its derivative failed: {type(error).__name__}: {error}"

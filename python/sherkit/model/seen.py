@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import scipy
@@ -15,8 +16,9 @@ from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import Layout
 from .base import ModelWithEffects
-from .effect import Parameter
-from .sensor_pose import FREE, IN_PLANE, OWN_AXES, POSE, SLIP, SPACE, SensorPose, Triple, registered
+from .effect import Effect, Parameter
+from .sensor_pose import FREE, IN_PLANE, OWN_AXES, POSE, SPACE, Registered, SensorPose, Triple, registered, slip_of
+from .set_ups import effect_of, seen_from_the_last
 
 #: A turn by so little, rad, moves no arrow of a picture.
 _TO_THE_EYE = 0.02
@@ -30,6 +32,8 @@ class SeenModel(ModelWithEffects):
     #: degrees.
     usual_pose_sd: ClassVar[tuple[Triple, Triple]] = (FREE, FREE)
     layouts: ClassVar[tuple[Layout, ...]]
+    #: The numbers of the set-ups before the last, see :mod:`~sherkit.model.set_ups`: no effects that could be missing.
+    set_ups: tuple[Effect, ...] = field(default=(), kw_only=True)
 
     # -- what the chain says -------------------------------------------------------------------------------
 
@@ -107,32 +111,50 @@ class SeenModel(ModelWithEffects):
     def registration(self, data: Measurements) -> Floats | None:
         """By how much the sensor's pose (6,) is off that of the robot's file, rad and mm, where most of these rows are
         as the drawing has them; None where too few tell it."""
-        self.require_own(data)
         pose, size = self.sensor_pose, data.coordinates
         if not data.taken[:, size - 1].any():
             size -= 1  # heights that were not read leave a plane
-        seen = data.select(np.flatnonzero(data.taken[:, :size].all(axis=1) & ~data.outlier))
-        shown, reached = self.drawn(seen)
-        shown = in_space(np.where(reached[:, None], shown, np.nan)[:, :size])
-        found = registered((shown - pose.origin_mm) @ pose.turn, in_space(seen.readings[:, :size]))
+        found = self.registered(data.select(np.flatnonzero(data.taken[:, :size].all(axis=1) & ~data.outlier)), size)
         if found is None:
             return None
         off = replace(found, turn=found.turn @ pose.turn.T).rotation_rad
         return np.array([*off, *(found.shift_mm - pose.origin_mm)])
 
+    def registered(self, seen: Measurements, size: int, *, mirrored: bool = False) -> Registered | None:
+        """The transform from the base to where most of these rows were read, by the drawing and the first ``size``
+        coordinates, of which all were taken; None where too few tell it."""
+        self.require_own(seen)
+        pose = self.sensor_pose
+        shown, reached = self.drawn(seen)
+        shown = in_space(np.where(reached[:, None], shown, np.nan)[:, :size])
+        base = (shown - pose.origin_mm) @ pose.turn
+        return registered(base, in_space(seen.readings[:, :size]), mirrored=mirrored)
+
+    # -- where it was moved in between ---------------------------------------------------------------------
+
+    @cached_property
+    def own(self) -> tuple[Effect, ...]:
+        """As of any model, behind what the set-ups before the last have of their own."""
+        return (*self.set_ups, *(e for e in self.effects if e.function is not None))
+
+    def as_declared(self, data: Measurements) -> Measurements:
+        """As of any model, and as the last set-up of the instrument would have shown them."""
+        return seen_from_the_last(self, super().as_declared(data))
+
+    def for_run(self, data: Measurements) -> Self:
+        """As of any model, with the poses of the set-ups before the last."""
+        made = super().for_run(data)
+        known = {one.name for one in made.set_ups}
+        new = [one for one in (effect_of(made, each) for each in data.set_ups) if one.name not in known]
+        return replace(made, set_ups=(*made.set_ups, *new)) if new else made
+
     # -- as it was identified ------------------------------------------------------------------------------
 
-    def sensor_frame(self, values: Floats) -> tuple[Floats, Floats]:
-        """From the base to the sensor as identified, before it slipped: the turn (3, 3) and the shift (3,), mm."""
-        return self._stood(values, POSE)
-
-    def deployed_frame(self, values: Floats) -> tuple[Floats, Floats]:
-        """:meth:`sensor_frame` as a control loop has it, after a slip: what it is told, it is told after the run."""
-        return self._stood(values, POSE, SLIP)
-
-    def _stood(self, values: Floats, *rows: Sequence[str]) -> tuple[Floats, Floats]:
+    def sensor_frame(self, values: Floats, *, slipped: bool = False) -> tuple[Floats, Floats]:
+        """From the base to the sensor as identified: the turn (3, 3) and the shift (3,), mm; once it has ``slipped``
+        those from then on."""
         known = dict(zip((p.name for p in self.core_parameters), self.full(values).tolist(), strict=True))
-        off = np.array([[known.get(name, 0.0) for name in row] for row in rows]).sum(axis=0)
+        off = np.array([known.get(name, 0.0) + slipped * known.get(slip_of(name), 0.0) for name in POSE])
         by = scipy.spatial.transform.Rotation.from_rotvec(off[:3]).as_matrix()
         return by @ self.sensor_pose.turn, np.array(self.sensor_pose.origin_mm) + off[3:]
 

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
 from ..base import linalg
 from ..base.types import Bools, Floats
@@ -27,8 +28,8 @@ Triple = tuple[float, float, float]
 TURNS = ("sensor_turn_x", "sensor_turn_y", "sensor_turn_z")
 SHIFTS = ("sensor_shift_x", "sensor_shift_y", "sensor_shift_z")
 POSE = (*TURNS, *SHIFTS)
-#: By how much they changed at a moment, in the same order.
-SLIP = tuple(f"sensor_slip.{one.removeprefix('sensor_')}" for one in POSE)
+#: The effect that says how the pose changed in the course of a run; its parameters are called as those are.
+SLIP = "sensor_slip"
 #: The coordinates of an instrument that reads places in space; of one in a plane the first two.
 SPACE = ("x_mm", "y_mm", "z_mm")
 #: The numbers that readings of a plane show.
@@ -37,6 +38,12 @@ IN_PLANE = ("sensor_turn_z", "sensor_shift_x", "sensor_shift_y")
 #: Rows that tell where a sensor stands; in so many rounds, in each of which rows count that are off by no more than
 #: this many times the median; and how thin a cloud of places is a line.
 _FEWEST, _ROUNDS, _FAR, _LINE = 4, 5, 5.0, 1e-3
+
+
+def slip_of(name: str) -> str:
+    """The parameter of :data:`SLIP` by which one of :data:`POSE` changes, as it is called in a model."""
+    return f"{SLIP}.{name.removeprefix('sensor_')}"
+
 
 FREE: Triple = (np.inf, np.inf, np.inf)
 HELD: Triple = (0.0, 0.0, 0.0)
@@ -85,6 +92,41 @@ class SensorPose:
         shift = usual_shift_mm if self.shift_sd_mm is None else self.shift_sd_mm
         turn = usual_turn_deg if self.turn_sd_deg is None else self.turn_sd_deg
         return np.array([*np.deg2rad(turn), *shift])
+
+    @classmethod
+    def from_targets(cls, base_mm: ArrayLike, read_mm: ArrayLike, sigma_mm: float | None = None) -> SensorPose:
+        """Where a sensor stands that read points fixed to the base at ``read_mm`` (n, 3), whose places in its frame are
+        ``base_mm`` (n, 3), and how well these tell it: by the noise ``sigma_mm`` of a reading, or by what they leave.
+
+        Raises :class:`~sherkit.errors.RobotError` for fewer than three points, and for points on a line.
+
+            pose = sk.SensorPose.from_targets(
+                [[100, 0, 0], [0, 100, 0], [0, 0, 0]], [[100, 5, 0], [0, 105, 0], [0, 5, 0]], 0.01
+            )
+            print(pose.origin_mm, pose.turn_sd_deg)
+        """
+        base, read = (np.asarray(one, dtype=float) for one in (base_mm, read_mm))
+        if base.ndim != 2 or base.shape[1:] != (3,) or base.shape != read.shape or len(base) < 3:
+            raise RobotError(
+                f"sensor_pose: three points fixed to the base or more tell where the sensor stands, (n, 3) each, got "
+                f"{base.shape} and {read.shape}"
+            )
+        if not (np.isfinite(base).all() and np.isfinite(read).all()):
+            raise RobotError("sensor_pose: targets: expected finite numbers, mm")
+        found = registered(base, read, fewest=3)
+        if found is None:
+            raise RobotError(
+                "sensor_pose: the points fixed to the base lie on a line: the turn about it is not told; read one aside"
+            )
+        left, free = read - base @ found.turn.T - found.shift_mm, 3 * len(base) - len(POSE)
+        # of few readings their own spread is a guess
+        squares = float(np.square(left).sum()) / max(free - 2, 1) if sigma_mm is None else sigma_mm**2
+        by_turn = np.cross(np.eye(3)[None], (base @ found.turn.T)[:, None, :]).transpose(0, 2, 1)
+        columns = np.concatenate([by_turn, np.broadcast_to(np.eye(3), (len(base), 3, 3))], axis=2).reshape(-1, 6)
+        sd = np.sqrt(squares * np.diag(linalg.inv(columns.T @ columns)))
+        angles = scipy.spatial.transform.Rotation.from_matrix(found.turn).as_euler("xyz", degrees=True)
+        triples = (found.shift_mm, angles, sd[3:], np.rad2deg(sd[:3]))
+        return cls(*(tuple(one.tolist()) for one in triples))
 
     @classmethod
     def from_table(cls, table: Table) -> SensorPose:
@@ -137,11 +179,12 @@ ANYWHERE, WITH_ITS_FILE = SensorPose(), KnownPose()
 @dataclass(frozen=True, eq=False)
 class Registered:
     """The rigid transform of points to where they were read: ``read = turn @ point + shift``; ``near`` are the rows
-    that tell it."""
+    that tell it, and half of all are off by ``missed_mm`` or less."""
 
     turn: Floats
     shift_mm: Floats
     near: Bools
+    missed_mm: float
 
     @property
     def rotation_rad(self) -> Floats:
@@ -150,7 +193,9 @@ class Registered:
         return made
 
 
-def registered(points_mm: Floats, read_mm: Floats, *, mirrored: bool = False) -> Registered | None:
+def registered(
+    points_mm: Floats, read_mm: Floats, *, mirrored: bool = False, fewest: int = _FEWEST
+) -> Registered | None:
     """The turn and shift that bring points (n, 3) to where they were read (n, 3); None where they are too few, or stand
     in a line. Rows with an empty cell (NaN) and rows far off do not count. ``mirrored`` is the best turn with a
     mirror."""
@@ -158,7 +203,7 @@ def registered(points_mm: Floats, read_mm: Floats, *, mirrored: bool = False) ->
     near, found = whole.copy(), None
     hand = -1.0 if mirrored else 1.0
     for _ in range(_ROUNDS):
-        if near.sum() < _FEWEST:
+        if near.sum() < fewest:
             return found
         middle, there = points_mm[near].mean(axis=0), read_mm[near].mean(axis=0)
         a, b = points_mm[near] - middle, read_mm[near] - there
@@ -166,10 +211,10 @@ def registered(points_mm: Floats, read_mm: Floats, *, mirrored: bool = False) ->
             return found
         u, _, v = linalg.svd(b.T @ a)
         turn = u @ np.diag([1.0, 1.0, hand * np.sign(np.linalg.det(u @ v))]) @ v
-        found = Registered(turn, there - turn @ middle, near)
         missed = np.full(len(whole), np.inf)
         missed[whole] = np.linalg.norm(read_mm[whole] - there - (points_mm[whole] - middle) @ turn.T, axis=1)
-        kept = missed <= max(_FAR * float(np.median(missed[whole])), 1e-300)
+        found = Registered(turn, there - turn @ middle, near, float(np.median(missed[whole])))
+        kept = missed <= max(_FAR * found.missed_mm, 1e-300)
         if np.array_equal(kept, near):
             break
         near = kept

@@ -18,6 +18,7 @@ from ..errors import SherkitWarning
 from ..fit.error import ErrorSize, of_residuals
 from ..fit.folds import Folds, roots_of
 from ..fit.identify import Fit
+from ..model.effect import Effect
 
 #: Lines below those of a model on rows held out.
 _ROWS, _CORRECTED = "  the rows it was fitted to", "  with the correction"
@@ -179,18 +180,23 @@ class CalibrationRun:
             out.append((name, key, error, self.rms(values, rows)))
         return out
 
+    @property
+    def _own(self) -> list[Effect]:
+        """The user's effects in the model."""
+        return [effect for effect in self.fit.model.effects if effect.function is not None]
+
     def _left_out(self) -> Floats:
         """What the user's effects add to the prediction (n, m)."""
         fit = self.fit
         deployed = fit.model
-        for effect in fit.model.own:
+        for effect in self._own:
             deployed = deployed.without_effect(effect.name)
         core = deployed.predict(fit.data, fit.values[: len(deployed.parameters)])
         return np.where(fit.data.taken, fit.predicted - core, 0.0)
 
     def deployed(self, residuals: Floats) -> Floats:
         """Residuals (n, m) as they are where a user's effects do not run: what those explain comes back."""
-        own = self.fit.model.own
+        own = self._own
         if not own:
             return residuals
         without, layout = self._left_out(), self.fit.data.layout

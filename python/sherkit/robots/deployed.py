@@ -92,7 +92,7 @@ class Deployed(Saved, ABC):
     @cached_property
     def sensor_frame(self) -> tuple[Floats, Floats]:
         """From the base to the sensor as identified, where it stood at last: the turn (3, 3) and the shift (3,), mm."""
-        made: tuple[Floats, Floats] = self.model.deployed_frame(self.whole.values)
+        made: tuple[Floats, Floats] = self.model.sensor_frame(self.whole.values, slipped=True)
         return made
 
     def from_sensor(self, readings_mm: ArrayLike) -> Floats:

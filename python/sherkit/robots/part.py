@@ -239,7 +239,7 @@ class Part:
             free=model.free,
             effects=tuple(e.name for e in model.built_in),
             settings={name: value or 0.0 for name, value in model.settings().items()},
-            left_out=tuple(e.name for e in model.own),
+            left_out=tuple(e.name for e in model.own if e in model.effects),
             now=(
                 float(time.max()) if time is not None else 0.0,
                 float(temperature.mean()) if temperature is not None else 20.0,
@@ -250,7 +250,7 @@ class Part:
             residual_covariance=np.zeros((size, size)),
             low=np.zeros(size),
             high=np.zeros(size),
-            made_from=data.source,
+            made_from=f"{data.source}, setup {data.last_set_up}" if data.set_ups else data.source,
             rows=len(data),
             readings=data.layout.coordinates,
             **own,
@@ -271,7 +271,7 @@ class Part:
     def model(self, robot: Robot) -> ChainModel:
         """The model that was identified."""
         chosen = effects_by_name(catalogue_of(robot), self.effects)
-        return kind_of(robot).model(robot, self.free, chosen, **self.settings)
+        return kind_of(robot).model(robot, self.free, chosen, **self.settings)  # type: ignore[arg-type]
 
     def functions(self, coordinates: Floats) -> Floats:
         """Values (n, c) of the functions that a smooth correction is a sum of; it has none of them by default."""

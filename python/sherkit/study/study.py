@@ -58,7 +58,6 @@ class Study(Shown):
         with_outliers: bool = False,
     ) -> None:
         self.robot = robot_of(robot)
-        self.data = run_for(robot, data)
         self.seed = seed
         self.loss = loss
         self.own: dict[str, Effect] = {}
@@ -69,6 +68,7 @@ class Study(Shown):
         for effect in effects:
             self._register(effect)
         self.model = model_of(self.robot, free)
+        self.data = self.model.as_declared(run_for(robot, data))
         #: Rows that were judged to be gross errors; those of them that are not marked were put back.
         self._judged: Ints = np.zeros(0, dtype=np.int64)
         self._with_outliers = with_outliers
@@ -411,6 +411,7 @@ class Study(Shown):
         for effect in effects:
             study._register(effect)
         study.model = study._model_from(state)
+        study.data = study.model.as_declared(study.data)
         for undone in state.tables("undo"):
             before = files.rows_from(undone, study.data)
             action = undone.words("action", empty=True) if undone.has("action") else ""

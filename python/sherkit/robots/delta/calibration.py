@@ -164,7 +164,7 @@ class DeltaPart(Part):
         where = fit.predicted[~fit.data.is_distance & ~fit.data.outlier, :3]
         found = cast(DeltaCorrected | None, run.correction)
         correction = found.choice.correction if found is not None else None
-        turn, origin = fit.model.deployed_frame(fit.values)
+        turn, origin = fit.model.sensor_frame(fit.values, slipped=True)
         made = cls.identified(
             fit, 3, shrink=shrink, uncorrected_covariance=before, correction=correction, sensor_turn=turn,
             sensor_origin_mm=origin,

@@ -48,7 +48,7 @@ class MachineModel(ChainModel):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Its class is made again with the machine."""
-        return _again, (self.robot, self.free, self.effects, self.settings())
+        return _again, (self.robot, self.free, self.effects, self.settings() | {"set_ups": self.set_ups})
 
     def lever_mm(self, name: str) -> float:
         """In plausible sizes: units differ."""

@@ -168,6 +168,7 @@ class SphericalModel(ChainModel):
 
     def as_declared(self, data: Measurements) -> Measurements:
         """With the error of a marker's place in the picture that repeats share, where the robot file has it."""
+        data = super().as_declared(data)
         sigma = None if self.robot.camera is None else self.robot.camera.marker_sigma_px
         if sigma is None or data.layout != SPHERICAL_PIXELS:
             return data
