@@ -80,7 +80,7 @@ def derivatives(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def gauss_newton(p: Floats, q: Floats, measured: Floats, offset: Floats) -> tuple[Floats, float]:
-    """Values (15,) of geometry and datum to the minimum, by normal equations, and the sum of squares left there."""
+    """Values (15,) of geometry and shifts to the minimum, by normal equations, and the sum of squares left there."""
     free = np.array([6 * limb + k for limb in range(3) for k in range(4)])
     values, last = np.zeros(15), np.inf
     for _ in range(30):

@@ -20,7 +20,7 @@ FREE = np.array([6 * limb + k for limb in range(3) for k in range(4)])
 
 
 def candidates(robot: sk.delta.Delta, data: sk.Measurements) -> dict[str, tuple[int, Callable[[Floats], Floats]]]:
-    """Each effect: how many parameters, and predicted readings (n, 3) for geometry, datum and effect."""
+    """Each effect: how many parameters, and predicted readings (n, 3) for geometry, shifts and effect."""
     q, offset = data.joints, np.array(robot.target_offset_mm)
     home = robot.inverse([0.0, 0.0, 0.0])
     time = np.asarray(data.time_s)

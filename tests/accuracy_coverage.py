@@ -263,7 +263,7 @@ _DELTA_EFFECTS = (
 )  # fmt: skip
 _SPHERICAL_EFFECTS = (
     "joint_scale", "encoder_eccentricity", "encoder_cyclic", "backlash", "unequal_limbs", "axis_offset",
-    "gravity_flexure", "marker_offset", "sensor_pose", "focal_length", "lens_distortion",
+    "gravity_flexure", "marker_offset", "focal_length", "lens_distortion",
 )  # fmt: skip
 _RIPPLE = ("encoder_cyclic",)
 _SPARSE = planes(7)
@@ -308,6 +308,7 @@ SET_UPS: tuple[SetUp, ...] = (
     SetUp("spherical, 12 poses at random", "spherical", directions(12)),
     SetUp("spherical, 60 poses at random, no repeats", "spherical", directions(60), repeats=1),
     SetUp("spherical, 60 poses at random, ten times the noise", "spherical", directions(60), noise=10.0),
+    SetUp("spherical, camera elsewhere", "spherical", directions(100), ("sensor_pose",), period=20.0),
     *(SetUp(f"spherical, {e} left in", "spherical", directions(100), (e,), period=20.0) for e in _SPHERICAL_EFFECTS),
     *(
         SetUp(f"spherical, {e} fitted", "spherical", directions(100), (e,), (e,), period=20.0)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import numpy as np
 import pytest
 from tornado.ioloop import IOLoop
 
@@ -284,6 +285,20 @@ def test_the_robot_of_the_documents_is_the_demos(tmp_path: Path) -> None:
     (block,) = (b for b in blocks("docs/files.md") if b.language == "toml")
     (tmp_path / "robot.toml").write_text(block.text, encoding="utf-8")
     assert load_robot(tmp_path / "robot.toml") == EXAMPLE
+
+
+@pytest.mark.parametrize("name", ["docs/start.md", "docs/files.md"])
+def test_the_sensors_pose_of_the_documents_is_read(name: str, tmp_path: Path) -> None:
+    """Catches a table in the documents that sherkit refuses, or that says another thing than the text beside it: shifts
+    free, turns known to 0.02°."""
+    (robot,) = (b for b in blocks("docs/files.md") if b.language == "toml")
+    (table,) = (b for b in blocks(name) if b.text.startswith("[sensor_pose]"))
+    (tmp_path / "robot.toml").write_text(robot.text + table.text, encoding="utf-8")
+    read: Any = load_robot(tmp_path / "robot.toml")
+    pose = read.sensor_pose
+    assert (pose.origin_mm, pose.rpy_deg) == ((1250.0, -330.0, 812.0), (0.0, 0.0, 35.0))
+    assert np.isinf(pose.shift_sd_mm).all()
+    assert pose.turn_sd_deg == (0.02, 0.02, 0.02 if name == "docs/start.md" else np.inf)
 
 
 # -- what they name exists -----------------------------------------------------------------------------------

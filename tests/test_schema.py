@@ -105,3 +105,12 @@ def test_what_is_refused_by_its_shape_does_not_fit(schemas: dict[str, Any], tmp_
                     assert fitting, tables
     assert refused > 100
     assert caught > 0.8 * refused
+
+
+def test_where_the_sensor_stands_can_be_completed(schemas: dict[str, dict[str, Any]]) -> None:
+    """Catches a table that every file may leave out, and of which an editor therefore knows no key."""
+    found = {one["properties"]["kind"]["const"]: one["properties"] for one in schemas["robot"]["oneOf"]}
+    for kind in ("delta", "serial", "spherical"):
+        keys = set(found[kind]["sensor_pose"]["properties"])
+        own = set() if kind == "spherical" else {"origin_mm", "rpy_deg"}
+        assert keys == {"free", "shift_sd_mm", "turn_sd_deg"} | own

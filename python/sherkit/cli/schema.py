@@ -13,7 +13,7 @@ from typing import Any
 import click
 import tomli_w
 
-from ..data.declared import AskedTable, merged
+from ..data.declared import AskedTable, Inner, merged
 from ..data.files import write_whole
 from ..data.toml import Schema
 from ..errors import ExperimentError, SherkitError
@@ -42,7 +42,9 @@ def _robots() -> Schema:
     out = []
     for kind in known_kinds().values():
         if kind.example is not None:
-            whole = kind.example.to_tables()
+            # tables that a file may leave out are asked for all the same
+            inner = {name: {} for name, one in getattr(kind.robot, "TABLES", {}).items() if isinstance(one, Inner)}
+            whole = inner | kind.example.to_tables()
             ways = [whole, *({**whole, **one} for one in kind.spelt)]
             out.append(_of_kind(kind.name, merged([_asked(one, kind.robot.from_table) for one in ways]), columns))
     tool = FlexibleTool().to_tables()

@@ -85,7 +85,7 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
         causes = [effect for effect in d.fit.model.effects if effect.name in d.effects and effect.name != SLIP]
         physics = " ".join(f"{_first_sentence(e.physics)} {_most(d, e)}".strip() for e in causes)
         tied = f" These poses cannot tell it from {listed(d.indistinguishable[0][1:])}." if d.indistinguishable else ""
-        whole = "" if d.verdict == "explained" else " That is not all: the rest has a pattern, too."
+        whole = "" if d.verdict == "explained" else f" That is not all: {_rest(d)}."
         if d.too_few_poses:
             whole = " These poses are too few to say whether that is all."
         doubt = f" With a caveat: {d.caveat}." if d.caveat else ""
@@ -174,9 +174,16 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
             "Look at the machine and the instrument there; what is said of all other rows holds without them.",
         )
     return (
-        f"The model is {off}, and no effect that is known explains it: what is left has a pattern.",
-        "Look at the pattern below, ask what could leave it, and add that as an effect of your own.",
+        f"The model is {off}, and no effect that is known explains it: {_rest(d)}.",
+        "Look at the pattern below, ask what could leave it, and add that as an effect of your own."
+        if d.signature is not None
+        else "Ask what differs from pose to pose and stands in no column: record it, or declare it as noise.",
     )
+
+
+def _rest(d: Diagnosis) -> str:
+    """What is left, as far as shapes follow it."""
+    return "what is left has a pattern" if d.signature is not None else "what is left follows no pattern that is known"
 
 
 def _most(d: Diagnosis, effect: Effect) -> str:

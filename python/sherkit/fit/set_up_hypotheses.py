@@ -367,7 +367,9 @@ def _turned_space(names: Sequence[str], turn: Floats, mirrored: bool) -> tuple[s
         # a point's mirror image turned by half a turn is that of a plane
         plane = degrees > 180.0 - _PLANE_DEG
         what = f"mirrored in the plane square to {along}" if plane else f"mirrored in a point and {what}"
-    advice = "turn the readings back, or the angles of the robot file with them"
+    advice = "let the sensor's pose be found ([sensor_pose] free = true in the robot file), or turn the readings back"
+    if mirrored:
+        advice = "change the sign of one of them"
     return f"the frame of {_and(names)} looks {what}", advice, _TURNED
 
 

@@ -83,7 +83,7 @@ def unobserved(
     for k in range(len(rows)):
         scores = np.abs(rows[k:]).max(axis=0)
         scores[pivots] = 0.0
-        # the last parameter with a fair share: the datum comes last and is the natural handle
+        # the last parameter with a fair share: where the sensor stands comes last and is the natural handle
         pivot = int(np.flatnonzero(scores >= _NAMED * scores.max())[-1])
         best = k + int(np.argmax(np.abs(rows[k:, pivot])))
         rows[[k, best]] = rows[[best, k]]

@@ -193,7 +193,7 @@ class ChainModel(SeenModel):
 
     @cached_property
     def base(self) -> tuple[Parameter, ...]:
-        """Geometric errors, datum and the like: the parameters that ``free`` chooses from, in the order of the core."""
+        """Geometric errors, the sensor's pose and the like: what ``free`` chooses from, in the order of the core."""
         made = (p for row in self.table if row["base"] for p in parameters_of_core(row, self.lever_mm))
         return tuple(self.as_known(p) for p in made)
 
@@ -225,7 +225,7 @@ class ChainModel(SeenModel):
 
     @property
     def fixed(self) -> tuple[Parameter, ...]:
-        """Geometric errors and datum that ``free`` does not name."""
+        """Geometric errors and numbers of the sensor's pose that ``free`` does not name."""
         freed = {p.name for p in self.parameters}
         return tuple(p for p in self.base if p.name not in freed)
 

@@ -212,7 +212,7 @@ class Catalogue(dict[str, Effect], Shown):
 def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str, Sentences]) -> Catalogue:
     """The effects of a compiled table by name, in its order, each with its three sentences.
 
-    A row that every model has (geometry, datum) is an effect only where there are sentences for it. Raises
+    A row that every model has (geometry, the sensor's pose) is an effect only where there are sentences for it. Raises
     :class:`~sherkit.errors.EffectError` where table and sentences do not name the same effects.
     """
     rows = {row["name"]: row for row in table if not row["base"] or row["name"] in sentences}

@@ -273,8 +273,10 @@ class Accurate(Deployed):
         """How far off the robot may be at ``coordinates`` (k,), and why. Arguments and errors as :meth:`inverse`."""
         x = self._place(coordinates)
         now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction}
-        self.inverse(x, **now)  # says why where it cannot be reached
-        return self.predicted_accuracies(x[None, :], **now)[0]
+        made = self.predicted_accuracies(x[None, :], **now)
+        if not made.reached[0]:
+            self.inverse(x, **now)  # says why
+        return made[0]
 
     def predicted_accuracies(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,

@@ -62,8 +62,9 @@ _WARMING_C = 2.0
 def signature(effect: Effect, robot: Delta) -> tuple[Floats, Floats]:
     """Places (n, 3) and what is left of the effect there (n, 3), mm.
 
-    All parameters at their plausible size, signs alternating, projected off the fitted geometry and datum. The poses
-    are walked plane by plane while it grows warmer by two degrees; a period that nobody gave is a tenth of their width.
+    All parameters at their plausible size, signs alternating, projected off the fitted geometry and the sensor's pose.
+    The poses are walked plane by plane while it grows warmer by two degrees; a period that nobody gave is a tenth of
+    their width.
     Raises :class:`~sherkit.errors.SherkitError` where the robot reaches no pose.
     """
     half = 0.7 * (robot.workspace_radius_mm or 20.0)
