@@ -1,8 +1,9 @@
 """Robots of all kinds before an instrument that somebody has put somewhere: where it stands, what joints and readings
 are counted from, which joint stands still, the room and the clock are drawn.
 
-Each world is one robot, its plan and its instrument, asked with this or that hidden in it; what is hidden is as large as
-the geometry and a free pose of the instrument leave so many noises of it. Its physics is that of the second simulators.
+Each world is one robot, its plan and its instrument, asked with this or that hidden in it; what is hidden is as large
+as the geometry and a free pose of the instrument leave so many noises of it. Its physics is that of the second
+simulators.
 """
 
 from __future__ import annotations
@@ -316,8 +317,7 @@ class Sphere(Standing):
                     name, ratio, self.noise, self.plan, rng, fitted
                 )
             )  # fmt: skip
-        columns = self.real.changed(effects=planted).run(self.plan, seed=self.number)
-        return columns
+        return self.real.changed(effects=planted).run(self.plan, seed=self.number)
 
     @property
     def held(self) -> Any:

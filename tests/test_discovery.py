@@ -23,6 +23,7 @@ from second_simulator import (
     Noise,
     Robot,
     draw_geometric_errors,
+    draw_pose,
     grid,
     local_grid,
     make_plan,
@@ -53,7 +54,7 @@ CAPS = {("gravity_sag", "local"): 2.0}
 
 @dataclass
 class Run:
-    """One simulated run and what was planted in it."""
+    """One simulated run and what was planted in it, where the sensor stands among it."""
 
     data: sk.Measurements
     errors: dict[str, float]
@@ -75,14 +76,15 @@ def measured(
     noise: Noise | None = None,
     add: Mapping[str, Any] | None = None,
 ) -> Run:
-    """A run over ``points``. ``scaled`` effects are drawn so that a geometric fit leaves the given RMS, µm; ``add``
-    maps a column to a function of the columns that is added to it."""
+    """A run over ``points``, read by a sensor that stands anywhere. ``scaled`` effects are drawn so that a geometric
+    fit leaves the given RMS, µm; ``add`` maps a column to a function of the columns that is added to it."""
+    stands: dict[str, Any] = {"sensor_pose": draw_pose(np.random.default_rng([seed, 8]))}
     plan = make_plan(ROBOT, points, repeats=repeats, order=order, seed=seed)
     errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
-    planted: dict[str, Any] = dict(effects or {})
+    planted: dict[str, Any] = stands | dict(effects or {})
     for k, (name, rms_um) in enumerate((scaled or {}).items()):
         rng = np.random.default_rng([seed, 2, k])
-        planted |= scaled_effect(ROBOT, plan, name, rng, 1e-3 * rms_um, errors=errors)
+        planted |= scaled_effect(ROBOT, plan, name, rng, 1e-3 * rms_um, errors=errors, beside=stands)
     noise = noise or Noise(sigma_mm=1e-3 * NOISE_UM)
     columns = simulate(ROBOT, plan, errors, planted, noise=noise, seed=1000 + seed)
     for name, function in (add or {}).items():
