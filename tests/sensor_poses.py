@@ -30,8 +30,8 @@ from standing_worlds import SCARA, WORLDS, Standing
 from test_frames import arm_held, calibrated, delta_held
 
 RATIOS = (2, 5)
-#: Two processes, each of one thread.
-WORKERS = 2
+#: Two processes, each of one thread; after so many worlds the table is printed.
+WORKERS, OFTEN = 2, 20
 #: Length, in noise, at which what is left of something shows in 80 % of runs: one column of the 200 that are tried
 #: together at a level of 1 %, on the two thirds of the rows that are searched.
 SEEN = float(stats.norm.isf(0.01 / 200 / 2) + stats.norm.isf(0.2)) * np.sqrt(1.5)
@@ -264,7 +264,10 @@ def main() -> None:
         done.append(one)
         for sentence in one.said:
             print(sentence, flush=True)
-    print(table_of(done))
+        if not len(done) % OFTEN:
+            print(table_of(done), flush=True)
+    if len(done) % OFTEN:
+        print(table_of(done))
 
 
 if __name__ == "__main__":

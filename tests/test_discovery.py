@@ -15,6 +15,7 @@ import polars as pl
 import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from consistency import named
@@ -65,6 +66,11 @@ class Run:
         return sk.diagnose(sk.identify(DELTA, self.data), effects=effects)
 
 
+def stands_at(seed: int) -> Floats:
+    """Where the sensor of a run stands (6,), rad and mm: anywhere."""
+    return draw_pose(np.random.default_rng([seed, 8]))
+
+
 def measured(
     points: Floats,
     seed: int,
@@ -78,7 +84,7 @@ def measured(
 ) -> Run:
     """A run over ``points``, read by a sensor that stands anywhere. ``scaled`` effects are drawn so that a geometric
     fit leaves the given RMS, µm; ``add`` maps a column to a function of the columns that is added to it."""
-    stands: dict[str, Any] = {"sensor_pose": draw_pose(np.random.default_rng([seed, 8]))}
+    stands: dict[str, Any] = {"sensor_pose": stands_at(seed)}
     plan = make_plan(ROBOT, points, repeats=repeats, order=order, seed=seed)
     errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
     planted: dict[str, Any] = stands | dict(effects or {})
@@ -260,9 +266,15 @@ def floor_heave(rows: Any, p: Any) -> Floats:
 
 
 def heaved(seed: int) -> Run:
-    """A run on a heaving floor; the simulator's sensor is straight, so what moves the point moves the reading."""
+    """A run on a heaving floor; what moves the point moves the reading along the axes of the sensor, which is straight
+    and stands anywhere."""
     wave: Any = lambda c: 0.02 * np.sin(2 * np.pi * c["time_s"] / 1200.0)  # noqa: E731
-    return measured(GRIDS["small"], seed, add={"y_mm": lambda c: 0.5 * wave(c), "z_mm": wave})
+    seen = Rotation.from_rotvec(stands_at(seed)[:3]).apply([0.0, 0.5, 1.0])
+    return measured(
+        GRIDS["small"],
+        seed,
+        add={f"{axis}_mm": lambda c, part=part: part * wave(c) for axis, part in zip("xyz", seen, strict=True)},
+    )
 
 
 def test_a_users_effect_stands_beside_the_built_in_ones() -> None:
