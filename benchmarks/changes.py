@@ -103,7 +103,9 @@ def verified(times: tuple[float, float], settings: dict[str, Any], seed: int) ->
         made = sk.calibrate(world.robot, world.runs[0], correction="none").calibration
         poses = sk.changes.verifying_poses(made, 12, seed=seed)
         places = np.array([[p["x_mm"], p["y_mm"], p["z_mm"]] for p in poses])
-        promised = float(np.sqrt(np.mean(np.square(made.predicted_accuracies(places).radius_mm)))) / _TO_95
+        promised = (
+            float(np.sqrt(np.mean(np.square(made.predicted_accuracies(made.to_sensor(places)).radius_mm)))) / _TO_95
+        )
 
         def changed_by(ratio: float) -> DeltaPair:
             """The same machine, with a change that leaves so many noises."""

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from driven_worlds import UNKNOWN
-from second_simulator.effects import EFFECTS
+from second_simulator.effects import EFFECTS, draw_pose
 from second_simulator.geometry import FITTED_SIZES, NOMINAL_CONFIG, Robot, draw_geometric_errors
 from second_simulator.plans import make_plan
 from second_simulator.simulate import scaled_effect, truth
@@ -63,6 +63,7 @@ class DeltaPair:
         rng = np.random.default_rng([seed, 21])
         self.robot = robot_from_tables(deepcopy(NOMINAL_CONFIG), "nominal")
         self.real, self.noise = Robot.from_dict(NOMINAL_CONFIG), 1e-3 * noise_um
+        self.unknown: Floats = np.zeros(3)
         self.errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
         self.common: dict[str, Any] = {"thermal_growth": np.array([12e-6])} if growth or warmer_c else {}
         where = [somewhere(rng, n) for n in poses]
@@ -73,26 +74,34 @@ class DeltaPair:
             for k, (at, n) in enumerate(zip(where, (2, repeats), strict=True))
         ]
         plans[1]["temperature_c"] = plans[1]["temperature_c"] + warmer_c
+        # somebody has put the instrument somewhere, and if it was stationed anew, elsewhere before the second run
+        first, second = (draw_pose(np.random.default_rng([seed, 8, k])) for k in range(2))
+        self.stands = (first, second if stationed else first)
+        there: dict[str, Any] = {"sensor_pose": self.stands[1]}
         self.true: dict[str, float] = {}
         after, effects = dict(self.errors), dict(self.common)
         for k, name in enumerate(changed):
             if name in EFFECTS:
                 drawn = np.random.default_rng([seed, 2, k])
-                effects |= scaled_effect(self.real, plans[1], name, drawn, ratio * self.noise, errors=self.errors)
+                effects |= scaled_effect(
+                    self.real, plans[1], name, drawn, ratio * self.noise, errors=self.errors, beside=there
+                )
             else:
                 step = 1e-3 if "angle" not in name else 1e-5
                 by = self._left(plans[1], truth(self.real, plans[1], self.errors | {name: self.errors[name] + step})
                                 - truth(self.real, plans[1], self.errors))  # fmt: skip
                 self.true[name] = step * ratio * self.noise / by * rng.choice([-1.0, 1.0])
                 after[name] += self.true[name]
-        exact = [truth(self.real, plans[0], self.errors, self.common), truth(self.real, plans[1], after, effects)]
+        exact = [
+            truth(self.real, plans[0], self.errors, self.common | {"sensor_pose": self.stands[0]}),
+            truth(self.real, plans[1], after, effects | there),
+        ]
+        self.after = (plans[1], after, effects)
         if unknown:
-            moved = UNKNOWN[unknown](np.random.default_rng([seed, 3]))(plans[1], exact[1])
-            exact[1] = exact[1] + moved * ratio * self.noise / self._left(plans[1], moved)
-        self.exact = exact[1]
-        if stationed:
-            turn = Rotation.from_rotvec(rng.uniform(-0.05, 0.05, 3))
-            exact[1] = turn.apply(exact[1]) + rng.uniform(-30.0, 30.0, 3)
+            at = truth(self.real, plans[1], after, effects)
+            moved = UNKNOWN[unknown](np.random.default_rng([seed, 3]))(plans[1], at)
+            self.unknown = moved * ratio * self.noise / self._left(plans[1], moved)
+            exact[1] = exact[1] + Rotation.from_rotvec(self.stands[1][:3]).apply(self.unknown)
         self.runs = []
         for k, (plan, seen) in enumerate(zip(plans, exact, strict=True)):
             sigma = self.noise * (1.0 if not k else rng.uniform(0.8, 1.3))
@@ -104,14 +113,17 @@ class DeltaPair:
         rng = np.random.default_rng([seed, 23])
         plan = make_plan(self.real, somewhere(rng, 30), 2, "shuffled", seed)
         errors = {name: value + moved.get(name, 0.0) for name, value in self.errors.items()}
-        seen = Rotation.from_rotvec(rng.uniform(-0.02, 0.02, 3)).apply(truth(self.real, plan, errors))
-        read = seen + rng.uniform(-5.0, 5.0, 3) + self.noise * rng.normal(size=seen.shape)
+        seen = truth(self.real, plan, errors, {"sensor_pose": draw_pose(rng)})
+        read = seen + self.noise * rng.normal(size=seen.shape)
         return {**plan, "x_mm": read[:, 0], "y_mm": read[:, 1], "z_mm": read[:, 2]}
 
     def missed(self, deployed: sk.Calibration) -> Floats:
-        """What the deployed model is truly off (n, 3), mm, in the second run, seen from where the sensor stands."""
+        """What the deployed model is truly off (n, 3), mm, in the second run, as the sensor of the first one sees it."""
         joints = np.column_stack([self.runs[1][f"q{k}_mm"] for k in (1, 2, 3)])
-        return unstationed(self.exact, self.exact - deployed.forward_batch(joints).values)
+        plan, errors, effects = self.after
+        there = truth(self.real, plan, errors, effects | {"sensor_pose": self.stands[0]})
+        there = there + Rotation.from_rotvec(self.stands[0][:3]).apply(self.unknown)
+        return unstationed(there, there - deployed.forward_batch(joints, frame="sensor").values)
 
     def _left(self, plan: Mapping[str, Floats], change: Floats) -> float:
         """The root mean square that the sensor's stand leaves of a change of the readings."""
@@ -139,7 +151,7 @@ class ArmPair:
         rng = np.random.default_rng([seed, 22])
         before = VirtualSerial.simulated(self.robot, seed, 1.0, PLAIN)
         where = [postures(self.robot, n, 0.8, seed + k) for k, n in enumerate(poses)]
-        stand = np.r_[rng.uniform(-0.3, 0.3, 3), rng.uniform(-200.0, 200.0, 3)]
+        before, stand = replace(before, stand=draw_pose(rng)), draw_pose(rng)
         after = before
         if changed in ARM_MECHANICAL:
             drawn = hidden_at(self.robot, changed, ratio, seed)

@@ -1,7 +1,8 @@
 """Machines that are driven row by row: the second simulators, as a loop that chooses its own poses meets them.
 
 A world has a clock: a reading takes some seconds, and no row is read before the moment that it asks for. What is hidden
-is as large as a fit of the geometry leaves so many noises of it, on poses over the whole workspace and half an hour.
+is as large as a fit of the geometry, and of the pose of an instrument that stands anywhere, leaves so many noises of it,
+on poses over the whole workspace and half an hour.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+from second_simulator.effects import draw_pose
 from second_simulator.geometry import NOMINAL_CONFIG, Robot, draw_geometric_errors
 from second_simulator.plans import grid, make_plan
 from second_simulator.simulate import fitted_directions, scaled_effect, truth
-from second_simulator.spherical import SPHERICAL_EFFECTS, spherical_plan
+from second_simulator.spherical import GEOMETRY, SPHERICAL_EFFECTS, spherical_plan
 from sherkit.model.kinds import robot_from_tables
 from sherkit.robots.serial import VirtualSerial
 from test_arm_counted import arm_in
@@ -132,15 +135,26 @@ class DrivenDelta(World):
         )
         plan = make_plan(self.real, grid(20.0, 6, (-15.0, 0.0, 15.0)), 1, "shuffled", seed, dwell_s=SPAN_S / 108 - 1.0)
         plan |= self.room(plan["time_s"])
-        self.effects: dict[str, Any] = {}
+        stands: dict[str, Any] = {"sensor_pose": draw_pose(np.random.default_rng([seed, 8]))}
+        self.effects = dict(stands)
         for k, name in enumerate(hidden):
             rng = np.random.default_rng([seed, 2, k])
-            self.effects |= scaled_effect(self.real, plan, name, rng, ratio * self.noise, errors=self.errors)
+            drawn = scaled_effect(self.real, plan, name, rng, ratio * self.noise, errors=self.errors, beside=stands)
+            self.effects |= drawn
         self.unknown: Callable[[Mapping[str, Floats], Floats], Floats] | None = None
         if unknown:
-            kind = UNKNOWN[unknown](np.random.default_rng([seed, 3]))
+            own, turned = (
+                UNKNOWN[unknown](np.random.default_rng([seed, 3])),
+                Rotation.from_rotvec(self.effects["sensor_pose"][:3]),
+            )
+
+            def kind(columns: Mapping[str, Floats], point: Floats) -> Floats:
+                """What moves the robot in the axes of its base, as the instrument sees it."""
+                base = turned.inv().apply(point - self.effects["sensor_pose"][3:])
+                return turned.apply(own(columns, base))
+
             at = truth(self.real, plan, self.errors, self.effects)
-            basis, change = fitted_directions(self.real, plan, self.errors), kind(plan, at).ravel()
+            basis, change = fitted_directions(self.real, plan, self.errors, stands), kind(plan, at).ravel()
             left = change - basis @ (basis.T @ change)
             size = ratio * self.noise / float(np.sqrt(np.mean(left**2)))
             self.unknown = lambda columns, point: size * kind(columns, point)
@@ -169,10 +183,12 @@ class DrivenSpherical(World):
         self.robot, self.real = replace(ROBOT, phi_deg=(33.0, 147.0), gamma_deg=(19.0, 71.0)), real_robot(seed)
         plan = spherical_plan(PLANS["whole"][::5], 1, "shuffled", seed, SPAN_S / len(PLANS["whole"][::5]))
         plan |= self.room(plan["time_s"]) | {f"theta{i}_rad_per_s": 0.0 * plan["time_s"] for i in (1, 2)}
-        planted: dict[str, Any] = {}
+        # a camera that is part of the robot's file stands within what is known of it
+        stands = np.random.default_rng([seed, 8]).normal(size=6) * ([np.deg2rad(0.1)] * 3 + [1.0] * 3)
+        planted: dict[str, Any] = {"sensor_pose": stands}
         for name in hidden:
             rng = np.random.default_rng([seed, 2, tuple(SPHERICAL_EFFECTS).index(name)])
-            planted |= self.real.at_ratio(name, ratio, NOISE_PX, plan, rng)
+            planted |= self.real.at_ratio(name, ratio, NOISE_PX, plan, rng, (*GEOMETRY, "sensor_pose"))
         self.real.effects = planted
 
     def exact(self, columns: Mapping[str, Floats]) -> Floats:
@@ -207,7 +223,8 @@ class DrivenArm(World):
         with TemporaryDirectory() as folder:
             self.robot = arm_in(Path(folder))
         self.joints = self.robot.layout.joints
-        self.real = VirtualSerial.simulated(self.robot, seed, 1.0, PLAIN)
+        stand = draw_pose(np.random.default_rng([seed, 8]))
+        self.real = replace(VirtualSerial.simulated(self.robot, seed, 1.0, PLAIN), stand=stand)
         self._known: list[Floats] = []
         plan, plain = self._plan(seed), self.real
         for name in hidden:

@@ -125,14 +125,17 @@ def seen_from(stand: Floats | None, points: Floats) -> Floats:
 
 def run_of(
     name: str, seed: int, sizes: Mapping[str, float] | None = None, *, poses: int = 150, repeats: int = 2,
-    stand: Floats | None = None, in_order: bool = False,
+    stand: Floats | None = None, in_order: bool = False, exact: bool = False, still: int | None = None,
 ) -> pl.DataFrame:  # fmt: skip
     """A run of ``poses`` at random, ``repeats`` times in another order each time, ten seconds a row, in a room and by a
-    clock that are drawn, from where ``stand`` sees it, by default anywhere, in any order unless ``in_order``."""
+    clock that are drawn, from where ``stand`` sees it, by default anywhere, in any order unless ``in_order``, without
+    noise if ``exact``. The joint of number ``still`` stands where it was first."""
     true, joints, readings, noise = MACHINES[name]
     rng = np.random.default_rng(seed)
     low, high = np.array(list(joints.values())).T
     places = rng.uniform(low, high, (poses, len(low)))
+    if still is not None:
+        places[:, still] = places[0, still]
     pose = np.concatenate([rng.permutation(poses) for _ in range(repeats)])
     q = places[pose]
     time_s = 10.0 * np.arange(len(q))
@@ -153,7 +156,7 @@ def run_of(
     if seen.shape[1] == 3:
         seen = _knocked(seen, stand_of(seed) if stand is None else stand, time_s, hidden)
     seen += hidden.stand_per_c * np.outer(late, np.linspace(1.0, -0.6, seen.shape[1]))
-    seen += noise * rng.normal(size=seen.shape)
+    seen += (0.0 if exact else noise) * rng.normal(size=seen.shape)
     made = pl.DataFrame(
         {"time_s": time_s + room.uniform(-1e5, 1e5), "pose": pose + 1, "temperature_c": warmth}
         | dict(zip(joints, places[pose].T, strict=True))

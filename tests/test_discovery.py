@@ -15,6 +15,7 @@ import polars as pl
 import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from consistency import named
@@ -23,6 +24,7 @@ from second_simulator import (
     Noise,
     Robot,
     draw_geometric_errors,
+    draw_pose,
     grid,
     local_grid,
     make_plan,
@@ -53,7 +55,7 @@ CAPS = {("gravity_sag", "local"): 2.0}
 
 @dataclass
 class Run:
-    """One simulated run and what was planted in it."""
+    """One simulated run and what was planted in it, where the sensor stands among it."""
 
     data: sk.Measurements
     errors: dict[str, float]
@@ -62,6 +64,11 @@ class Run:
     def diagnose(self, effects: tuple[sk.Effect, ...] = ()) -> sk.diagnosis.Diagnosis:
         """As a user does."""
         return sk.diagnose(sk.identify(DELTA, self.data), effects=effects)
+
+
+def stands_at(seed: int) -> Floats:
+    """Where the sensor of a run stands (6,), rad and mm: anywhere."""
+    return draw_pose(np.random.default_rng([seed, 8]))
 
 
 def measured(
@@ -75,14 +82,15 @@ def measured(
     noise: Noise | None = None,
     add: Mapping[str, Any] | None = None,
 ) -> Run:
-    """A run over ``points``. ``scaled`` effects are drawn so that a geometric fit leaves the given RMS, µm; ``add``
-    maps a column to a function of the columns that is added to it."""
+    """A run over ``points``, read by a sensor that stands anywhere. ``scaled`` effects are drawn so that a geometric
+    fit leaves the given RMS, µm; ``add`` maps a column to a function of the columns that is added to it."""
+    stands: dict[str, Any] = {"sensor_pose": stands_at(seed)}
     plan = make_plan(ROBOT, points, repeats=repeats, order=order, seed=seed)
     errors = draw_geometric_errors(np.random.default_rng([seed, 1]))
-    planted: dict[str, Any] = dict(effects or {})
+    planted: dict[str, Any] = stands | dict(effects or {})
     for k, (name, rms_um) in enumerate((scaled or {}).items()):
         rng = np.random.default_rng([seed, 2, k])
-        planted |= scaled_effect(ROBOT, plan, name, rng, 1e-3 * rms_um, errors=errors)
+        planted |= scaled_effect(ROBOT, plan, name, rng, 1e-3 * rms_um, errors=errors, beside=stands)
     noise = noise or Noise(sigma_mm=1e-3 * NOISE_UM)
     columns = simulate(ROBOT, plan, errors, planted, noise=noise, seed=1000 + seed)
     for name, function in (add or {}).items():
@@ -258,9 +266,15 @@ def floor_heave(rows: Any, p: Any) -> Floats:
 
 
 def heaved(seed: int) -> Run:
-    """A run on a heaving floor; the simulator's sensor is straight, so what moves the point moves the reading."""
+    """A run on a heaving floor; what moves the point moves the reading along the axes of the sensor, which is straight
+    and stands anywhere."""
     wave: Any = lambda c: 0.02 * np.sin(2 * np.pi * c["time_s"] / 1200.0)  # noqa: E731
-    return measured(GRIDS["small"], seed, add={"y_mm": lambda c: 0.5 * wave(c), "z_mm": wave})
+    seen = Rotation.from_rotvec(stands_at(seed)[:3]).apply([0.0, 0.5, 1.0])
+    return measured(
+        GRIDS["small"],
+        seed,
+        add={f"{axis}_mm": lambda c, part=part: part * wave(c) for axis, part in zip("xyz", seen, strict=True)},
+    )
 
 
 def test_a_users_effect_stands_beside_the_built_in_ones() -> None:

@@ -35,6 +35,7 @@ from ..fit.error import axes_of
 from ..model.kinds import kind_of, required_um
 from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration, load_calibration
+from ..robots.deployed import SENSOR
 from .comparison import SHAPES, Moved
 from .joined import Candidate, candidates_of, columns_of, noise_of_repeats
 from .pool import ALARM
@@ -274,12 +275,14 @@ def _noise(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[fl
 
 
 def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> float | None:
-    """What the calibration promises of a reading at the places of these rows (root mean square, in its unit)."""
-    robot: Any = known.calibration.robot
-    there = robot.forward_batch(data.joints)
+    """What the calibration promises of a reading at the places of these rows (root mean square, in its unit), as its
+    sensor saw them: what nobody knows of the base no reading shows."""
+    made = known.calibration
+    frame = SENSOR if SENSOR in made.frames else None
+    there = made.forward_batch(data.joints, frame=frame)
     if not there.reached.any():
         return None
-    radius = known.calibration.predicted_accuracies(there.values[there.reached]).radius_mm
+    radius = made.predicted_accuracies(there.values[there.reached], frame=frame).radius_mm
     radius = radius[np.isfinite(radius)]
     if not len(radius):
         return None

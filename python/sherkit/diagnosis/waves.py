@@ -181,7 +181,7 @@ def waves_of(view: Linearised, frequency: float, rows: slice | None = None) -> F
 
 
 class Waves:
-    """Columns of every moving input with a known pattern at every frequency ``at`` (F,), before any filter in time.
+    """Columns of every input with a known pattern at every frequency ``at`` (F,), before any filter in time.
 
     Column ``(2 j + s) F + f`` is the sine (s = 0) or cosine (s = 1) at frequency f of input j of ``names``; waves start
     where an input is lowest. How readings answer to an input is that of this view: what a fit changes in it is of
@@ -189,7 +189,8 @@ class Waves:
     """
 
     def __init__(self, view: Linearised) -> None:
-        self.names: Sequence[str] = tuple(name for name in view.pattern_of if name in view.waving)
+        # one that stood still has waves that are none: an effect has a place for each input
+        self.names: Sequence[str] = view.waving if view.pattern_of else ()
         self.at = frequencies(view)
         self._whitening: Whitening | None = None
         if not len(self.at):
@@ -200,7 +201,7 @@ class Waves:
         #: Up to which multiple of the unit any frequency can be asked for: few readings have few waves to look for, but
         #: the model may have a period that is shorter than all of them.
         self.highest = max([int(self.turns.max(initial=1)), *(int(np.ceil(k)) for k in had if k <= _FINEST)]) + 1
-        self.patterns = [view.patterns[view.pattern_of[name]] for name in self.names]
+        self.patterns = [view.patterns[name] for name in self.names]
         self.values = [view.inputs[name] for name in self.names]
         self.low = [float(v.min()) for v in self.values]
         self.high = [float(v.max()) for v in self.values]
