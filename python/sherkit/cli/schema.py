@@ -43,7 +43,9 @@ def _robots() -> Schema:
     for kind in known_kinds().values():
         if kind.example is not None:
             # tables that a file may leave out are asked for all the same
-            inner: dict[str, Schema] = {name: {} for name, one in getattr(kind.robot, "TABLES", {}).items() if isinstance(one, Inner)}
+            inner: dict[str, Any] = {
+                name: {} for name, one in getattr(kind.robot, "TABLES", {}).items() if isinstance(one, Inner)
+            }
             whole = inner | kind.example.to_tables()
             ways = [whole, *({**whole, **one} for one in kind.spelt)]
             out.append(_of_kind(kind.name, merged([_asked(one, kind.robot.from_table) for one in ways]), columns))
