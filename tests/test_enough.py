@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import second_simulator as simulator
 import sherkit as sk
 from sherkit.cli.demo import EXAMPLE as ROBOT
-from sherkit.diagnosis.fitted_run import enough_of
+from sherkit.evidence.fitted_run import enough_of
 
 
 def measured(repeats: int, order: str = "shuffled", noise: float = 0.005, seed: int = 3) -> sk.Measurements:

@@ -18,10 +18,10 @@ import sherkit as sk
 from sherkit.base.types import Floats
 from sherkit.cli.verbs import cli
 from sherkit.data.doubts.repeats import copied
-from sherkit.diagnosis.fitted_run import FittedRun
 from sherkit.diagnosis.held_out import by_noise_alone
 from sherkit.diagnosis.stage import stage_of
 from sherkit.diagnosis.waves import waves_of
+from sherkit.evidence.fitted_run import FittedRun
 from sherkit.fit.error import repeated_folds_of
 from sherkit.robots.serial import Serial, postures
 from test_arm_counted import OwnArm, arm_in

@@ -14,8 +14,8 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "python" / "sherkit"
 #: From the top down; CONTRIBUTING says what each is for. Rooms of one floor do not know each other.
 FLOORS = (
-    ("errors", "_core"), ("base",), ("data",), ("model", "vision"), ("fit",), ("diagnosis",), ("robots",),
-    ("planning", "calibration", "fleets"), ("study", "adaptive"), ("changes",),
+    ("errors", "_core"), ("base",), ("data",), ("model", "vision"), ("fit",), ("evidence",), ("diagnosis",),
+    ("robots",), ("planning", "calibration", "fleets"), ("study", "adaptive"), ("changes",),
     ("report", "lab", "testing"), ("__init__",), ("app",), ("cli",), ("__main__",),
 )  # fmt: skip
 FLOOR = {room: k for k, rooms in enumerate(FLOORS) for room in rooms}

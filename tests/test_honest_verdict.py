@@ -21,7 +21,7 @@ import sherkit as sk
 import worlds
 from consistency import PRAISED, consistent, contradictions, named, noise_of
 from sherkit.diagnosis.answers import SINGLY
-from sherkit.diagnosis.fitted_run import FittedRun
+from sherkit.evidence.fitted_run import FittedRun
 from worlds import NOISE_PX, NOISE_UM, ROWS, Answer, World
 
 #: A minute and more of fits; what fails is known, and marked.

@@ -13,7 +13,7 @@ import pytest
 
 import sherkit as sk
 from sherkit.data.lagged import Room
-from sherkit.diagnosis.fitted_run import FittedRun
+from sherkit.evidence.fitted_run import FittedRun
 from sherkit.model.kinds import known_kinds, model_of
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from sherkit.diagnosis.fitted_run import FittedRun
 from sherkit.diagnosis.repeats import same_within_poses
+from sherkit.evidence.fitted_run import FittedRun
 from sherkit.fit.folds import Beside
 from strategies import EXAMPLE
 

@@ -14,8 +14,8 @@ import pytest
 
 import sherkit as sk
 import worlds
-from sherkit.diagnosis.fitted_run import FittedRun
 from sherkit.diagnosis.waves import frequencies
+from sherkit.evidence.fitted_run import FittedRun
 from strategies import EXAMPLE
 from worlds import NOISE_UM, World, settings_without
 

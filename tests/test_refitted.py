@@ -8,8 +8,8 @@ import pytest
 
 import sherkit as sk
 from sherkit.diagnosis.explanation import refit
-from sherkit.diagnosis.fitted_run import FittedRun
 from sherkit.diagnosis.search import Search
+from sherkit.evidence.fitted_run import FittedRun
 from test_discovery import DELTA, measured, whole_grid
 
 

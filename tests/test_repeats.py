@@ -18,8 +18,8 @@ import sherkit as sk
 import worlds
 from second_simulator.plans import Order, grid
 from second_simulator.spherical import spherical_plan
-from sherkit.diagnosis.fitted_run import FittedRun
 from sherkit.diagnosis.repeats import in_repeats
+from sherkit.evidence.fitted_run import FittedRun
 from test_few_poses import few
 from test_spherical_discovery import PLANS, ROBOT, patch, real_robot
 

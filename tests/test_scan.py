@@ -14,11 +14,12 @@ from sherkit.diagnosis import play_operator
 from sherkit.diagnosis.axis_waves import AxisWaves
 from sherkit.diagnosis.columns import Block, Columns
 from sherkit.diagnosis.lack_of_fit import codes_of, z_score
-from sherkit.diagnosis.linearised import Linearised, Whitening, correlation_in_time, orthonormal, whiten
 from sherkit.diagnosis.scan import Scan
 from sherkit.diagnosis.shapes import build, wave
 from sherkit.diagnosis.stage import _largest_step, _one_after_another
 from sherkit.diagnosis.waves import Gridded, Waves, waves_of
+from sherkit.evidence.linearised import Linearised
+from sherkit.evidence.whitening import Whitening, correlation_in_time, orthonormal, whiten
 from sherkit.model.effect import Effect
 
 Floats = NDArray[np.float64]

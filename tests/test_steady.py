@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 
 import sherkit as sk
 from second_simulator import NOMINAL_CONFIG, Robot, grid, make_plan, simulate
-from sherkit.diagnosis.fitted_run import FittedRun
 from sherkit.diagnosis.where import slow_drift_of
+from sherkit.evidence.fitted_run import FittedRun
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]

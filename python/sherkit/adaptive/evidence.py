@@ -19,7 +19,7 @@ import numpy as np
 
 from ..base import linalg
 from ..base.types import Floats, Ints
-from ..diagnosis.linearised import orthonormal
+from ..evidence.whitening import orthonormal
 from .hypotheses import Hypotheses, Key
 
 #: What has no shape that these poses could tell: another error at each of them, the same when it is read once more.

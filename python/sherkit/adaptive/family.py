@@ -15,7 +15,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import TIME
 from ..data.lagged import DRAWN_C, Room
-from ..diagnosis.linearised import orthonormal
+from ..evidence.whitening import orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from .evidence import ROUGH

@@ -16,9 +16,9 @@ import numpy as np
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD, Noise, noise_of
-from ..diagnosis.fitted_run import DIGITS
-from ..diagnosis.linearised import Whitening, correlation_in_time, orthonormal
 from ..errors import SherkitError
+from ..evidence.fitted_run import DIGITS
+from ..evidence.whitening import Whitening, correlation_in_time, orthonormal
 from ..fit.identify import Fit, identify
 from ..model.effect import Effect
 from .evidence import Evidence, log_bayes_at

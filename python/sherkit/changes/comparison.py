@@ -21,8 +21,8 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
 from ..diagnosis.explanation import PLAUSIBLE
-from ..diagnosis.linearised import orthonormal
 from ..errors import FitError, SherkitError
+from ..evidence.whitening import orthonormal
 from ..fit.error import ErrorSize, of_residuals
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot

@@ -21,8 +21,8 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import TEMPERATURE
 from ..data.noise import MAD
-from ..diagnosis.linearised import Whitening, correlation_in_time, orthonormal
 from ..errors import FitError
+from ..evidence.whitening import Whitening, correlation_in_time, orthonormal
 from ..fit.identify import Fit
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter

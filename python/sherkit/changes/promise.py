@@ -17,7 +17,7 @@ import scipy
 from ..adaptive.evidence import Evidence
 from ..base import linalg
 from ..base.types import Floats
-from ..diagnosis.linearised import orthonormal
+from ..evidence.whitening import orthonormal
 
 #: Sizes of the error, in promises, that are looked for.
 _SIZES = (1.2, 1.5, 2.0, 3.0, 6.0)

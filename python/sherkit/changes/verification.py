@@ -29,8 +29,8 @@ from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
-from ..diagnosis.linearised import orthonormal
 from ..errors import FitError, SherkitError
+from ..evidence.whitening import orthonormal
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, required_um
 from ..model.robot_file import run_for

@@ -18,8 +18,8 @@ from ..base.figures import number
 from ..base.names import listed
 from ..base.types import Floats
 from ..data import Measurements
-from ..diagnosis.linearised import orthonormal
 from ..errors import SherkitError
+from ..evidence.whitening import orthonormal
 from .joined import Joined, SeenRun
 from .stand import stand_of
 

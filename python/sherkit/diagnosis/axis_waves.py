@@ -10,7 +10,7 @@ import numpy as np
 
 from .._core import wave_sums
 from ..base.types import Floats, Ints
-from .linearised import Whitening
+from ..evidence.whitening import Whitening
 from .waves import TURN, Gridded
 
 

@@ -20,13 +20,14 @@ import scipy
 
 from ..base.names import listed
 from ..base.types import Floats, Ints
+from ..evidence.fitted_run import FittedRun
+from ..evidence.run import in_time
 from .explanation import CLEARLY, bic, lowest, schwarz
-from .fitted_run import FittedRun
 from .held_out import PRAISE, Columns, HeldOutGain, held_out_gain, rms, squares_of
 from .scan import Scan
 from .search import Search, SearchResult
 from .shapes import Shape, play_operator, wave
-from .stage import Stage, testable
+from .stage import Stage
 
 #: Shapes by which a run is described at most.
 _MOST_SHAPES = 12
@@ -190,7 +191,7 @@ def _gain(one: HeldOutGain) -> float:
 def _held_out(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints], beside: Columns | None) -> float:
     """RMS on rows held out, of a model with these columns besides."""
     scale = sigma[list(run.axes)]
-    rows = testable(run, np.flatnonzero(run.whole))
+    rows = in_time(run, np.flatnonzero(run.whole))
     return rms(
         squares_of(run.linearised(rows, (), scale), np.stack([d[rows] for d in repeated_folds]), beside)[0], scale
     )

@@ -10,6 +10,7 @@ import numpy as np
 from ..base.names import listed
 from ..base.types import Floats
 from ..data.doubts import Doubt
+from ..evidence.fitted_run import FittedRun
 from ..fit.set_up import Mistake
 from .answers import (
     AS_DRAWN,
@@ -25,7 +26,6 @@ from .answers import (
     Check,
 )  # fmt: skip
 from .explanation import ABSURD, PLAUSIBLE, largest, sizes_of
-from .fitted_run import FittedRun
 from .held_out import PRAISE, FewEnough, HeldOutGain
 from .lack_of_fit import LackOfFit
 from .named import Named

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..base import linalg
 from ..base.types import Floats
-from .linearised import orthonormal
+from ..evidence.whitening import orthonormal
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from ..base import linalg
 from ..base.types import Floats, Ints
 from ..data.columns import bare
 from ..data.noise import MAD
+from ..evidence.fitted_run import FittedRun, enough_of
+from ..evidence.whitening import Whitening, orthonormal
 from .columns import Block, Columns
-from .fitted_run import FittedRun, enough_of
-from .linearised import Whitening, orthonormal
 from .scan import Scan
 from .shapes import wave
 from .template import course
@@ -32,7 +32,7 @@ _LEAST = 30
 
 def in_common(left: Floats, accepted: Floats, pose: Ints, lag: Ints) -> Whitening:
     """The filter in time: what neighbours of (n, m) have in common beside the means of poses and all that is slow, by
-    restricted likelihood to first order as :func:`~.linearised.correlation_in_time` has it."""
+    restricted likelihood to first order as :func:`~..evidence.whitening.correlation_in_time` has it."""
     n, m = left.shape
     lines = np.cos(np.pi * np.linspace(0.0, 1.0, n)[:, None] * np.arange(1, min(n // _ROWS, _LINES) + 1))
     slow = orthonormal(np.concatenate([lines, accepted], axis=1), 1e-6)

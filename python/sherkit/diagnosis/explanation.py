@@ -11,12 +11,12 @@ import numpy as np
 
 from ..base.types import Floats
 from ..errors import FitError, SherkitWarning
+from ..evidence.fitted_run import FittedRun
+from ..evidence.whitening import orthonormal
 from ..fit.identify import Fit
 from ..model.effect import Effect, Parameter
 from ..model.sensor_pose import SLIP, slip_of
 from ..model.set_ups import SETUP_PREFIX
-from .fitted_run import FittedRun
-from .linearised import orthonormal
 from .scan import Scan
 from .shapes import Shape, wave
 from .stage import Candidate, Stage

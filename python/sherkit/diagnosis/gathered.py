@@ -19,8 +19,8 @@ from ..base.names import spans
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare, unit_in
+from ..evidence.fitted_run import FittedRun
 from .answers import SINGLY, Check
-from .fitted_run import FittedRun
 
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
 WRONG = 0.2

@@ -15,14 +15,15 @@ from .._core import walsh_hadamard
 from ..base import linalg
 from ..base.types import Floats, Ints
 from ..errors import SherkitError
+from ..evidence.fitted_run import FittedRun
+from ..evidence.linearised import Linearised
+from ..evidence.run import in_time
 from ..fit.error import ErrorSize, held_out_error
 from ..fit.folds import Beside, Folds, ranks_of, roots_of
 from ..model.effect import Effect
 from .explanation import displaces
-from .fitted_run import FittedRun
 from .lack_of_fit import FLIPS, codes_of
-from .linearised import Linearised
-from .stage import Stage, testable
+from .stage import Stage
 from .waves import waves_of
 
 #: Columns (b, m, k) of a stretch of rows.
@@ -72,7 +73,7 @@ def by_noise_alone(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]
     noise all that counts are its products with the columns, normal with the Gram matrices as covariances: these are
     drawn.
     """
-    rows = testable(run, np.flatnonzero(run.whole))
+    rows = in_time(run, np.flatnonzero(run.whole))
     if len(rows) * len(run.axes) > _ENOUGH * run.fit.rank:
         return 1.0
     folds = folds_of(run.linearised(rows, (), sigma[list(run.axes)]), np.stack([fold[rows] for fold in repeated_folds]))
@@ -150,7 +151,7 @@ def held_out_gain(
     well. An effect without which the rows cannot be fitted earns its place.
     """
     axes = list(run.axes)
-    rows = testable(run, np.flatnonzero(run.whole))
+    rows = in_time(run, np.flatnonzero(run.whole))
     scale = sigma[axes]
     fold = np.stack([fold[rows] for fold in repeated_folds])
     try:
@@ -301,7 +302,7 @@ def few_enough(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) ->
     """
     if run.is_exact:
         return None
-    rows = testable(run, np.flatnonzero(run.whole))
+    rows = in_time(run, np.flatnonzero(run.whole))
     scale = sigma[list(run.axes)]
     view = run.linearised(rows, (), scale)
     off = run.fit.values - run.model.start(run.data)

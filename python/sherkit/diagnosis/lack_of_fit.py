@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from ..base.types import Floats, Ints
-from .fitted_run import FittedRun
+from ..evidence.fitted_run import FittedRun
 
 # -- Tails of distributions and what goes with them, by SciPy's special functions -----------------------------------
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from ..base.types import Floats, Ints
 from ..errors import EffectError
+from ..evidence.fitted_run import FittedRun
 from ..fit.identify import Fit
 from ..model.effect import Effect
 from .answers import StepReport
 from .beside import Alone, innocents
 from .explanation import ABSURD, refit, sizes_of
-from .fitted_run import FittedRun
 from .held_out import HeldOutGain, error_of, held_out_gain
 from .periods import Period, period_of
 from .search import Search, SearchResult

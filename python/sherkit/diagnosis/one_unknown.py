@@ -20,8 +20,8 @@ import numpy as np
 from ..base.types import Bools, Floats, Ints
 from ..data.columns import unit_in
 from ..errors import SherkitError
+from ..evidence.fitted_run import FittedRun
 from ..model.effect import Effect, Parameter
-from .fitted_run import FittedRun
 from .held_out import error_of, flipped
 
 #: Orders of the polynomials tried.

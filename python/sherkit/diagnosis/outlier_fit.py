@@ -17,10 +17,11 @@ import numpy as np
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
 from ..data.noise import MAD
+from ..evidence.fitted_run import DIGITS
+from ..evidence.linearised import Linearised, step_gains, within
+from ..evidence.whitening import orthonormal
 from ..fit.folds import BLOCK
-from .fitted_run import DIGITS
 from .lack_of_fit import chi2_log_tail, chi2_tail, f_tail
-from .linearised import Linearised, orthonormal, step_gains, within
 from .robust_start import CUT, ROUNDS, apart_from_pose, huber
 from .shapes import Family, build
 

@@ -22,16 +22,17 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD
 from ..errors import FitError, SherkitError, SherkitWarning
+from ..evidence.fitted_run import FittedRun
+from ..evidence.linearised import Linearised
+from ..evidence.run import in_time
+from ..evidence.whitening import orthonormal
 from ..fit.error import of_residuals
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
-from .fitted_run import FittedRun
 from .lack_of_fit import chi2_tail
-from .linearised import Linearised, orthonormal
 from .outlier_fit import OutlierFit
 from .robust_start import huber, robust_start
-from .stage import testable
 
 #: Fits, each without what the one before it listed.
 _FITS = 8
@@ -59,7 +60,7 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect], keep: Sequence[i
     Every row is judged anew by each fit, those that an earlier one listed as well: what one gross error hid comes to
     light, and what was listed in its shadow comes back. Raises :class:`FitError` for too few rows.
     """
-    rows = testable(run, np.flatnonzero(run.whole))
+    rows = in_time(run, np.flatnonzero(run.whole))
     if run.is_exact:
         return run, rows[:0]
     first, run = run, robust_start(run, rows)
@@ -153,7 +154,7 @@ def came_from_elsewhere(run: FittedRun, effects: Sequence[Effect], rows: Ints) -
 def is_first_by_side(run: FittedRun, effects: Sequence[Effect], outliers: Ints) -> bool:
     """Whether the first of all rows is among those that a run is without (k,) since its joints came from elsewhere."""
     first = outliers[run.data.order[outliers] == run.data.order.min()]
-    rows = testable(run, np.flatnonzero(run.whole))
+    rows = in_time(run, np.flatnonzero(run.whole))
     return len(first) > 0 and came_from_elsewhere(run, effects, np.concatenate([first, rows]))
 
 

@@ -15,6 +15,8 @@ from ..base.types import Floats
 from ..data.doubts import doubts
 from ..data.reader import RunLike
 from ..errors import EffectError, FitError
+from ..evidence.fitted_run import FittedRun, enough_of
+from ..evidence.whitening import orthonormal
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
@@ -26,13 +28,11 @@ from .answers import CandidateReport, Diagnosis, StepReport, verdict_of
 from .checked import checks_of
 from .explanation import TOLD, implausible, is_plausible
 from .findings import findings_of
-from .fitted_run import FittedRun, enough_of
 from .gathered import checks_of_outliers
 from .held_out import HeldOutError, by_noise_alone, few_enough, held_out
 from .lack_of_fit import lack_of_fit
-from .linearised import orthonormal
 from .named import as_shown, not_needed, searched
-from .next_poses import Proposal
+from .next_poses import Proposal, next_poses
 from .one_unknown import OneUnknown, one_unknown
 from .outliers import is_first_by_side, sentences, without_outliers
 from .repeats import by_repeats, in_repeats, same_within_poses, with_the_way
@@ -240,10 +240,10 @@ def diagnose(
 def _next(found: SearchResult, unknown: OneUnknown | None, sigma: Floats) -> Proposal:
     """Poses that would tell the leading set from those tied with it, and from one unknown."""
     lead = found.stages[-1].run
-    rivals = [other.stage.run for other in found.alternatives]
+    rivals = [other.stage.run.fit for other in found.alternatives]
     if unknown is not None and unknown.rivals:
-        rivals.append(unknown.run)
-    return lead.next_poses(rivals, sigma) if rivals else Proposal()
+        rivals.append(unknown.run.fit)
+    return next_poses(lead.fit, rivals, sigma) if rivals else Proposal()
 
 
 def _noise_left(run: FittedRun, sigma: Floats) -> Floats:

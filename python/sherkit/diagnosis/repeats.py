@@ -17,8 +17,8 @@ from ..base.names import listed
 from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare
+from ..evidence.fitted_run import FittedRun
 from .deviations import DIRECTION, FEWEST, Deviations, Held, means_of
-from .fitted_run import FittedRun
 
 #: Declared noise and what repeats show may differ by this factor.
 _CONTRADICTS = 3.0

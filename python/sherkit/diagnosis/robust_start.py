@@ -10,9 +10,9 @@ from ..base import linalg
 from ..base.types import Bools, Floats, Ints
 from ..data.noise import MAD
 from ..errors import SherkitError
-from .fitted_run import DIGITS, FittedRun
+from ..evidence.fitted_run import DIGITS, FittedRun
+from ..evidence.whitening import orthonormal
 from .lack_of_fit import normal_beyond
-from .linearised import orthonormal
 
 #: Residuals are cut to this many spreads.
 CUT = 1.5

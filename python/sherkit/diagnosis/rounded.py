@@ -20,8 +20,8 @@ from ..data import Measurements
 from ..data.columns import unit_in
 from ..data.noise import step_of
 from ..errors import SherkitError
+from ..evidence.fitted_run import FittedRun
 from ..fit.identify import identify
-from .fitted_run import FittedRun
 
 #: What is left beyond noise is that of steps where it has this part of its square at least, at most this many
 #: of it; of what is left with a noise that nobody knows, this part.

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..base.types import Floats
 from ..errors import SherkitError
+from ..evidence.fitted_run import FittedRun
 from ..model.effect import Effect
 from .columns import Block
 from .explanation import (
@@ -37,7 +38,6 @@ from .explanation import (
     schwarz_of,
     simplicity,
 )
-from .fitted_run import FittedRun
 from .lack_of_fit import FLIPS
 from .periods import at_the_row, best_lag, period_of
 from .scan import Scan

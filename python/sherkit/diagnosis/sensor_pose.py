@@ -19,6 +19,7 @@ from ..base import linalg
 from ..base.names import listed
 from ..base.types import Floats
 from ..data import Measurements
+from ..evidence.whitening import orthonormal
 from ..fit.identify import Fit
 from ..fit.plausible import thinned
 from ..fit.table import Direction
@@ -26,7 +27,6 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.sensor_pose import POSE, SHIFTS, TURNS
 from ..model.set_ups import SETUP_PREFIX
-from .linearised import orthonormal
 
 #: Part of a direction that is left at most where it is taken up.
 _TAKEN = 0.05

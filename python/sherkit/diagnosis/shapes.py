@@ -14,9 +14,9 @@ import numpy as np
 
 from .._core import play
 from ..base.types import Floats, Ints
+from ..evidence.linearised import Linearised, last_asked
 from .axis_waves import Along
 from .columns import Columns
-from .linearised import Linearised, last_asked
 from .waves import OVERSAMPLING, TURN, Waves, bends
 
 _ORDERS = 3

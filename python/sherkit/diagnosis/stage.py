@@ -10,22 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.types import Floats, Ints
-from ..errors import FitError
+from ..evidence.fitted_run import FittedRun
+from ..evidence.linearised import FittedAnew, Linearised, last_asked, step_gains, within
+from ..evidence.run import in_time, one_after_another
+from ..evidence.whitening import Whitening, correlation_in_time, orthonormal
 from ..model.effect import Effect
 from .axis_waves import AxisWaves
 from .columns import Block, Columns, Image
-from .fitted_run import FittedRun
 from .lack_of_fit import chi2_log_tail
-from .linearised import (
-    FittedAnew,
-    Linearised,
-    Whitening,
-    correlation_in_time,
-    last_asked,
-    orthonormal,
-    step_gains,
-    within,
-)
 from .scan import Scan
 from .shapes import Family, Shape, build
 from .waves import Waves, waves_of
@@ -210,7 +202,7 @@ def stage_of(
 
     Raises :class:`FitError` where no row has all readings.
     """
-    rows = testable(run, rows)
+    rows = in_time(run, rows)
     sigma = sigma[list(run.axes)]
     view = run.linearised(rows, effects, sigma)
     candidates = [
@@ -241,7 +233,7 @@ def stage_of(
         width = len(effect.parameters)
         candidates += [Candidate(effect, full(behind(lag), width), lag) for lag in lags_of(view)]
 
-    lag, back = _one_after_another(run.data.order, run.data.series, rows)
+    lag, back = one_after_another(run.data.order, run.data.series, rows)
     if rho is None:
         rho = _correlation(view, family, back)
     filtered = Whitening(rho, lag, back)
@@ -297,37 +289,6 @@ def lags_of(view: Linearised) -> list[float]:
     length = float(np.ptp(view.time))
     least = max(_READINGS_BEHIND * length / len(view), length / 2.0**_LAGS)
     return [float(lag) for lag in length / 2.0 ** np.arange(_LAGS) if lag >= least]
-
-
-def testable(run: FittedRun, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Those of these rows that have all readings, in the order of time. Raises :class:`FitError` for too few."""
-    rows = rows[run.whole[rows]]
-    if run.data.time_s is not None:
-        rows = rows[np.argsort(run.data.time_s[rows], kind="stable")]
-    if len(rows) < 10:
-        raise FitError(
-            f"{run.data.source}: {len(rows)} rows with all readings are too few to diagnose; expected 10 or more"
-        )
-    return rows
-
-
-def _one_after_another(order: Ints, series: Ints, rows: Ints) -> tuple[Ints, Ints | None]:
-    """Of rows in the order of time, how many rows of the run it is from the one before, and how far up that one stands
-    here, 0 where there is none; None where it is always the next.
-
-    ``order`` and ``series`` are those of all rows of the run: rows of one series follow one another.
-    """
-    if not series.any():
-        return np.concatenate([[1], np.maximum(np.diff(order[rows]), 1)]), None
-    lag, back = np.ones(len(rows), dtype=np.int64), np.zeros(len(rows), dtype=np.int64)
-    for one in np.unique(series):
-        place = np.zeros(len(series), dtype=np.int64)
-        every = np.flatnonzero(series == one)
-        place[every] = np.argsort(np.argsort(order[every]))
-        here = np.flatnonzero(series[rows] == one)
-        back[here[1:]] = np.diff(here)
-        lag[here[1:]] = np.maximum(np.diff(place[rows[here]]), 1)
-    return lag, back
 
 
 def _correlation(view: Linearised, family: Family, back: Ints | None) -> float:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from .._core import spread_rows, wave_sums
 from ..base.types import Bools, Floats, Ints
-from .linearised import Linearised, Whitening
+from ..evidence.linearised import Linearised
+from ..evidence.whitening import Whitening
 
 # -- Fourier sums over rows that stand anywhere along a variable ----------------------------------------------------
 

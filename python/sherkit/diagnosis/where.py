@@ -12,9 +12,9 @@ import scipy
 from ..base import linalg
 from ..base.types import Floats
 from ..data.columns import bare
-from .fitted_run import FittedRun
+from ..evidence.fitted_run import FittedRun
+from ..evidence.whitening import orthonormal
 from .lack_of_fit import rising_root, z_score
-from .linearised import orthonormal
 from .stage import Candidate, Stage
 
 _BINS = 6

@@ -15,9 +15,9 @@ from bokeh.models import FactorRange, Range1d, Span, Whisker
 from ..base import linalg
 from ..base.types import Floats
 from ..diagnosis import Diagnosis, largest
-from ..diagnosis.fitted_run import FittedRun
-from ..diagnosis.linearised import orthonormal
 from ..diagnosis.stage import Stage, stage_of
+from ..evidence.fitted_run import FittedRun
+from ..evidence.whitening import orthonormal
 from ..model.effect import Effect
 from .picture import Picture, Tables, single, sources_of, stacked
 from .residual_arrows import plane_of_most, round_number

@@ -14,7 +14,7 @@ import numpy as np
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import Noise
-from ..diagnosis.fitted_run import FittedRun
+from ..evidence.fitted_run import FittedRun
 from ..fit.identify import Fit
 
 

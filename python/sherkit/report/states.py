@@ -14,9 +14,9 @@ from ..base.names import state_with, told_apart
 from ..base.types import Floats
 from ..data.columns import bare
 from ..diagnosis import Diagnosis
-from ..diagnosis.fitted_run import FittedRun
 from ..diagnosis.named import at_its_setting
 from ..errors import SherkitError
+from ..evidence.fitted_run import FittedRun
 from ..fit.error import ErrorSize
 from ..fit.identify import Fit
 from ..model.kinds import required_um

@@ -1,148 +1,14 @@
-"""A fitted model to first order: residuals, derivatives, variables, steps in time. It knows nothing of robots.
-
-Residuals are in units of their noise, one axis per reading. A correlation in time is taken out by the filter
-``e_t - ρ e_{t-1}``, which every column passes as well.
-"""
+"""Noise that carries over from row to row: the filter that takes it out, how much of it there is; bases of columns."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, wraps
-from typing import Any, Protocol, TypeVar
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from ..base import linalg
 from ..base.types import Floats, Ints
-from ..data.columns import unit_in
-from ..fit.folds import blocks
-from ..model.effect import Effect
-
-T = TypeVar("T")
-
-
-def last_asked(function: Callable[[Any, slice], T]) -> Callable[[Any, slice], T]:
-    """A method of a stretch of rows that remembers the one asked for last: of a short run it is all of them."""
-    name = f"_last_{function.__name__}"
-
-    @wraps(function)
-    def remembered(self: Any, rows: slice) -> T:
-        last: tuple[slice, T] | None = vars(self).get(name)
-        if last is None or last[0] != rows:
-            last = vars(self)[name] = (rows, function(self, rows))
-        return last[1]
-
-    return remembered
-
-
-class Derivatives(Protocol):
-    """Derivatives of any stretch of rows, over the noise; every call computes them anew."""
-
-    def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
-        """By what is fitted (b, m, p) and by the inputs (b, m, k), None where these are not known."""
-        ...
-
-    def effects(self, rows: slice) -> Floats:
-        """By the parameters of every effect that can be tried (b, m, e)."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Linearised:
-    """Rows of a fit in the order of time, and all to first order.
-
-    ``residual`` (n, m) measured minus predicted over the noise; ``variables`` name to values (n,), what a residual
-    may depend on; ``derivatives`` gives those of any stretch of rows. ``pattern_of`` names the input of a variable
-    which is one whose pattern is known; ``place`` names the variables that say where the machine is; ``group`` (n,)
-    is equal where it stood the same, ``repeated`` (n,) where the same was read there again. ``effects`` pairs each
-    effect that can be tried with its columns; ``in_time`` are the effects that step at a searched time, each with
-    its columns after the step, or None where these are a step of each reading; ``periodic`` those that are a wave
-    of each input at a searched period, each with the period that the model has for it, or None; ``lagging`` those
-    among ``effects`` that follow with a searched time constant, each with what gives its columns at another one;
-    ``untestable`` maps the others to the reason. ``inputs`` name to (n,), the readings of the inputs, be they constant
-    or their patterns unknown.
-    """
-
-    residual: Floats
-    variables: Mapping[str, Floats]
-    group: Ints
-    repeated: Ints
-    derivatives: Derivatives
-    pattern_of: Mapping[str, str] = field(default_factory=dict)
-    place: tuple[str, ...] = ()
-    inputs: Mapping[str, Floats] = field(default_factory=dict)
-    time: Floats | None = None
-    effects: Sequence[tuple[Effect, slice]] = ()
-    in_time: Sequence[tuple[Effect, slice | None]] = ()
-    periodic: Sequence[tuple[Effect, float | None]] = ()
-    lagging: Sequence[tuple[Effect, Callable[[float], Callable[[slice], Floats]]]] = ()
-    untestable: Mapping[str, str] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        return len(self.residual)
-
-    @property
-    def axes(self) -> int:
-        """Readings per row."""
-        return self.residual.shape[1]
-
-    def fitted(self, rows: slice) -> Floats:
-        """Derivatives (b, m, p) of a stretch of rows by what is fitted."""
-        return self._own(rows)[0]
-
-    @last_asked
-    def effects_in(self, rows: slice) -> Floats:
-        """Derivatives (b, m, e) of a stretch of rows by the parameters of every effect that can be tried."""
-        return self.derivatives.effects(rows)
-
-    @last_asked
-    def _own(self, rows: slice) -> tuple[Floats, Floats | None]:
-        return self.derivatives.fitted(rows)
-
-    @property
-    def whole(self) -> slice:
-        """All rows."""
-        return slice(0, len(self))
-
-    @cached_property
-    def blocks(self) -> list[slice]:
-        """Stretches of rows."""
-        return blocks(len(self))
-
-    @property
-    def waving(self) -> tuple[str, ...]:
-        """Inputs along which waves of one period are looked for: those in the unit of the period that an effect has,
-        where some are in another."""
-        units = {(effect.search or "").removeprefix("period_") for effect, _ in self.periodic}
-        mine = tuple(name for name in self.inputs if unit_in(name) in units)
-        return mine or tuple(self.inputs)
-
-    @cached_property
-    def patterns(self) -> dict[str, Floats]:
-        """How the readings answer to an error at each input, name to (n, m); empty where that is not known."""
-        parts = [self._own(rows)[1] for rows in self.blocks]
-        if any(part is None for part in parts):
-            return {}
-        every = np.concatenate([part for part in parts if part is not None])
-        return {name: np.ascontiguousarray(every[:, :, k]) for k, name in enumerate(self.inputs)}
-
-
-@dataclass(frozen=True)
-class FittedAnew:
-    """Derivatives of a refit by what it has of its own, and by what was tried those of the fit before it."""
-
-    own: Derivatives
-    before: Linearised
-
-    def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
-        """As the fit has it."""
-        return self.own.fitted(rows)
-
-    def effects(self, rows: slice) -> Floats:
-        """As before."""
-        return self.before.effects_in(rows)
 
 
 class Whitening:
@@ -184,6 +50,15 @@ class Whitening:
         shape = (-1,) + (1,) * (values.ndim - 1)
         out = values * self.here.reshape(shape)
         out[self.late] += values[self.early] * self.before[self.late].reshape(shape)
+        return out
+
+    def transposed(self, values: Floats) -> Floats:
+        """The transpose of the filter on values (n, …): products with filtered columns are products with these."""
+        if self.rho == 0.0:
+            return values
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        out = values * self.here.reshape(shape)
+        out[self.early] += values[self.late] * self.before[self.late].reshape(shape)
         return out
 
     def on(self, values: Callable[[slice], Floats], rows: slice) -> Floats:
@@ -248,6 +123,28 @@ def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
     return flat
 
 
+#: Part of the largest singular value, of columns of unit length, below which a direction is rounding: derivatives that
+#: are differences carry eight digits.
+_ROUNDING = 1e-7
+
+
+def independent(columns: Floats, tolerance: float = _ROUNDING) -> Floats:
+    """An orthonormal basis (N, rank) of columns (N, p), whichever their order and units.
+
+    Rank is decided by the singular values of the triangle, which keeps every length to the last digits: a Gram matrix
+    keeps half of them, and which of two columns that are nearly one it drops then hangs on which came first.
+    """
+    length = np.linalg.norm(columns, axis=0)
+    flat = columns[:, length > 0] / length[length > 0]
+    if not flat.shape[1]:
+        return flat
+    _, value, turn = linalg.svd(linalg.triangle(flat) if len(flat) > flat.shape[1] else flat, full_matrices=False)
+    keep = value > tolerance * value[0]
+    q = flat @ (turn[keep].T / value[keep])
+    # a direction that was divided by a small number is orthonormal to few digits only
+    return linalg.qr(q)[0] if len(q) >= q.shape[1] else q
+
+
 def correlation_in_time(residual: Floats, basis: Floats, back: Ints | None = None) -> float:
     """ρ of AR(1) noise, from residuals (n, m) in the order of time after an orthonormal ``basis`` (n·m, k) was
     projected out; ``back`` as :class:`Whitening` has it.
@@ -288,25 +185,3 @@ def correlation_in_time(residual: Floats, basis: Floats, back: Ints | None = Non
         if abs(step) < 1e-3 or (first and abs(rho) < least / 2):
             break
     return rho if abs(rho) > least else 0.0
-
-
-# -- What a step in time takes of residuals, wherever it stands ----------------------------------------------------
-
-
-def step_gains(left: Floats, inside: Floats | float, cuts: Ints, least: float) -> Floats:
-    """Sum of squares (c,) that a step on all axes, from each cut on, takes of what orthonormal columns ``left`` (n, m);
-    nothing where they leave less than the part ``least`` of it. They have ``inside`` (c, m) of its square."""
-    n = len(left)
-    free = (n - cuts)[:, None] - inside
-    return np.where(free > least * n, _since(left, cuts) ** 2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
-
-
-def within(columns: Iterable[Floats], cuts: Ints) -> Floats | float:
-    """Of the square of a step from each cut on (c, m), what orthonormal ``columns``, each (n, m), have; nothing of
-    none."""
-    return sum((_since(column, cuts) ** 2 for column in columns), 0.0)
-
-
-def _since(values: Floats, cuts: Ints) -> Floats:
-    """Sums (c, m) of values (n, m) from each cut on."""
-    return np.cumsum(values[::-1], axis=0)[::-1][cuts]

@@ -22,7 +22,6 @@ from ..fit.identify import Fit, identify
 from ..model.base import Derivatives, ModelWithEffects, beside_one_another
 from ..model.effect import Effect
 from .linearised import Linearised, last_asked
-from .next_poses import Proposal, next_poses
 
 #: Relative difference up to which two noises are the same.
 _SAME = 1e-12
@@ -200,10 +199,6 @@ class FittedRun(Saved):
         """What the fit of ``other`` leaves on these rows (rows, columns). Raises as :meth:`refit`."""
         data = self.data.select(rows)
         return data.readings - other.model.predict(data, other.fit.values)
-
-    def next_poses(self, rivals: Sequence[FittedRun], sigma: Floats) -> Proposal:
-        """Poses that tell this fit from its rivals best, in the order to measure them, and what they cannot tell."""
-        return next_poses(self.fit, [rival.fit for rival in rivals], sigma)
 
     # -- what can be looked at ---------------------------------------------------------------------------
 

@@ -1,0 +1,223 @@
+"""Blocks of columns, each a statement on what may be missing, and the columns that they are made of.
+
+A column is a function of the row times what carries it to the readings: an axis, how the readings answer to a joint, an
+effect. It is stored as these two, so a product of all columns with vectors is two small products of matrices; rows that
+were read at one pose are summed first where functions know nothing but the pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..base.types import Floats, Ints
+from ..model.effect import Effect
+from .run import Run
+from .thresholds import FEW_VISITS, NOTHING
+
+#: Numbers that are made at a time.
+_TOGETHER = 2_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Columns that say one thing together: an ``effect`` at a ``setting`` (a moment, a lag, a period), or a ``shape``
+    (smooth, periodic, step, hysteretic, interaction) of the variables it ``depends_on``.
+
+    ``at`` (k,) are the numbers of its columns in the family. Of a shape ``axis`` is the reading it is on, None for all;
+    ``pattern`` the joint as whose error it arrives; ``order`` that of a polynomial and ``period`` that of a wave.
+    """
+
+    shape: str
+    depends_on: tuple[str, ...] = ()
+    at: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    effect: Effect | None = None
+    setting: float | None = None
+    axis: int | None = None
+    pattern: str | None = None
+    order: int | None = None
+    period: float | None = None
+
+    @property
+    def name(self) -> str:
+        """That of the effect; empty for a shape."""
+        return self.effect.name if self.effect is not None else ""
+
+    @property
+    def cause(self) -> tuple[object, ...]:
+        """What all its settings, axes and periods have in common."""
+        return (self.name,) if self.effect is not None else (self.depends_on, self.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Visits:
+    """Which rows were read at one pose: ``first`` (p,) row of each, ``pose`` (n,) of each row, ``count`` (p,)."""
+
+    first: Ints
+    pose: Ints
+    count: Floats
+
+    @classmethod
+    def of(cls, run: Run) -> Visits:
+        """Of a run, or each row by itself where few were repeated or poses were not the same to the last digit."""
+        n = len(run)
+        _, first, pose = np.unique(run.view.group, return_index=True, return_inverse=True)
+        pose = pose.ravel()
+        stood = np.stack([np.zeros(n), *run.view.inputs.values()], axis=1)
+        if len(first) > FEW_VISITS * n or not np.array_equal(stood[first][pose], stood):
+            first = pose = np.arange(n)
+        return cls(first, pose, np.bincount(pose).astype(float))
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def same(self, values: Floats) -> bool:
+        """Whether values (n, …) are equal at all visits of each pose."""
+        size = np.abs(values).max(initial=0.0)
+        return len(self) < len(self.pose) and bool(
+            (np.abs(values[self.first][self.pose] - values) <= 1e-13 * size).all()
+        )
+
+    def summed(self, values: Floats) -> Floats:
+        """Sums (p, …) of values (n, …) over the visits of each pose."""
+        order = np.argsort(self.pose, kind="stable")
+        starts = np.concatenate([[0], np.cumsum(self.count[:-1])]).astype(np.int64)
+        return np.asarray(np.add.reduceat(values[order], starts, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Columns: each of ``functions`` (r, f) times each of the ``carriers``, of r rows, or poses where it is ``posed``.
+
+    Carriers are (r, c), each on every one of ``axes`` axes alone, or (r, m, c), on all axes at once. Numbers run over
+    functions, then carriers, then axes.
+    """
+
+    functions: Floats
+    carriers: Floats
+    axes: int
+    posed: bool
+
+    @property
+    def alone(self) -> bool:
+        """Whether a column is on one axis."""
+        return self.carriers.ndim == 2
+
+    def __len__(self) -> int:
+        return self.functions.shape[1] * self.carriers.shape[-1] * (self.axes if self.alone else 1)
+
+    def products(self, x: Floats) -> Floats:
+        """Products (columns, k) with vectors (r, m, k)."""
+        r, m, k = x.shape
+        if self.alone:
+            carried = self.carriers[:, :, None] * x.reshape(r, 1, m * k)
+        else:
+            carried = np.matmul(self.carriers.transpose(0, 2, 1), x)
+        return np.asarray((self.functions.T @ carried.reshape(r, -1)).reshape(len(self), k))
+
+    def split(self, number: Ints) -> tuple[Ints, Ints, Ints]:
+        """Function, carrier and axis of columns by number; axis 0 where they are on all."""
+        whole, axis = np.divmod(number, self.axes) if self.alone else (number, np.zeros_like(number))
+        function, carrier = np.divmod(whole, self.carriers.shape[-1])
+        return function, carrier, axis
+
+    def values(self, number: Ints) -> Floats:
+        """Columns (r, 1, …), on their own axis, or (r, m, …) on all, of these numbers (…)."""
+        function, carrier, _ = self.split(number)
+        if self.alone:
+            return np.asarray((self.functions[:, function] * self.carriers[:, carrier])[:, None])
+        return np.asarray(self.functions[:, function][:, None] * self.carriers[:, :, carrier])
+
+
+class Columns:
+    """Columns of a run by number, under its filter and of unit length; those that are nothing are zero.
+
+    ``length`` (K,) is what they were divided by.
+    """
+
+    def __init__(self, run: Run, visits: Visits, parts: Iterable[Part]) -> None:
+        self.run, self.visits = run, visits
+        self.parts = tuple(parts)
+        self.starts = np.concatenate([[0], np.cumsum([len(part) for part in self.parts])]).astype(np.int64)
+        self.length = np.concatenate([np.ones(0), *(self._lengths(part) for part in self.parts)])
+
+    def __len__(self) -> int:
+        return int(self.starts[-1])
+
+    def products(self, vectors: Floats) -> Floats:
+        """Products (K, k) of all columns with vectors (N, k)."""
+        x = self.run.white.transposed(vectors.reshape(len(self.run), self.run.axes, -1))
+        summed = self.visits.summed(x) if any(part.posed for part in self.parts) else x
+        each = [part.products(summed if part.posed else x) for part in self.parts]
+        return np.asarray(np.concatenate([np.zeros((0, x.shape[2])), *each]) * self._per_length[:, None])
+
+    def of(self, numbers: Ints) -> Floats:
+        """Columns (N, k) by number (k,)."""
+        n, m = len(self.run), self.run.axes
+        out = np.zeros((n, m, len(numbers)))
+        for k, number in enumerate(numbers.tolist()):
+            part, local = self._where(number)
+            values = self._white(part, part.values(local))[:, :, 0]
+            axis = int(part.split(local)[2][0])
+            out[:, slice(axis, axis + 1) if part.alone else slice(None), k] = values
+        return out.reshape(n * m, -1) * self._per_length[numbers]
+
+    def grams(self, numbers: Ints) -> Floats:
+        """Products (b, k, k) within blocks of columns, by number (b, k)."""
+        blocks, k = numbers.shape
+        out = np.empty((blocks, k, k))
+        of = np.searchsorted(self.starts, numbers, side="right") - 1
+        mixed = (of != of[:, :1]).any(axis=1)
+        for block in np.flatnonzero(mixed):
+            columns = self.of(numbers[block])
+            out[block] = columns.T @ columns
+        for p in np.unique(of[~mixed, 0]) if k else ():
+            part, some = self.parts[p], np.flatnonzero(~mixed & (of[:, 0] == p))
+            rows = (self._rows(part)) * (1 if part.alone else part.axes)
+            for few in np.array_split(some, max(-(-len(some) * k * rows // _TOGETHER), 1)):
+                local = numbers[few] - self.starts[p]
+                x = self._weighed(part, part.values(local)).reshape(rows, len(few), k).transpose(1, 2, 0)
+                axis = part.split(local)[2]
+                per = self._per_length[numbers[few]]
+                out[few] = (x @ x.transpose(0, 2, 1)) * (axis[:, :, None] == axis[:, None, :])
+                out[few] *= per[:, :, None] * per[:, None, :]
+        return out
+
+    # -- within ---------------------------------------------------------------------------------------------------
+
+    @property
+    def _per_length(self) -> Floats:
+        return np.where(self.length > 0, 1.0 / np.where(self.length > 0, self.length, 1.0), 0.0)
+
+    def _where(self, number: int) -> tuple[Part, Ints]:
+        p = int(np.searchsorted(self.starts, number, side="right")) - 1
+        return self.parts[p], np.array([number - self.starts[p]])
+
+    def _rows(self, part: Part) -> int:
+        return len(self.visits) if part.posed and self.run.white.rho == 0.0 else len(self.run)
+
+    def _white(self, part: Part, values: Floats) -> Floats:
+        """Of values (r, …) at rows or poses, those of all rows under the filter."""
+        return self.run.white(values[self.visits.pose] if part.posed else values)
+
+    def _weighed(self, part: Part, values: Floats) -> Floats:
+        """Values whose products are those of all rows under the filter, one for each pose where that is enough."""
+        if part.posed and self.run.white.rho == 0.0:
+            return np.asarray(values * np.sqrt(self.visits.count).reshape((-1,) + (1,) * (values.ndim - 1)))
+        return self._white(part, values)
+
+    def _lengths(self, part: Part) -> Floats:
+        """Lengths of a part's columns, zero where they are rounding."""
+        weights = self.visits.count if part.posed else np.ones(len(self.run))
+        carried = np.square(part.carriers) if part.alone else np.square(part.carriers).sum(axis=1)
+        repeated = self.run.axes if part.alone else 1
+        power = np.tile(np.repeat(weights @ carried, repeated), part.functions.shape[1])
+        if self.run.white.rho == 0.0:
+            squares = np.repeat((np.square(part.functions).T @ (weights[:, None] * carried)).ravel(), repeated)
+        else:
+            squares, rows = np.empty(len(part)), len(self.run) * (1 if part.alone else part.axes)
+            for few in np.array_split(np.arange(len(part)), max(-(-len(part) * rows // _TOGETHER), 1)):
+                squares[few] = np.square(self._white(part, part.values(few))).sum(axis=(0, 1))
+        return np.sqrt(np.where(squares > NOTHING * power, squares, 0.0))

@@ -1,0 +1,78 @@
+"""Blocks of effects: those of the catalogue and the user's own, at every setting that is searched for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base.types import Floats
+from .linearised import Linearised
+from .made import Maker, Piece
+from .waves import table_of, waves_along
+
+#: Moments at which a step is tried, evenly of the rows.
+MOMENTS = 24
+#: Time constants that are tried, each half of the one before, and the fewest readings in one of them.
+_LAGS, _READINGS_BEHIND = 8, 4.0
+
+
+def blocks_of_effects(made: Maker) -> None:
+    """Adds a block for each effect that can be tried, and for each setting of those that have one."""
+    view = made.view
+    every = view.effects_in(view.whole)
+    for effect, at in view.effects:
+        made.add("effect", (), [made.whole(every[:, :, at])], effect=effect)
+    moments = moments_of(view)
+    rows = np.arange(len(view))[:, None]
+    after = (rows >= np.array([cut for cut, _ in moments])).astype(float) if moments else np.zeros((len(view), 0))
+    for effect, place in view.in_time:
+        if not moments:
+            continue
+        # a step of each reading, or of the columns of the effect
+        carriers = np.ones((len(view), 1)) if place is None else every[:, :, place]
+        wide = view.axes if place is None else carriers.shape[-1]
+        part = made.part(after, carriers)
+        for k, (_, moment) in enumerate(moments):
+            made.add("effect", (), [(part, k * wide + np.arange(wide))], effect=effect, setting=moment)
+    for effect, behind in view.lagging:
+        for lag in lags_of(view):
+            made.add("effect", (), [made.whole(behind(lag)(view.whole))], effect=effect, setting=lag)
+    searched = [effect for effect, known in view.periodic if known is None]
+    if not searched:
+        return
+    names = view.waving
+    reach = max(float(np.ptp(view.inputs[name])) for name in names)
+    if not reach > 0:
+        return
+    counts = waves_along()
+    parts = [
+        made.part(table_of(2.0 * np.pi * view.inputs[name] / reach, counts), view.patterns[name][:, :, None])
+        for name in names
+    ]
+    for effect in searched:
+        for k, count in enumerate(counts.tolist()):
+            pieces: list[Piece] = [(part, np.array([k, len(counts) + k])) for part in parts]
+            made.add("effect", (), pieces, effect=effect, setting=reach / count)
+
+
+def moments_of(view: Linearised) -> list[tuple[int, float]]:
+    """Rows from which on a step is tried, with the moment before each: none where rows have no time."""
+    time = view.time
+    if time is None:
+        return []
+    cuts = [k * len(view) // MOMENTS for k in range(1, MOMENTS)]
+    return [(c, float(0.5 * (time[c] + time[c - 1]))) for c in cuts if c > 0 and time[c] > time[c - 1]]
+
+
+def lags_of(view: Linearised) -> list[float]:
+    """Time constants, s, that are tried, from the length of the run to a few readings: what is slower goes by what the
+    temperature has summed up to; what is quicker has followed."""
+    if view.time is None:
+        return []
+    length = float(np.ptp(view.time))
+    least = max(_READINGS_BEHIND * length / len(view), length / 2.0**_LAGS)
+    return [float(lag) for lag in length / 2.0 ** np.arange(_LAGS) if lag >= least]
+
+
+def stepped(columns: Floats, cut: int) -> Floats:
+    """Columns (n, m, k) from a row on."""
+    return np.where((np.arange(len(columns)) >= cut)[:, None, None], columns, 0.0)

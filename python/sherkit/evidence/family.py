@@ -1,0 +1,101 @@
+"""The family of a run: every effect and every shape that may be missing, as blocks of columns, made once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from ..base.types import Bools, Floats, Ints
+from .blocks import Block, Columns, Visits
+from .effects import blocks_of_effects
+from .made import Maker
+from .run import Run
+from .shapes import blocks_of_shapes
+from .thresholds import HELD_EFFECT, HELD_SHAPE, TWIN
+from .whitening import orthonormal
+
+#: Prior part of all effects together; that of all shapes is the rest.
+_EFFECTS = 0.5
+#: Length of what a model leaves of a column of unit length below which it holds it.
+_LEFT = 1e-3
+
+
+class Family:
+    """Blocks of a run.
+
+    ``blocks`` (B,) are those that are something in these rows; ``columns`` are theirs, by number. ``log_weight`` (B,)
+    is the logarithm of the prior weight of each: half of it is of effects, half of shapes, each cause has as much as
+    any other, and its settings and axes share it. A weight of nothing (-inf) is that of a shape which an effect is.
+    """
+
+    def __init__(self, run: Run) -> None:
+        made = Maker(run, Visits.of(run))
+        blocks_of_effects(made)
+        blocks_of_shapes(made)
+        parts, blocks = made.done()
+        self.run = run
+        self.columns = Columns(run, made.visits, parts)
+        there = self.columns.length > 0
+        every = [replace(block, at=block.at[there[block.at]]) for block in blocks]
+        self.blocks: tuple[Block, ...] = tuple(block for block in every if len(block.at))
+        self.is_effect: Bools = np.array([block.effect is not None for block in self.blocks], dtype=bool)
+        #: Part of a column's square below which what is in the model holds it.
+        self.least: Floats = np.where(self.is_effect, HELD_EFFECT, HELD_SHAPE)
+        self.log_weight: Floats = _log_weights(self.blocks, self.is_effect)
+
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    @cached_property
+    def groups(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
+        """Blocks by how wide they are: which they are (b,), their columns (b, k), products within each (b, k, k)."""
+        width = np.array([len(block.at) for block in self.blocks])
+        out = []
+        for k in np.unique(width):
+            which = np.flatnonzero(width == k)
+            at = np.stack([self.blocks[i].at for i in which])
+            out.append((which, at, self.columns.grams(at)))
+        return tuple(out)
+
+    def where(self, block: Block) -> int:
+        """The number of the block of the same cause whose setting is nearest. Raises ``KeyError`` for none."""
+        same = [i for i, one in enumerate(self.blocks) if one.cause == block.cause]
+        if not same:
+            raise KeyError(block.cause)
+        return min(same, key=lambda i: abs((self.blocks[i].setting or 0.0) - (block.setting or 0.0)))
+
+    def without_twins(self, basis: Floats, left: Floats) -> None:
+        """Takes the weight of shapes of which one effect holds nearly all, of the part ``left`` (B,) of their squares
+        that what is fitted, with this ``basis`` (N, p), leaves: such a shape is that effect once more, no rival."""
+        moments = any(e.search == "time_s" and place is None for e, place in self.run.view.in_time)
+        twin = np.array([moments and block.shape == "step" for block in self.blocks], dtype=bool)
+        ones = []
+        for block in self.blocks:
+            if block.effect is None or block.setting is not None:
+                continue
+            columns = self.columns.of(block.at)
+            columns -= basis @ (basis.T @ columns)
+            if np.linalg.norm(columns) >= _LEFT:
+                ones.append(orthonormal(columns, _LEFT))
+        if ones:
+            held = np.square(self.columns.products(np.concatenate(ones, axis=1)))
+            starts = np.cumsum([0, *(one.shape[1] for one in ones)])[:-1]
+            by_effect = np.add.reduceat(held, starts, axis=1)
+            for which, at, _ in self.groups:
+                twin[which] |= (by_effect[at].sum(axis=1) > TWIN * left[which][:, None]).any(axis=1) & (left[which] > 0)
+        self.log_weight[twin & ~self.is_effect] = -np.inf
+
+
+def _log_weights(blocks: Sequence[Block], is_effect: Bools) -> Floats:
+    out = np.zeros(len(blocks))
+    for which, share in ((is_effect, _EFFECTS), (~is_effect, 1.0 - _EFFECTS)):
+        some = np.flatnonzero(which).tolist()
+        count: dict[tuple[object, ...], int] = {}
+        for i in some:
+            count[blocks[i].cause] = count.get(blocks[i].cause, 0) + 1
+        for i in some:
+            out[i] = np.log(share / (len(count) * count[blocks[i].cause]))
+    return out

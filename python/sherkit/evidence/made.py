@@ -1,0 +1,92 @@
+"""Where blocks are put together: columns are gathered by what they are made of, and numbered when all are there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..base.types import Floats, Ints
+from .blocks import Block, Part, Visits
+from .run import Run
+
+#: Columns to be: the part they will stand in, and their numbers (k,) there.
+Piece = tuple[int, Ints]
+
+_FUNCTIONS, _WHOLE = (0, 1), (2, 3)
+
+
+class Maker:
+    """Gathers blocks of a ``run`` whose poses were seen in these ``visits``."""
+
+    def __init__(self, run: Run, visits: Visits) -> None:
+        self.run, self.view, self.visits = run, run.view, visits
+        self._blocks: list[tuple[Block, list[Piece]]] = []
+        # functions on axes and whole columns, each by row and by pose
+        self._gathered: tuple[list[Floats], ...] = ([], [], [], [])
+        self._parts: list[Part] = []
+
+    def function(self, values: Floats) -> Piece:
+        """A function (n,) of the row on every axis alone, without its mean: m columns."""
+        posed = self.visits.same(values)
+        centred = values - values.mean()
+        mine = self._gathered[_FUNCTIONS[posed]]
+        mine.append(centred[self.visits.first] if posed else centred)
+        m = self.view.axes
+        return _FUNCTIONS[posed], (len(mine) - 1) * m + np.arange(m)
+
+    def whole(self, columns: Floats) -> Piece:
+        """Columns (n, m, k) as they are."""
+        posed = self.visits.same(columns)
+        mine = self._gathered[_WHOLE[posed]]
+        first = sum(one.shape[2] for one in mine)
+        mine.append(columns[self.visits.first] if posed else columns)
+        return _WHOLE[posed], first + np.arange(columns.shape[2])
+
+    def along(self, joint: str, values: Floats) -> Piece:
+        """A function (n,) of the row, without its mean, as an error of this joint arrives at the readings."""
+        return self.whole(self.view.patterns[joint][:, :, None] * (values - values.mean())[:, None, None])
+
+    def part(self, functions: Floats, carriers: Floats) -> int:
+        """All products of ``functions`` (n, f) and ``carriers`` (n, c) or (n, m, c): the number of their part."""
+        posed = self.visits.same(functions) and self.visits.same(carriers)
+        rows = self.visits.first if posed else slice(None)
+        self._parts.append(
+            Part(np.ascontiguousarray(functions[rows]), np.ascontiguousarray(carriers[rows]), self.view.axes, posed)
+        )
+        return 3 + len(self._parts)
+
+    def add(self, shape: str, depends_on: tuple[str, ...], pieces: list[Piece], **about: Any) -> None:
+        """A block of these columns; ``about`` as :class:`~.blocks.Block` has it."""
+        self._blocks.append((Block(shape, depends_on, **about), pieces))
+
+    def on_axes(
+        self, shape: str, depends_on: tuple[str, ...], functions: list[Piece], *, each: bool = True, **about: Any
+    ) -> None:
+        """A block of functions on all axes together, and of ``each`` alone."""
+        if each and self.view.axes > 1:
+            for a in range(self.view.axes):
+                self.add(shape, depends_on, [(part, at[a : a + 1]) for part, at in functions], axis=a, **about)
+        self.add(shape, depends_on, functions, **about)
+
+    def done(self) -> tuple[list[Part], list[Block]]:
+        """All parts, and the blocks with the numbers of their columns."""
+        n, p, m = len(self.run), len(self.visits), self.view.axes
+        parts = []
+        for k, gathered in enumerate(self._gathered):
+            posed = k % 2 == 1
+            rows = p if posed else n
+            if k in _FUNCTIONS:
+                values = np.stack(gathered, axis=1) if gathered else np.zeros((rows, 0))
+                parts.append(Part(values, np.ones((rows, 1)), m, posed))
+            else:
+                columns = np.concatenate([np.zeros((rows, m, 0)), *gathered], axis=2)
+                parts.append(Part(np.ones((rows, 1)), columns, m, posed))
+        parts += self._parts
+        starts = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64)
+        blocks = [
+            replace(block, at=np.concatenate([starts[part] + at for part, at in pieces]))
+            for block, pieces in self._blocks
+        ]
+        return parts, blocks

@@ -1,0 +1,150 @@
+"""A fitted run as rows over their noise, in the order of time, with what carries over from row to row taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..base.types import Floats, Ints
+from ..errors import FitError
+from ..model.effect import Effect
+from .fitted_run import FittedRun
+from .linearised import Linearised
+from .thresholds import UNEVEN
+from .whitening import Whitening, correlation_in_time, independent, orthonormal
+
+#: Fewest rows of which anything can be said.
+_FEWEST = 10
+#: Waves of time in the basis that tells noise: slower than them, nothing counts as noise.
+_SLOW_WAVES = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Rows of a fit over noise, whitened.
+
+    ``rows`` (n,) are those of the run that are looked at, in the order of time; ``sigma`` (columns,) is the noise of
+    each reading in its unit; ``view`` has all to first order over that noise; ``white`` is the filter from row to row.
+    Vectors (N,) and columns (N, k) of rows are n·m long, the m axes of a row one after another.
+    """
+
+    of: FittedRun
+    rows: Ints
+    sigma: Floats
+    view: Linearised
+    white: Whitening
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def axes(self) -> int:
+        """Readings a row, m."""
+        return self.view.axes
+
+    @cached_property
+    def residual(self) -> Floats:
+        """Measured minus predicted (N,), in noises."""
+        return self.flat(self.view.residual)
+
+    @cached_property
+    def basis(self) -> Floats:
+        """Orthonormal columns (N, rank) of all that is fitted, where the sensor stands among it."""
+        return independent(self.flat(self.view.fitted(self.view.whole)))
+
+    @cached_property
+    def poses(self) -> Ints:
+        """The pose (n,) at which each row was read."""
+        return np.asarray(self.of.data.standing[self.rows])
+
+    def flat(self, columns: Floats) -> Floats:
+        """Values (n, m) or columns (n, m, k) under the filter, as (N,) or (N, k)."""
+        n, m = columns.shape[:2]
+        return self.white(columns).reshape(n * m, *columns.shape[2:])
+
+    def seen_by(self, fit: FittedRun) -> Run:
+        """The same rows with the same noise as another fit of them sees them."""
+        view = fit.linearised(self.rows, (), self.sigma[list(fit.axes)])
+        return Run(fit, self.rows, self.sigma, view, self.white)
+
+
+def run_of(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Run:
+    """The ``rows`` of a fit over the noise ``sigma`` (columns,), with what gives columns of the ``effects``.
+
+    Axes that are louder than the others, once everything smooth and every effect is taken out, weigh less; the fit is
+    then made anew. Raises :class:`~sherkit.errors.FitError` for too few rows.
+    """
+    rows = in_time(fit, rows)
+    view = fit.linearised(rows, effects, sigma[list(fit.axes)])
+    lag, back = one_after_another(fit.data.order, fit.data.series, rows)
+    rho, loud = _noise_in(view, back)
+    if not fit.is_exact and (np.abs(np.log(loud / loud.mean())) > UNEVEN).any():
+        sigma = sigma.copy()
+        sigma[list(fit.axes)] *= np.clip(loud, 1e-6, 1e6)
+        fit = fit.on(np.arange(len(fit.data)), sigma)
+        view = fit.linearised(rows, effects, sigma[list(fit.axes)])
+    return Run(fit, rows, sigma, view, Whitening(rho, lag, back))
+
+
+def in_time(fit: FittedRun, rows: Ints) -> Ints:
+    """Those of these rows that have all readings, in the order of time. Raises :class:`~sherkit.errors.FitError`."""
+    rows = rows[fit.whole[rows]]
+    if fit.data.time_s is not None:
+        rows = rows[np.argsort(fit.data.time_s[rows], kind="stable")]
+    if len(rows) < _FEWEST:
+        raise FitError(
+            f"{fit.data.source}: {len(rows)} rows with all readings are too few to diagnose; expected {_FEWEST} or more"
+        )
+    return rows
+
+
+def one_after_another(order: Ints, series: Ints, rows: Ints) -> tuple[Ints, Ints | None]:
+    """Of rows in the order of time, how many rows of the run it is from the one before, and how far up that one stands
+    here, 0 where there is none; None where it is always the next.
+
+    ``order`` and ``series`` are those of all rows of the run: rows of one series follow one another.
+    """
+    if not series.any():
+        return np.concatenate([[1], np.maximum(np.diff(order[rows]), 1)]), None
+    lag, back = np.ones(len(rows), dtype=np.int64), np.zeros(len(rows), dtype=np.int64)
+    for one in np.unique(series):
+        place = np.zeros(len(series), dtype=np.int64)
+        every = np.flatnonzero(series == one)
+        place[every] = np.argsort(np.argsort(order[every]))
+        here = np.flatnonzero(series[rows] == one)
+        back[here[1:]] = np.diff(here)
+        lag[here[1:]] = np.maximum(np.diff(place[rows[here]]), 1)
+    return lag, back
+
+
+def unit(values: Floats) -> Floats:
+    """Values (n,) brought to -1 … 1."""
+    return np.asarray(2.0 * (values - values.min()) / max(float(np.ptp(values)), 1e-300) - 1.0)
+
+
+def _noise_in(view: Linearised, back: Ints | None) -> tuple[float, Floats]:
+    """How much noise carries over from row to row, and how loud each axis is (m,) in noises: of what is left beside
+    all that is fitted, all effects, and what is smooth in any variable or slow in time."""
+    n, m = view.residual.shape
+    smooth = [unit(v)[:, None] ** np.arange(1, 4) for v in view.variables.values()]
+    if view.time is not None:
+        smooth.append(np.cos(np.pi / 2 * np.outer(unit(view.time) + 1, np.arange(1, min(_SLOW_WAVES, n // 8) + 1))))
+    few = np.concatenate([np.zeros((n, 0)), *smooth], axis=1)[:, : n // 4]
+    f = orthonormal(few - few.mean(axis=0), 1e-6)
+    last = view.effects[-1][1].stop if view.effects else 0
+    rest = np.concatenate([view.fitted(view.whole), view.effects_in(view.whole)[:, :, :last]], axis=2)
+    by_row = rest.reshape(n, -1)
+    q = orthonormal((by_row - f @ (f.T @ by_row)).reshape(rest.shape), 1e-6)[:, : max(n * m // 8, 1)]
+    basis = np.zeros((n, m, m * f.shape[1] + q.shape[1]))
+    for a in range(m):
+        basis[:, a, a * f.shape[1] : (a + 1) * f.shape[1]] = f
+    basis[:, :, m * f.shape[1] :] = q.reshape(n, m, -1)
+    every = basis.reshape(n * m, -1)
+    residual = view.residual.reshape(-1)
+    left = (residual - every @ (every.T @ residual)).reshape(n, m)
+    free = 1.0 - np.square(basis).sum(axis=2).mean(axis=0)
+    loud = np.sqrt(np.square(left).mean(axis=0) / np.maximum(free, 0.05))
+    return correlation_in_time(view.residual, every, back), np.maximum(loud, 1e-300)

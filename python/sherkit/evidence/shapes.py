@@ -1,0 +1,127 @@
+"""Blocks of generic shapes: what a residual may look like when no effect of the catalogue is behind it.
+
+They say whether something is left, and describe it; they never compete for the name of a cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from .._core import play
+from ..base.types import Floats
+from .effects import moments_of
+from .made import Maker, Piece
+from .run import unit
+from .waves import table_of, told, waves_along, waves_in_time, waves_over_place
+
+#: Order of polynomials, and the fewest different values of a variable that has a shape, or waves.
+_ORDERS, _FEWEST, _FEWEST_FOR_WAVES, _FEWEST_ALONG = 3, 2, 5, 9
+#: Time constants of what dies away, in parts of the run; widths of play, in the unit of the joint.
+_DYING, _PLAY = (0.06, 0.12, 0.25, 0.5), (0.02, 0.1, 0.5, 2.0)
+#: Waves in time that are also looked for on one axis alone: up to so many over the run.
+_ON_ONE_AXIS = 12.0
+
+
+def blocks_of_shapes(made: Maker) -> None:
+    """Adds slopes, curves, waves, products, play and steps of every variable of the rows, which
+    :attr:`~.linearised.Linearised.variables` has."""
+    view = made.view
+    count = {name: len(np.unique(values)) for name, values in view.variables.items()}
+    u = {name: unit(values) for name, values in view.variables.items() if count[name] >= _FEWEST}
+    joints = [name for name in u if name in view.pattern_of] if view.patterns else []
+    poses = [name for name in u if name in joints or name in view.place]
+    for name, t in u.items():
+        _smooth(made, name, t, min(_ORDERS, count[name] - 1), along=name in joints)
+    if "time_s" in u:
+        _in_time(made, u)
+    for name in poses:
+        if name in joints:
+            if count[name] >= _FEWEST_ALONG:
+                _along(made, name, u[name])
+        elif count[name] >= _FEWEST_FOR_WAVES:
+            _over_place(made, name, u[name])
+    _products(made, u, joints, poses)
+    for name in joints:
+        _play(made, name)
+    for k, moment in moments_of(view):
+        step = made.function((np.arange(len(view)) >= k) * 1.0)
+        made.on_axes("step", ("time_s",), [step], each=False, setting=moment)
+
+
+def _smooth(made: Maker, name: str, t: Floats, orders: int, *, along: bool) -> None:
+    powers = [t, 1.5 * t**2 - 0.5, (2.5 * t**2 - 1.5) * t][:orders]
+    functions = [made.function(power) for power in powers]
+    made.on_axes("smooth", (name,), functions[:1], order=1)
+    if orders > 1:
+        made.on_axes("smooth", (name,), functions, order=orders)
+        if along:
+            made.add("smooth", (name,), [made.along(name, one) for one in powers], order=orders, pattern=name)
+
+
+def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
+    """What dies away, and waves, by themselves and in proportion to the place."""
+    view, t = made.view, u["time_s"]
+    length = float(np.ptp(view.variables["time_s"]))
+    for part in _DYING:
+        dying = made.function(np.asarray(np.exp(-0.5 * (t + 1) / part)))
+        made.on_axes("smooth", ("time_s",), [dying], each=False, setting=part * length)
+    counts = waves_in_time()
+    places = [u[name] for name in view.place if name in u]
+    part = made.part(table_of(np.pi * (t + 1), counts), np.stack([np.ones(len(t)), *places], axis=1))
+    wide, m = 1 + len(places), view.axes
+    for k, count in enumerate(counts.tolist()):
+        both = np.array([k, len(counts) + k])
+        by_itself: list[Piece] = [(part, one * wide * m + np.arange(m)) for one in both]
+        made.on_axes("periodic", ("time_s",), by_itself, each=count <= _ON_ONE_AXIS, period=length / count)
+        if places:
+            there = both[:, None] * wide * m + np.arange(m, wide * m)
+            made.add("periodic", ("time_s",), [(part, there.ravel())], period=length / count)
+
+
+def _along(made: Maker, name: str, t: Floats) -> None:
+    """Waves of a joint, as an error of it arrives at the readings."""
+    counts, reach = waves_along(), float(np.ptp(made.view.variables[name]))
+    part = made.part(table_of(np.pi * (t + 1), counts), made.view.patterns[name][:, :, None])
+    for k, count in enumerate(counts.tolist()):
+        at = np.array([k, len(counts) + k])
+        made.add("periodic", (name,), [(part, at)], pattern=name, period=reach / count)
+
+
+def _over_place(made: Maker, name: str, t: Floats) -> None:
+    reach, counts = float(np.ptp(made.view.variables[name])), waves_over_place()
+    counts = counts[told(made.view.variables[name], counts)]
+    table = table_of(np.pi * (t + 1), counts)
+    for k, count in enumerate(counts.tolist()):
+        both = [made.function(table[:, one]) for one in (k, len(counts) + k)]
+        made.on_axes("periodic", (name,), both, each=False, period=reach / count)
+
+
+def _products(made: Maker, u: Mapping[str, Floats], joints: list[str], poses: list[str]) -> None:
+    for k, a in enumerate(poses):
+        for b in poses[k + 1 :]:
+            if (a in joints) == (b in joints):
+                made.on_axes("interaction", (a, b), [made.function(u[a] * u[b])])
+    for a in u:
+        for b in poses:
+            if a not in poses and b not in joints:
+                made.on_axes("interaction", (a, b), [made.function(u[a] * u[b])])
+    for a in joints:
+        for b in joints:
+            if a != b:
+                pieces = [made.along(a, one) for one in (u[b], u[b] ** 2, u[a] * u[b])]
+                made.add("interaction", (a, b), pieces, pattern=a)
+
+
+def _play(made: Maker, name: str) -> None:
+    """Which way a joint came, and play of several widths."""
+    q = made.view.variables[name]
+    step = np.sign(np.diff(q, prepend=q[:1]))
+    came = step[np.maximum.accumulate(np.where(step != 0, np.arange(len(q)), 0))]
+    made.on_axes("hysteretic", (name,), [made.function(came)], setting=0.0)
+    made.add("hysteretic", (name,), [made.along(name, came)], pattern=name, setting=0.0)
+    for width in _PLAY:
+        behind = play(np.ascontiguousarray(q, dtype=float), width) - q
+        if reach := float(np.ptp(behind)):
+            made.add("hysteretic", (name,), [made.along(name, behind / reach)], pattern=name, setting=width)

@@ -1,0 +1,54 @@
+"""Waves over the range of a variable: tables of their sines and cosines, and which of them poses can tell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base.types import Bools, Floats
+from .whitening import orthonormal
+
+#: Waves over the range: along a joint, a half wave apart; in time; over a place, which a grid tells less well.
+_JOINT, _TIME, _PLACE = (1.0, 60.0), (1.0, 61.0), (2.0, 12.0)
+#: Waves slower than this part of a frequency, and the part of a wave from which on they stand in for it, where values
+#: are too far apart to tell.
+_SLOWER, _STANDS_IN = 0.8, 0.8
+#: Values that tell whether they do.
+_LOOKED_AT = 2000
+
+
+def waves_along() -> Floats:
+    """How many waves over a joint's range are tried."""
+    return np.arange(*_JOINT, 0.5)
+
+
+def waves_in_time() -> Floats:
+    """How many waves over a run are tried."""
+    return np.arange(*_TIME, 0.5)
+
+
+def waves_over_place() -> Floats:
+    """How many waves over a coordinate are tried."""
+    return np.arange(*_PLACE, 0.5)
+
+
+def table_of(angle: Floats, counts: Floats) -> Floats:
+    """Sines, then cosines (n, 2 w) of so many times the ``angle`` (n,) each, without their means."""
+    turns = np.multiply.outer(angle, counts)
+    out = np.concatenate([np.sin(turns), np.cos(turns)], axis=1)
+    return np.asarray(out - out.mean(axis=0))
+
+
+def told(values: Floats, counts: Floats) -> Bools:
+    """Which waves (w,) the ``values`` that a variable has can tell: on the lines of a grid one as short as their
+    distance is next to nothing, or what any slow bend is."""
+    some = np.sort(values)[:: max(len(values) // _LOOKED_AT, 1)]
+    u = (some - some[0]) / (some[-1] - some[0])
+    out = np.ones(len(counts), dtype=bool)
+    for k, count in enumerate(counts.tolist()):
+        half = np.arange(0, 2.0 * _SLOWER * count + 1e-9)
+        if 2 * len(half) < len(some):
+            basis = orthonormal(np.cos(np.pi * np.outer(u, half)), 1e-6)
+            waves = np.stack([np.sin(2 * np.pi * count * u), np.cos(2 * np.pi * count * u)], axis=1)
+            left = waves - basis @ (basis.T @ waves)
+            out[k] = (left**2).sum() >= (1.0 - _STANDS_IN) * (waves**2).sum()
+    return out
