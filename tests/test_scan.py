@@ -16,9 +16,10 @@ from sherkit.diagnosis.columns import Block, Columns
 from sherkit.diagnosis.lack_of_fit import codes_of, z_score
 from sherkit.diagnosis.scan import Scan
 from sherkit.diagnosis.shapes import build, wave
-from sherkit.diagnosis.stage import _largest_step, _one_after_another
+from sherkit.diagnosis.stage import _largest_step
 from sherkit.diagnosis.waves import Gridded, Waves, waves_of
 from sherkit.evidence.linearised import Linearised
+from sherkit.evidence.run import one_after_another
 from sherkit.evidence.whitening import Whitening, correlation_in_time, orthonormal, whiten
 from sherkit.model.effect import Effect
 
@@ -324,7 +325,7 @@ def test_targets_that_are_read_in_turn_follow_their_own_in_time() -> None:
     # the second target is not seen in the third visit
     seen = np.delete(np.arange(3 * visits), 7)
     rows, which = e.reshape(-1, 2)[seen], seen % 3
-    lag, back = _one_after_another(np.arange(3 * visits), np.arange(3 * visits) % 3, seen)
+    lag, back = one_after_another(np.arange(3 * visits), np.arange(3 * visits) % 3, seen)
     assert back is not None
     filtered = Whitening(rho, lag, back)
     for target in range(3):
@@ -334,7 +335,7 @@ def test_targets_that_are_read_in_turn_follow_their_own_in_time() -> None:
     blocks = [filtered.on(lambda part: rows[part], part) for part in (slice(0, 8), slice(8, 9), slice(9, len(rows)))]
     np.testing.assert_array_equal(np.concatenate(blocks), filtered(rows))
     shared = np.repeat(rng.normal(size=(visits, 2)), 3, axis=0) + 0.2 * rng.normal(size=(3 * visits, 2))
-    _, back = _one_after_another(np.arange(3 * visits), np.arange(3 * visits) % 3, np.arange(3 * visits))
+    _, back = one_after_another(np.arange(3 * visits), np.arange(3 * visits) % 3, np.arange(3 * visits))
     nothing = np.zeros((6 * visits, 0))
     assert correlation_in_time(shared, nothing) > 0.3
     assert correlation_in_time(shared, nothing, back) == 0.0
@@ -425,7 +426,7 @@ def test_waves_that_are_never_written_out_are_those_that_are(rho: float, in_turn
     fitted = rng.normal(size=(N, M, P))
     back = None
     if in_turn:
-        _, back = _one_after_another(np.arange(N), rng.integers(0, 3, N), np.arange(N))
+        _, back = one_after_another(np.arange(N), rng.integers(0, 3, N), np.arange(N))
     filtered = Whitening(rho, rng.integers(1, 4, N), back)
     waves = Waves(view)
     dense = np.concatenate([waves_of(view, f) for f in waves.at], axis=2)

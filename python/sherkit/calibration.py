@@ -15,10 +15,10 @@ from .base.names import listed
 from .base.types import Floats
 from .data import Measurements
 from .data.reader import RunLike
-from .diagnosis.explanation import refuse_absurd
 from .diagnosis.named import setting_for
 from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .errors import EffectError, FitError, SherkitWarning
+from .evidence.sizes import refuse_absurd
 from .fit.identify import hold_out, identify
 from .model.base import missing_columns
 from .model.effect import Effect, named_effects

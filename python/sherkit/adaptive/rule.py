@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..diagnosis.explanation import PLAUSIBLE
+from ..evidence.sizes import PLAUSIBLE
 from .evidence import ROUGH, SIZES, Agreement
 from .hypotheses import Hypothesis
 from .look import FAR, Fitted, Keys, Look

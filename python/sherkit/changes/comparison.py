@@ -20,8 +20,8 @@ from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
-from ..diagnosis.explanation import PLAUSIBLE
 from ..errors import FitError, SherkitError
+from ..evidence.sizes import PLAUSIBLE
 from ..evidence.whitening import orthonormal
 from ..fit.error import ErrorSize, of_residuals
 from ..model.effect import Effect

@@ -11,6 +11,7 @@ from ..base.names import listed
 from ..base.types import Floats
 from ..data.doubts import Doubt
 from ..evidence.fitted_run import FittedRun
+from ..evidence.sizes import ABSURD, PLAUSIBLE, largest, sizes_of
 from ..fit.set_up import Mistake
 from .answers import (
     AS_DRAWN,
@@ -25,7 +26,6 @@ from .answers import (
     STANDS,
     Check,
 )  # fmt: skip
-from .explanation import ABSURD, PLAUSIBLE, largest, sizes_of
 from .held_out import PRAISE, FewEnough, HeldOutGain
 from .lack_of_fit import LackOfFit
 from .named import Named

@@ -18,10 +18,10 @@ from ..errors import SherkitError
 from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
 from ..evidence.run import in_time
+from ..evidence.sizes import displaces
 from ..fit.error import ErrorSize, held_out_error
 from ..fit.folds import Beside, Folds, ranks_of, roots_of
 from ..model.effect import Effect
-from .explanation import displaces
 from .lack_of_fit import FLIPS, codes_of
 from .stage import Stage
 from .waves import waves_of

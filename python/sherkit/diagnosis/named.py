@@ -13,11 +13,12 @@ import numpy as np
 from ..base.types import Floats, Ints
 from ..errors import EffectError
 from ..evidence.fitted_run import FittedRun
+from ..evidence.sizes import ABSURD, sizes_of
 from ..fit.identify import Fit
 from ..model.effect import Effect
 from .answers import StepReport
 from .beside import Alone, innocents
-from .explanation import ABSURD, refit, sizes_of
+from .explanation import refit
 from .held_out import HeldOutGain, error_of, held_out_gain
 from .periods import Period, period_of
 from .search import Search, SearchResult

@@ -16,6 +16,7 @@ from ..data.doubts import doubts
 from ..data.reader import RunLike
 from ..errors import EffectError, FitError
 from ..evidence.fitted_run import FittedRun, enough_of
+from ..evidence.sizes import TOLD, implausible, is_plausible
 from ..evidence.whitening import orthonormal
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
@@ -26,7 +27,6 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike
 from .answers import CandidateReport, Diagnosis, StepReport, verdict_of
 from .checked import checks_of
-from .explanation import TOLD, implausible, is_plausible
 from .findings import findings_of
 from .gathered import checks_of_outliers
 from .held_out import HeldOutError, by_noise_alone, few_enough, held_out

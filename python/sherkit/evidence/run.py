@@ -58,7 +58,7 @@ class Run:
     @cached_property
     def poses(self) -> Ints:
         """The pose (n,) at which each row was read."""
-        return np.asarray(self.of.data.standing[self.rows])
+        return self.view.group
 
     def flat(self, columns: Floats) -> Floats:
         """Values (n, m) or columns (n, m, k) under the filter, as (N,) or (N, k)."""

@@ -46,13 +46,13 @@ def blocks_of_shapes(made: Maker) -> None:
     for name in joints:
         _play(made, name)
     for k, moment in moments_of(view):
-        step = made.function((np.arange(len(view)) >= k) * 1.0)
+        step = made.function((np.arange(len(view)) >= k).astype(float))
         made.on_axes("step", ("time_s",), [step], each=False, setting=moment)
 
 
 def _smooth(made: Maker, name: str, t: Floats, orders: int, *, along: bool) -> None:
     powers = [t, 1.5 * t**2 - 0.5, (2.5 * t**2 - 1.5) * t][:orders]
-    functions = [made.function(power) for power in powers]
+    functions = [made.function(np.asarray(power, dtype=np.float64)) for power in powers]
     made.on_axes("smooth", (name,), functions[:1], order=1)
     if orders > 1:
         made.on_axes("smooth", (name,), functions, order=orders)
@@ -65,7 +65,7 @@ def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
     view, t = made.view, u["time_s"]
     length = float(np.ptp(view.variables["time_s"]))
     for part in _DYING:
-        dying = made.function(np.asarray(np.exp(-0.5 * (t + 1) / part)))
+        dying = made.function(np.exp(-0.5 * (t + 1) / part))
         made.on_axes("smooth", ("time_s",), [dying], each=False, setting=part * length)
     counts = waves_in_time()
     places = [u[name] for name in view.place if name in u]

@@ -1,0 +1,117 @@
+"""What is asked of a base: gains, Bayes factors, errors of rows held out, power."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.integrate
+
+from sherkit.evidence.base import Base, log_bayes
+from sherkit.evidence.family import Family
+from sherkit.evidence.whitening import independent
+from test_evidence_family import run_of_two_joints
+
+
+def base_of(**about: object) -> Base:
+    run = run_of_two_joints(**about)  # type: ignore[arg-type]
+    return Base.of(Family(run), run)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5])
+def test_a_gain_is_that_of_least_squares(rho: float) -> None:
+    """Catches a downdate of the wrong block, a rank that counts what the model holds, and a base that forgets what was
+    put in before."""
+    base = base_of(rho=rho, visits=2)
+    family = base.family
+    first = next(b for b in family.blocks if b.shape == "interaction")
+    for one in (base, base.beside(first), base.beside(first, family.blocks[5])):
+        gain, rank = one.gains
+        for i in range(0, len(family), 37):
+            columns = family.columns.of(family.blocks[i].at)
+            with_it = independent(np.concatenate([one.basis, columns], axis=1))
+            y = base.family.run.residual
+            expected = one.rss - float(np.square(y - with_it @ (with_it.T @ y)).sum())
+            # the ridge of what counts as held takes a thousandth
+            assert gain[i] == pytest.approx(expected, rel=0.02, abs=1e-3)
+            assert rank[i] <= with_it.shape[1] - one.basis.shape[1] + 1e-9
+        assert one.gains[1][family.blocks.index(first)] == (0 if one is not base else len(first.at))
+
+
+def test_a_bayes_factor_is_the_integral_that_it_stands_for() -> None:
+    """Catches a prior of another width or noise, against numerical integration over a coefficient and the noise."""
+    rng = np.random.default_rng(4)
+    n, scale = 30, 2.0
+    x = rng.normal(size=n)
+    x /= np.linalg.norm(x)
+    y = 2.5 * x + rng.normal(size=n)
+    fitted = float(x @ y)
+    rss = float(y @ y)
+
+    def likelihood(log_noise: float, with_it: bool) -> float:
+        noise = np.exp(log_noise)
+        if not with_it:
+            return float(np.exp(-n * log_noise - 0.5 * rss / noise**2))
+        prior = scale * noise * np.sqrt(n)
+        sd = 1.0 / np.sqrt(1.0 / noise**2 + 1.0 / prior**2)
+        mean = fitted * sd**2 / noise**2
+        return float(sd / prior * np.exp(-n * log_noise - 0.5 * rss / noise**2 + 0.5 * (mean / sd) ** 2))
+
+    both = [scipy.integrate.quad(likelihood, -3, 3, args=(k,), epsabs=0)[0] for k in (True, False)]
+    told = log_bayes(np.array([fitted**2 / rss]), np.array([1.0]), n, n, np.array([scale]))
+    assert float(told[0]) == pytest.approx(np.log(both[0] / both[1]), abs=1e-6)
+
+
+def test_errors_of_rows_held_out_are_those_of_other_fits() -> None:
+    """Catches a step for a fold that is wrong by the rows it leaves: every fold is fitted anew."""
+    base = base_of(visits=2).beside()
+    y = base.family.run.residual
+    fold = base.family.run.poses % 4
+    told = base.held_out([fold])[0]
+    each = np.repeat(fold, 2)
+    for k in range(4):
+        inside, outside = each == k, each != k
+        x = np.linalg.lstsq(base.basis[outside], y[outside], rcond=None)[0]
+        assert told[inside] == pytest.approx(np.square(y[inside] - base.basis[inside] @ x))
+
+
+def test_nothing_hidden_raises_no_alarm_and_a_wave_does() -> None:
+    """Catches evidence without its weights: of noise alone many blocks would say something. Level: one in a hundred
+    draws comes to 100 to 1; twelve seeds here, fixed."""
+    run = run_of_two_joints(rows=120)
+    family = Family(run)
+    block = next(b for b in family.blocks if b.shape == "periodic" and b.pattern == "q1_mm" and b.period < 0.2)
+    wave = family.columns.of(block.at)[:, 0]
+    for seed in range(12):
+        noise = np.random.default_rng(seed).normal(size=240)
+        plain = Base.of(family, run)
+        for size in (0.0, 12.0):
+            y = noise + size * wave
+            left = y - plain.basis @ (plain.basis.T @ y)
+            base = Base(family, plain.basis, left, plain.left, family.columns.products(left[:, None])[:, 0])
+            assert (base.evidence > np.log(100.0)) == (size > 0), (seed, size, base.evidence)
+        assert family.blocks[int(np.argmax(base.each))].pattern == "q1_mm"
+
+
+def test_an_error_of_its_own_at_each_pose() -> None:
+    """Catches poses that vary by more than their visits do and are taken for noise, and noise for such an error."""
+    run = run_of_two_joints(rows=120, visits=3)
+    family, rng = Family(run), np.random.default_rng(5)
+    plain = Base.of(family, run)
+    own = rng.normal(size=(40, 2))[run.poses].ravel()
+    noise = rng.normal(size=240)
+    for size in (0.0, 1.0):
+        y = noise + size * own
+        left = y - plain.basis @ (plain.basis.T @ y)
+        log_bf, told = Base(family, plain.basis, left, plain.left, plain.right).of_its_own
+        assert (log_bf > np.log(100.0)) == (size > 0)
+        assert told == pytest.approx(size, abs=0.3)
+
+
+def test_power_is_that_of_a_test() -> None:
+    """Catches a non-centrality that is no square, against draws. 4,000 of them: within four standard errors."""
+    base = base_of(visits=2)
+    block = next(i for i, rank in enumerate(base.gains[1]) if rank == 2)
+    rng = np.random.default_rng(6)
+    z = rng.normal(size=(4000, 2)) + np.array([3.0, 0.0])
+    drawn = float((np.square(z).sum(axis=1) > -2.0 * np.log(0.01)).mean())
+    assert base.power(block, 3.0, 0.01) == pytest.approx(drawn, abs=0.032)
