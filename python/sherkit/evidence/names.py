@@ -1,0 +1,121 @@
+"""Which effects may be named: by two numbers each, in nats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .base import log_bayes
+from .described import MOST, Described
+from .sets import EffectSet, Sets
+from .sizes import ABSURD, sizes_of
+from .thresholds import ALARM, NEEDED, SURE, TELLS, TIED
+
+#: Beginnings of a description that takes the place of an effect.
+_STARTS = 3
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is told of one effect: ``needed`` (d), by how much the set with it and shapes says more than the others with
+    the best shapes in its place; ``tells`` (t), its own Bayes factor beside all shapes that were found without it."""
+
+    name: str
+    needed: float
+    tells: float
+    absurd: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Names:
+    """What a run lacks.
+
+    ``lead`` is the set that says most, None where nothing is missing; ``told`` has the two numbers of each of its
+    effects, ``refused`` those that are not named, with the reason; ``ties`` are sets that do as well. ``beside`` and
+    ``alone`` describe with shapes what the lead leaves, and what is left without any effect.
+    """
+
+    lead: EffectSet | None
+    told: tuple[Told, ...]
+    refused: dict[str, str]
+    ties: tuple[EffectSet, ...]
+    beside: Described
+    alone: Described
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects that may be named."""
+        return tuple(one.name for one in self.told if one.name not in self.refused)
+
+    @property
+    def explains(self) -> bool:
+        """Whether nothing is missing beside all that are named."""
+        return self.lead is not None and not self.refused and self.lead.explains and not self.shapes_say_more
+
+    @property
+    def shapes_say_more(self) -> bool:
+        """Whether shapes alone say clearly more than the effects with shapes do."""
+        return self.lead is not None and self.alone.evidence > self.lead.value + self.beside.evidence + SURE
+
+
+def names_of(sets: Sets) -> Names:
+    """Searches a run's sets of effects and judges each effect of the leading one."""
+    found = sets.found()
+    alone = sets.described(sets.base, MOST, _STARTS)
+    if not found:
+        return Names(None, (), {}, (), alone, alone)
+    lead = sets.leading(found)
+    beside = sets.described(lead.base, MOST, 1)
+    told = tuple(_told(sets, lead, beside, alone, k) for k in range(len(lead.blocks)))
+    names = Names(lead, told, {}, _ties(lead, found), beside, alone)
+    refused = {one.name: why for one in told if (why := _refused(names, one))}
+    if any(one.absurd for one in told):
+        refused = {one.name: "its size would be absurd" for one in told}
+    return Names(lead, told, refused, names.ties, beside, alone)
+
+
+def _told(sets: Sets, lead: EffectSet, beside: Described, alone: Described, k: int) -> Told:
+    block = lead.blocks[k]
+    assert block.effect is not None, "shapes are not named"
+    fit = lead.run.of
+    absurd = bool((sizes_of(fit.fit)[fit.owns(block.effect)] > ABSURD).any())
+    others = tuple(one for one in lead.blocks if one is not block)
+    less = sets.fitted(others) if others else None
+    if others and less is None:
+        return Told(block.name, np.inf, np.inf, absurd)
+    without = alone if less is None else sets.described(less.base, MOST, _STARTS)
+    needed = lead.value + beside.evidence - (0.0 if less is None else less.value) - without.evidence
+    # its columns as the full fit has them
+    columns = lead.run.flat(lead.run.view.fitted(lead.run.view.whole)[:, :, fit.owns(block.effect)])
+    length = np.linalg.norm(columns, axis=0)
+    columns = columns[:, length > 0] / length[length > 0]
+    base = without.base
+    part = base.takes(columns) / max(base.rss, 1e-300)
+    tells = log_bayes(np.array([part]), np.array([columns.shape[1]]), base.free, len(base.residual))
+    return Told(block.name, needed, float(tells[0]), absurd)
+
+
+def _refused(names: Names, one: Told) -> str:
+    """Why an effect is not named; empty where it may be."""
+    assert names.lead is not None, "it is of a set"
+    several = len(names.lead.blocks) > 1
+    partly = not names.lead.explains or names.shapes_say_more
+    least = max(TIED if several else -np.inf, NEEDED if partly else -np.inf)
+    if one.needed < least:
+        return "shapes that follow no cause say as much in its place"
+    if partly and one.tells < TELLS:
+        return "it says nothing beside the shapes that describe this run without it"
+    return ""
+
+
+def _ties(lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSet, ...]:
+    """Sets of no more effects that say as much, and leave as little."""
+    return tuple(
+        one
+        for one in found
+        if one is not lead
+        and len(one.blocks) <= len(lead.blocks)
+        and one.value > lead.value - TIED
+        and one.rest < max(lead.rest, ALARM) + TIED
+    )

@@ -1,0 +1,218 @@
+"""Sets of effects, refitted in full, by how much the readings favour each."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..base.types import Floats
+from ..errors import SherkitError
+from .base import Base, log_bayes, total
+from .blocks import Block
+from .described import Described, described
+from .family import Family
+from .fitted_run import FittedRun
+from .run import Run
+from .settings import refined
+from .sizes import displaces, is_plausible
+from .thresholds import ALARM, TIED
+
+#: Prior odds of one more effect.
+_ONE_MORE = float(np.log(0.1))
+#: Single effects that are refitted, and those that take nearly as much as any does, whatever they say.
+_SINGLES, _TAKE, _NEARLY = 6, 9, 0.85
+#: By how much less, in nats and as a part, a single may say to first order than one that explains, to be refitted.
+_BEHIND, _PART_BEHIND = 60.0, 0.1
+#: Pairs: beside how many sets, how many seconds each; to first order, of how many firsts; how many are refitted.
+_BESIDE, _SECONDS, _FIRSTS, _THIRDS, _PAIRS = 6, 4, 14, 3, 7
+#: Most effects of a set.
+_MOST = 4
+#: Sets that are described with shapes beside them, and shapes of each.
+_MIXED, _SHAPES = 5, 6
+
+
+@dataclass(frozen=True, eq=False)
+class EffectSet:
+    """Effects of a full fit: its ``run``, the ``base`` that it leaves, the logarithm of the Bayes factor ``log_bf``
+    against the fit before, and with prior weights, ``value``; whether all is ``plausible``."""
+
+    blocks: tuple[Block, ...]
+    run: Run
+    base: Base
+    log_bf: float
+    value: float
+    plausible: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects, in order."""
+        return tuple(sorted(block.name for block in self.blocks))
+
+    @cached_property
+    def each(self) -> Floats:
+        """What each other block says beside the set (B,)."""
+        mine = np.array([block.name in self.names for block in self.base.family.blocks], dtype=bool)
+        return np.where(mine, -np.inf, self.base.each)
+
+    @cached_property
+    def rest(self) -> float:
+        """By how much the readings favour that something is missing still."""
+        return total(self.each)
+
+    @property
+    def explains(self) -> bool:
+        """Whether nothing is missing beside it."""
+        return self.rest < ALARM
+
+
+class Sets:
+    """The sets of effects of a run, each fitted once, and shapes beside them."""
+
+    def __init__(self, family: Family, base: Base, step: Callable[[str], None] = lambda _: None) -> None:
+        self.family, self.base, self.step = family, base, step
+        left = np.zeros(len(family))
+        for (which, _, _), grams in zip(family.groups, base.left, strict=True):
+            left[which] = np.einsum("bkk->b", grams)
+        family.without_twins(base.basis, left)
+        self._fitted: dict[tuple[tuple[str, float], ...], EffectSet | None] = {}
+        self._described: dict[tuple[int, int, int], Described] = {}
+
+    def fitted(self, blocks: Sequence[Block]) -> EffectSet | None:
+        """The set in a full fit; None where it cannot be fitted."""
+        key = tuple(sorted((block.name, block.setting or 0.0) for block in blocks))
+        if key not in self._fitted:
+            self.step(f"refitting with {' and '.join(name for name, _ in key)}")
+            self._fitted[key] = self._fit(tuple(blocks))
+        return self._fitted[key]
+
+    def described(self, base: Base, most: int, starts: int) -> Described:
+        """As :func:`~.described.described`, remembered."""
+        key = (id(base), most, starts)
+        if key not in self._described:
+            self._described[key] = described(base, most, starts)
+        return self._described[key]
+
+    def found(self) -> list[EffectSet]:
+        """Sets of effects, the likeliest first; none where nothing is missing.
+
+        Singles first; where none explains, pairs; where none does, more, one at a time.
+        """
+        if self.base.evidence < ALARM:
+            return []
+        sets = sorted(self._singles(), key=lambda one: -one.value)
+        if any(one.explains for one in sets):
+            return sets
+        sets += self._pairs(sets)
+        sets.sort(key=lambda one: -one.value)
+        while sets and len(sets[0].blocks) < _MOST and not any(one.explains for one in sets):
+            lead = sets[0]
+            more = [self._with(lead, block) for block in self.likeliest(lead.each, 2, lead.names)]
+            better = [one for one in more if one is not None and one.value > lead.value + TIED]
+            if not better:
+                break
+            sets = sorted([*sets, *better], key=lambda one: -one.value)
+        return sets
+
+    def leading(self, sets: Sequence[EffectSet]) -> EffectSet:
+        """The set that leads: of those that explain the fewest effects, plausible ones first; where shapes beside
+        effects say clearly more, the set that they say it with."""
+        explaining = [one for one in sets if one.explains]
+        fewest = min((len(one.blocks) for one in explaining), default=0)
+        some = [one for one in explaining if len(one.blocks) == fewest]
+        lead = max(some or sets, key=lambda one: (one.plausible and bool(some), one.value))
+        partly = [one for one in sets if not one.explains]
+        partly.sort(key=lambda one: -(one.value + max(float(one.base.shapes.max(initial=-np.inf)), 0.0)))
+        both = [(one.value + self.described(one.base, _SHAPES, 1).evidence, one) for one in partly[:_MIXED]]
+        if both:
+            value, mixed = max(both, key=lambda one: one[0])
+            if not explaining or value > lead.value + TIED:
+                return mixed
+        return lead
+
+    def likeliest(self, each: Floats, most: int, without: Collection[str] = ()) -> list[Block]:
+        """The likeliest effects, given what each block says (B,), each at its likeliest setting."""
+        best: dict[str, Block] = {}
+        for i in np.argsort(-each).tolist():
+            block = self.family.blocks[i]
+            if block.effect is not None and block.name not in without and np.isfinite(each[i]):
+                best.setdefault(block.name, block)
+                if len(best) == most:
+                    break
+        return list(best.values())
+
+    # -- within ---------------------------------------------------------------------------------------------------
+
+    def _fit(self, blocks: tuple[Block, ...]) -> EffectSet | None:
+        before = self.family.run.of
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                fit: FittedRun = before.refit([(block.effect, block.setting) for block in blocks if block.effect])
+                run = self.family.run.seen_by(fit)
+                base = Base.of(self.family, run)
+            except (SherkitError, np.linalg.LinAlgError):
+                return None
+        rank = max(base.basis.shape[1] - self.base.basis.shape[1], 1)
+        part, numbers = 1.0 - base.rss / self.base.rss, len(self.base.residual)
+        bf = float(log_bayes(np.array([part]), np.array([rank]), self.base.free, numbers)[0])
+        weight = sum(float(self.family.log_weight[self.family.where(block)]) for block in blocks)
+        sizes = all(is_plausible(fit, block.effect) for block in blocks if block.effect)
+        value = bf + weight + _ONE_MORE * (len(blocks) - 1)
+        return EffectSet(blocks, run, base, bf, value, sizes and not displaces(fit.fit, before.fit))
+
+    def _singles(self) -> list[EffectSet]:
+        each, gain = self.base.each, self.base.gains[0]
+        blocks = self.likeliest(each, _SINGLES)
+        # a cause of many numbers stands behind each that imitates it
+        for i in np.argsort(-gain).tolist():
+            block = self.family.blocks[i]
+            if len(blocks) >= _TAKE or gain[i] <= _NEARLY * gain.max():
+                break
+            if block.effect is not None and block.name not in {one.name for one in blocks}:
+                blocks.append(block)
+        sets: list[EffectSet] = []
+        for block in blocks:
+            best = max((one.value for one in sets if one.explains), default=-np.inf)
+            behind = max(_BEHIND, _PART_BEHIND * abs(best)) if np.isfinite(best) else 0.0
+            if each[self.family.where(block)] >= best - behind and (one := self.fitted([refined(self.base, block)])):
+                sets.append(one)
+        return sets
+
+    def _pairs(self, sets: Sequence[EffectSet]) -> list[EffectSet]:
+        """Pairs, by what each second brings beside the first: refitted, and to first order."""
+        pairs: dict[tuple[str, ...], tuple[float, Block, Block]] = {}
+
+        def add(worth: float, one: Block, other: Block, *, again: bool) -> None:
+            names = tuple(sorted((one.name, other.name)))
+            if names not in pairs or (again and worth > pairs[names][0]):
+                pairs[names] = (worth, one, other)
+
+        for one in sets[:_BESIDE]:
+            for block in self.likeliest(one.each, _SECONDS, one.names):
+                add(one.log_bf + float(one.each[self.family.where(block)]), one.blocks[0], block, again=True)
+        for first in self.likeliest(self.base.each, _FIRSTS):
+            beside = self.base.beside(first)
+            alone = float(self.base.log_bf[self.family.where(first)])
+            for block in self.likeliest(beside.each, _THIRDS, (first.name,)):
+                add(alone + float(beside.each[self.family.where(block)]), first, block, again=False)
+        out = []
+        for _, a, b in sorted(pairs.values(), key=lambda pair: -pair[0])[:_PAIRS]:
+            # each setting beside the other, until both rest
+            first, second = a, b
+            for _ in range(2):
+                second = refined(self.base.beside(self._near(first)), second)
+                first = refined(self.base.beside(self._near(second)), first)
+            if found := self.fitted([first, second]):
+                out.append(found)
+        return out
+
+    def _with(self, lead: EffectSet, block: Block) -> EffectSet | None:
+        beside = self.base.beside(*(self._near(one) for one in lead.blocks))
+        return self.fitted([*lead.blocks, refined(beside, block)])
+
+    def _near(self, block: Block) -> Block:
+        return self.family.blocks[self.family.where(block)]
