@@ -29,7 +29,6 @@ from .answers import (
 from .held_out import PRAISE, FewEnough, HeldOutGain
 from .lack_of_fit import LackOfFit
 from .named import Named
-from .one_unknown import OneUnknown
 from .repeats import Repeats
 from .rounded import Rounded, rounded
 from .sensor_pose import KNOWN_LEVEL, known_stand
@@ -42,7 +41,6 @@ def checks_of(
     sigma: Floats,
     origin: str,
     fitness: LackOfFit | None,
-    unknown: OneUnknown | None,
     needed: Sequence[HeldOutGain],
     level: float,
     wrong: Sequence[Check],
@@ -57,21 +55,21 @@ def checks_of(
 ) -> tuple[Check, ...]:
     """Every check about a final fit, those that decide first.
 
-    ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``unknown`` one cause in place
-    of several, ``needed`` what the effects that were in the model earn, ``wrong`` what is asked of the rows left out,
-    ``mistakes`` those of the set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where
-    that is most, ``slow_drift`` what is left in the course of time, ``repeats`` what repeats of a pose hold,
-    ``contradicted`` by axis the noise that was declared and the one that repeats show; ``by_noise`` gives what noise
-    alone leaves on rows held out of these poses, in noises, and ``enough`` the parameters that are enough there.
+    ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``needed`` what the
+    effects that were in the model earn, ``wrong`` what is asked of the rows left out, ``mistakes`` those of the
+    set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is most,
+    ``slow_drift`` what is left in the course of time, ``repeats`` what repeats of a pose hold, ``contradicted`` by
+    axis the noise that was declared and the one that repeats show; ``by_noise`` gives what noise alone leaves on
+    rows held out of these poses, in noises, and ``enough`` the parameters that are enough there.
     """
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_set_up(mistakes, final), *_table(table, final), _converged(final, used), _plausible(final, used)]
     out += [_as_drawn(final, used), *wrong]
-    p = found.result.p_left if not found.result.signature else found.result.p_first
+    p = chance_of(found.missing if found.structure else found.left)
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
-        f"familywise over {len(found.result.stages[-1].scan.candidates)} effects and shapes",
-        holds=p > level and not found.result.signature, p=p, fails="what is left has a structure",
+        "by the weighted mean of the Bayes factors of all effects and shapes",
+        holds=p > level and not found.structure, p=p, fails="what is left has a structure",
     )  # fmt: skip
     error = found.steps[-1].error.rms
     small = _small(final, error, sigma, origin, by_noise)
@@ -80,7 +78,7 @@ def checks_of(
     # few poses predict worse than they were read: what is their own tells more
     beyond = fitness.size if fitness else float(np.sqrt(max(error**2 - known * _noise(final, sigma) ** 2, 0.0)))
     steps = digits or (rounded(final, beyond, sigma, noise_known=known) if fails else None)
-    out += [left, _poses(final, fitness, followed=bool(found.result.signature) or steps is not None), small]
+    out += [left, _poses(final, fitness, followed=found.structure or steps is not None), small]
     out += _stands(final, used)
     if (loose := _loosely(final, small, error, sigma, enough)) is not None:
         out.append(loose)
@@ -88,14 +86,12 @@ def checks_of(
     out.append(_repeats(repeats))
     out.append(_as_declared(final, contradicted, origin))
     out.append(_steady(final, slow_drift, used))
-    if unknown is not None:
-        out.append(_several(unknown))
     for one in found.gains:
         out.append(
             Check(
                 f"earns:{one.effect}", f"{one.effect} earns its place given all others", _HELD,
                 f"{_fall(one, unit)}; chosen again without them for {one.again:.0%} of the rows",
-                holds=one.holds, p=one.p, fails=f"{one.effect} does not help on rows held out",
+                holds=one.holds, p=one.p, decisive=False,
             )
         )  # fmt: skip
     for one in needed:
@@ -115,19 +111,16 @@ def checks_of(
 _HELD = "every row in turn, held out with its block, five times over other folds"
 
 
-def _several(unknown: OneUnknown) -> Check:
-    return Check(
-        "several_rather_than_one", "the named effects predict better than one unknown would",
-        f"{_HELD}; and the outermost poses after a fit to the others", str(unknown),
-        holds=False if unknown.preferred else None if unknown.rivals else True, p=unknown.p_rim,
-        fails="one unknown predicts the outermost poses better",
-    )  # fmt: skip
-
-
 def _fall(one: HeldOutGain, unit: str) -> str:
     if not np.isfinite(one.without):
         return "without it these rows cannot be fitted"
     return f"held out {one.without:.4g} {unit} without it, {one.with_it:.4g} with it"
+
+
+def chance_of(evidence: float) -> float:
+    """How often chance gives as much evidence, at most: a Bayes factor is E or more in no more than one of E runs of
+    nothing but noise (Ville, 1939)."""
+    return float(np.exp(-max(evidence, 0.0)))
 
 
 def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Check:

@@ -6,39 +6,48 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 
 from ..base.types import Floats, Ints
 from ..errors import EffectError
+from ..evidence.base import Base
+from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
-from ..evidence.sizes import ABSURD, sizes_of
+from ..evidence.names import Names, names_of
+from ..evidence.run import run_of
+from ..evidence.sets import EffectSet, Sets
 from ..fit.identify import Fit
 from ..model.effect import Effect
 from .answers import StepReport
-from .beside import Alone, innocents
+from .columns import Columns
 from .explanation import refit
 from .held_out import HeldOutGain, error_of, held_out_gain
 from .periods import Period, period_of
-from .search import Search, SearchResult
-from .shapes import Shape
+from .search import Search
 from .stage import Candidate, Stage
 
-#: Searches that end with a refusal before no other effects are tried.
-_MOST_SEARCHES = 4
-#: Other periods that compete with the one that was found.
-_MOST_PERIODS = 24
+#: Nothing that is missing is asked for where a fit leaves nothing but rounding.
+_NOTHING = -np.inf
 
 
 @dataclass(eq=False)
 class Named:
-    """The last search, the full fit with the effects that it named, in the order in which the error falls, and what
-    each of them earns; ``notes`` on effects that were found and did not earn their place."""
+    """What the evidence of a run says: the ``added`` effects that it names, in the order in which the error falls, the
+    full fit with them, ``final``, and what each of them earns.
 
+    ``names`` are all that were judged, None where nothing was looked for; ``missing`` and ``left`` are the evidence, in
+    nats, that something is missing before anything is added and after; ``stage`` is the run as reports show it;
+    ``notes`` are on effects that were found and are not named.
+    """
+
+    stage: Stage
     search: Search
-    result: SearchResult
+    names_judged: Names | None
+    missing: float
+    left: float
     final: FittedRun
+    added: list[Candidate] = field(default_factory=list)
     gains: list[HeldOutGain] = field(default_factory=list)
     steps: tuple[StepReport, ...] = ()
     notes: list[str] = field(default_factory=list)
@@ -46,7 +55,19 @@ class Named:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the effects, in the order of the steps."""
-        return tuple(c.name for c in self.result.added)
+        return tuple(c.name for c in self.added)
+
+    @property
+    def ties(self) -> tuple[EffectSet, ...]:
+        """Sets of effects that do as well as those that are named."""
+        judged = self.names_judged
+        return judged.ties if judged is not None and self.added and not judged.refused else ()
+
+    @property
+    def structure(self) -> bool:
+        """Whether what is left has one that nothing named explains."""
+        judged = self.names_judged
+        return judged is not None and judged.lead is not None and not (judged.explains and self.added)
 
 
 def searched(
@@ -60,81 +81,60 @@ def searched(
     seed: int,
     step: Callable[[str], None],
     look: bool,
-    periods: Sequence[tuple[str, float]] = (),
 ) -> Named:
-    """Searches on all rows. An effect that does not earn its place on rows held out, as a member of what was found, is
-    not named: the search is made again without it. Nothing is looked for where there is nothing to ``look`` for: what a
-    mistake of the set-up leaves says nothing on physics. ``periods`` (variable, period) are tried as shapes besides."""
-    refused: list[str] = []
-    notes: list[str] = []
-    alone: Alone | None = None
-    in_model: tuple[Shape, ...] = ()
-    searches, rho = 0, None
-    while True:
-        searches += 1
-        tried = [e for e in effects if e.name not in refused]
-        search = Search(run, tried, rows, sigma, level=level, rho=rho, seed=seed, periods=periods, step=step)
-        result = search.find(in_model) if look else search.as_it_stands()
-        # the noise is as correlated in time whoever is asked
-        rho = search.rho
-        base = StepReport(None, error_of(run, sigma, repeated_folds))
-        if not result.added:
-            return Named(search, result, run, [], (base,), notes)
-        result.added, told = on_all_rows(run, result.added)
-        step("held-out errors")
-        final, gains, steps = _judged(run, result, tried, sigma, repeated_folds, seed, base)
-        falls = all(after.error.rms < before.error.rms for before, after in pairwise(steps))
-        refusals = _refusals(run, final, result, gains, falls)
-        if not refusals:
-            alone = alone or Alone(search, result.stages[0])
-            refusals = innocents(search, result, final, gains, sigma, alone)
-            if len(refusals) == len(gains):
-                # nothing is lost by what describes the run: whoever is to be named is found in what that leaves
-                in_model = alone.every.shapes
-        if not refusals:
-            return Named(search, result, final, gains, steps, [*notes, *told])
-        refused += [name for name, _ in refusals]
-        if searches == _MOST_SEARCHES:
-            # one after another is found and earns nothing: nobody new is asked any more
-            effects = [e for e in effects if any(one.holds for one in gains if one.effect == e.name)]
-        notes += [f"{name} was found and is not named: {why}" for name, why in refusals]
+    """Asks the evidence of these rows what is missing, and names what may be named. Nothing is looked for where there
+    is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
+    search = Search(run, effects, rows, sigma, level=level, seed=seed, step=step)
+    stage = search.stage(search.base)
+    first = (StepReport(None, error_of(run, sigma, repeated_folds)),)
+    if run.is_exact:
+        return Named(stage, search, None, _NOTHING, _NOTHING, run, steps=first)
+    step("evidence")
+    family = Family(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma))
+    sets = Sets(family, Base.of(family, family.run), step)
+    missing = sets.base.evidence
+    if not look or missing < -np.log(level):
+        return Named(stage, search, None, missing, missing, run, steps=first)
+    names = names_of(sets)
+    lead = names.lead
+    if lead is None:
+        return Named(stage, search, names, missing, missing, run, steps=first)
+    refused = dict(names.refused)
+    if not refused and (why := _too_many(run, lead.run.of)):
+        refused = dict.fromkeys(lead.names, why)
+    names = replace(names, refused=refused)
+    notes = [f"{name} was found and is not named: {why}" for name, why in refused.items()]
+    named = [block for block in lead.blocks if block.name not in refused]
+    added = [Candidate(b.effect, Columns(exact=True), b.setting) for b in named if b.effect is not None]
+    if not added:
+        return Named(stage, search, names, missing, missing, run, steps=first, notes=notes)
+    added, told = on_all_rows(run, added)
+    step("held-out errors")
+    final, ordered, gains, steps = _judged(run, added, sigma, repeated_folds, seed, first[0])
+    notes += told
+    return Named(stage, search, names, missing, lead.rest, final, ordered, gains, steps, notes)
 
 
-def _refusals(
-    run: FittedRun, final: FittedRun, result: SearchResult, gains: Sequence[HeldOutGain], falls: bool
-) -> list[tuple[str, str]]:
-    """The effect that must not be named whatever else shows, and why; none where each may."""
-    sizes = sizes_of(final.fit)
-    absurd = [c.name for c in result.added if (sizes[final.owns(c.effect)] > ABSURD).any()]
-    if absurd:
-        return [(absurd[-1], "its size would be absurd")]
+def _too_many(run: FittedRun, final: FittedRun) -> str:
+    """Why a fit with what was found is no witness; empty where it is one."""
     left = len(np.unique(run.data.standing[run.whole])) * len(run.axes) - final.fit.rank
     if left < final.fit.rank - run.fit.rank:
-        return [(result.added[-1].name, "it takes more numbers than these poses leave to judge it by")]
+        return "it takes more numbers than these poses leave to judge it by"
     if run.fit.converged and not final.fit.converged:
-        return [(result.added[-1].name, "with it the fit does not converge")]
-    failing = [one for one in gains if not one.holds]
-    if not failing and falls:
-        return []
-    worst = max(failing or gains, key=lambda one: one.p)
-    why = (
-        f"on rows that had no part in choosing it the error goes from {worst.without:.4g} to {worst.with_it:.4g} "
-        f"{run.unit} (p = {worst.p:.2g}), and it is chosen again for {worst.again:.0%} of them"
-    )
-    return [(worst.effect, why)]
+        return "with it the fit does not converge"
+    return ""
 
 
 def _judged(
     run: FittedRun,
-    result: SearchResult,
-    effects: Sequence[Effect],
+    added: Sequence[Candidate],
     sigma: Floats,
     repeated_folds: Sequence[Ints],
     seed: int,
     base: StepReport,
-) -> tuple[FittedRun, list[HeldOutGain], tuple[StepReport, ...]]:
-    """The fit with all that was found, what each earns, and the fall of the error; ``result.added`` is put in order."""
-    steps, left, partial = [base], list(result.added), run
+) -> tuple[FittedRun, list[Candidate], list[HeldOutGain], tuple[StepReport, ...]]:
+    """The fit with all that was found, in the order in which the error falls, and what each earns."""
+    steps, left, partial = [base], list(added), run
     ordered: list[Candidate] = []
     while left:
         options = [(error_of(with_it, sigma, repeated_folds), k, with_it)
@@ -142,37 +142,8 @@ def _judged(
         error, k, partial = min(options, key=lambda o: (o[0].rms, o[1]))
         ordered.append(left.pop(k))
         steps.append(StepReport(ordered[-1].name, error))
-    result.added = ordered
-    alike = {name for other in result.alternatives for name in other.names} | {c.name for c in ordered}
-    gains = [
-        held_out_gain(
-            partial,
-            c.effect,
-            sigma=sigma,
-            repeated_folds=repeated_folds,
-            tried=effects,
-            alike=alike,
-            periods=_other_periods(result, c),
-            seed=seed,
-        )
-        for c in ordered
-    ]
-    return partial, gains, tuple(steps)
-
-
-def _other_periods(result: SearchResult, candidate: Candidate) -> tuple[float, ...]:
-    """Periods apart from the one found at which a periodic effect took most: other rows might have chosen them."""
-    stage = result.stages[0]
-    if not candidate.effect.is_periodic:
-        return ()
-    found = candidate.setting or stage.run.model.setting_of(candidate.effect) or np.inf
-    apart = 1.0 / max(float(np.ptp(stage.view.inputs[n])) for n in stage.view.waving)
-    tried = [
-        (gain, c.setting)
-        for gain, c in zip(stage.gains.tolist(), stage.candidates, strict=True)
-        if c.name == candidate.name and c.setting is not None and abs(1.0 / c.setting - 1.0 / found) > apart
-    ]
-    return tuple(setting for _, setting in sorted(tried, reverse=True)[:_MOST_PERIODS])
+    gains = [held_out_gain(partial, c.effect, sigma=sigma, repeated_folds=repeated_folds, seed=seed) for c in ordered]
+    return partial, ordered, gains, tuple(steps)
 
 
 def not_needed(
@@ -232,11 +203,11 @@ def on_all_rows(run: FittedRun, added: Sequence[Candidate]) -> tuple[list[Candid
     return out, tuple(told)
 
 
-def as_shown(search: Search, found: SearchResult) -> Stage:
-    """What a search saw first, as a report shows it: each effect at the setting that was found, or at which it would
-    have been tried first."""
-    first = found.stages[0]
-    at = {c.name: c for c in search.strongest_settings(first)}
+def as_shown(found: Named) -> Stage:
+    """What was seen first, as a report shows it: each effect at the setting that was found, or at which it would have
+    been tried first."""
+    first = found.stage
+    at = {c.name: c for c in found.search.strongest_settings(first)}
     for added in found.added:
         tried = [c for c in first.candidates if c.name == added.name and (c.setting is None) == (added.setting is None)]
         if tried:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy
@@ -17,7 +16,6 @@ from ..data.reader import RunLike
 from ..errors import EffectError, FitError
 from ..evidence.fitted_run import FittedRun, enough_of
 from ..evidence.sizes import TOLD, implausible, is_plausible
-from ..evidence.whitening import orthonormal
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
@@ -25,23 +23,20 @@ from ..fit.set_up import held, set_up_mistakes, unread
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
-from .answers import CandidateReport, Diagnosis, StepReport, verdict_of
-from .checked import checks_of
+from .answers import CandidateReport, Diagnosis, verdict_of
+from .checked import chance_of, checks_of
 from .findings import findings_of
 from .gathered import checks_of_outliers
 from .held_out import HeldOutError, by_noise_alone, few_enough, held_out
 from .lack_of_fit import lack_of_fit
-from .named import as_shown, not_needed, searched
+from .named import Named, as_shown, not_needed, searched
 from .next_poses import Proposal, next_poses
-from .one_unknown import OneUnknown, one_unknown
 from .outliers import is_first_by_side, sentences, without_outliers
 from .repeats import by_repeats, in_repeats, same_within_poses, with_the_way
 from .rounded import steps_in
-from .search import SearchResult
 from .sensor_pose import taken_by_pose
-from .shapes import Shape
+from .signature import signature_of
 from .stage import Candidate, Stage
-from .template import what_parts
 from .where import confounded_with, neighbour_correlation, slow_drift_of, smallest_found, where
 
 LEVEL = 0.01
@@ -132,7 +127,6 @@ def diagnose(
             # axes were weighed by what repeats hold
             run, sigma = run.on(np.arange(len(run.data)), shown), shown
         origin = "repeats" if contradicted else origin
-    periods = repeats.periods if repeats is not None else ()
     long = run
     if len(enough := enough_of(run.data, rows)) < len(rows):
         run, rows = run.on(enough), np.arange(len(enough))
@@ -149,9 +143,7 @@ def diagnose(
         )
         steps = None if there.names else steps
     look, rounded = look and steps is None, None if steps is None else steps.rounded
-    found = searched(
-        run, every, rows, sigma, repeated_folds, level=level, seed=seed, step=step, look=look, periods=periods
-    )
+    found = searched(run, every, rows, sigma, repeated_folds, level=level, seed=seed, step=step, look=look)
     final, rho = found.final, found.search.rho
     of_all = final if run is long else long if final is run else final.as_in(long)
     # a row that is as what was found says was wrong beside a model that lacked it
@@ -160,7 +152,7 @@ def diagnose(
     notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
 
     step("fitting all rows")
-    base_stage = as_shown(found.search, found.result)
+    base_stage = as_shown(found)
     gains = held_out(base_stage, np.stack([repetition[rows][base_stage.rows] for repetition in repeated_folds]))
 
     left = repeats
@@ -171,19 +163,14 @@ def diagnose(
     own = [e for e in run.model.effects if e.name not in run.model.within]
     needed = not_needed(final, own, sigma, repeated_folds, seed)
     fitness = lack_of_fit(of_all, level)
-    numbers = sum(len(c.effect.parameters) for c in found.result.added)
-    # many numbers imitate what is in no catalogue, as one effect or as several
-    many = len(found.names) > 1 or numbers > _FEW
-    unknown = one_unknown(run, final, found.names, run.noise[0], repeated_folds) if many else None
     slow_drift = slow_drift_of(of_all)
     checks = checks_of(
-        final, found, sigma, origin, fitness, unknown, needed, level, wrong, mistakes, table, rounded, slow_drift,
+        final, found, sigma, origin, fitness, needed, level, wrong, mistakes, table, rounded, slow_drift,
         left, contradicted, lambda: by_noise_alone(final, sigma, repeated_folds, level, seed),
         lambda: few_enough(final, sigma, repeated_folds),
     )  # fmt: skip
     verdict = verdict_of(checks, found.names)
-    caveats = [str(unknown)] if unknown is not None and unknown.rivals else []
-    caveats += [told] if (told := implausible(final.fit, found.names)) else []
+    caveats = [told] if (told := implausible(final.fit, found.names)) else []
     # where something else is left, that may be what changes with time
     if slow_drift is not None and slow_drift.counts and verdict in ("adequate", "explained"):
         caveats.append(
@@ -192,18 +179,18 @@ def diagnose(
             "as noise; look for what changes slowly (temperature, humidity, a stand that gives way) and record it as a "
             "column"
         )
-    indistinguishable = _ties(found.result)
-    reports = _candidate_reports(base_stage, gains, final, found.result, found.steps)
+    indistinguishable = _ties(found)
+    reports = _candidate_reports(base_stage, gains, final, found)
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate" and not final.is_exact:
-        threshold = float(np.quantile(found.result.stages[0].scan.null(seed)[1:], 1 - level))
+        threshold = float(np.quantile(found.stage.scan.null(seed)[1:], 1 - level))
         smallest = {
             c.name: smallest_found(base_stage, c, threshold) for c in found.search.strongest_settings(base_stage)
         }
     signature = left.signature(of_all) if left is not None and left.held else None
-    if found.result.signature:
-        signature = _signature(found.result, found.result.stages[-1])
-    proposal = _next(found.result, unknown, sigma)
+    if found.structure and found.names_judged is not None:
+        signature = signature_of(found.names_judged, tuple(found.names)) or signature
+    proposal = _next(found, sigma)
     said = Diagnosis(
         verdict=verdict,
         unit=run.unit,
@@ -211,7 +198,7 @@ def diagnose(
         noise_origin=origin,
         correlation_in_time=float(rho or 0.0),
         level=level,
-        p_missing=found.result.p_first,
+        p_missing=chance_of(found.missing),
         effects=found.names,
         not_needed=tuple(one.effect for one in needed if not one.holds),
         checks=checks,
@@ -237,13 +224,10 @@ def diagnose(
     return replace(said, findings=findings_of(said))
 
 
-def _next(found: SearchResult, unknown: OneUnknown | None, sigma: Floats) -> Proposal:
-    """Poses that would tell the leading set from those tied with it, and from one unknown."""
-    lead = found.stages[-1].run
-    rivals = [other.stage.run.fit for other in found.alternatives]
-    if unknown is not None and unknown.rivals:
-        rivals.append(unknown.run.fit)
-    return next_poses(lead.fit, rivals, sigma) if rivals else Proposal()
+def _next(found: Named, sigma: Floats) -> Proposal:
+    """Poses that would tell what is named from the sets tied with it."""
+    rivals = [other.run.of.fit for other in found.ties]
+    return next_poses(found.final.fit, rivals, sigma) if rivals else Proposal()
 
 
 def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
@@ -264,22 +248,19 @@ def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
     return np.maximum(out, run.digits)
 
 
-def _ties(found: SearchResult) -> tuple[tuple[str, ...], ...]:
+def _ties(found: Named) -> tuple[tuple[str, ...], ...]:
     """Groups of effects each of which could stand in for the first, everything else as it is."""
-    lead = [c.name for c in found.added]
     groups: dict[str, list[str]] = {}
-    for other in found.alternatives:
-        names = set(other.names)
-        shared = names & set(found.replaced)
-        out = [n for n in found.replaced if n not in shared]
-        new = [n for n in other.names if n not in shared]
+    for other in found.ties:
+        out = [n for n in found.names if n not in other.names]
+        new = [n for n in other.names if n not in found.names]
         if out and new:
             groups.setdefault(out[0], [out[0]]).extend(n for n in new if n not in groups[out[0]])
-    return tuple(tuple(g) for name, g in groups.items() if name in lead and len(g) > 1)
+    return tuple(tuple(group) for group in groups.values())
 
 
 def _candidate_reports(
-    base: Stage, gains: list[HeldOutError], final: FittedRun, found: SearchResult, steps: Sequence[StepReport]
+    base: Stage, gains: list[HeldOutError], final: FittedRun, found: Named
 ) -> tuple[CandidateReport, ...]:
     """Every effect that could be tried, the named ones first, then by held-out error: in linear approximation, but for
     the first one that is named, which has a fit of its own."""
@@ -289,10 +270,10 @@ def _candidate_reports(
         if candidate.name not in best or error.rms < best[candidate.name][1].rms:
             best[candidate.name] = (score, error, candidate)
     fits = {c.name: final for c in found.added}
-    for alternative in found.alternatives:
-        for candidate in alternative.candidates:
-            fits.setdefault(candidate.name, alternative.stage.run)
-    fitted = {s.effect: s.error.rms for s in steps[1:2]}
+    for tied in found.ties:
+        for name in tied.names:
+            fits.setdefault(name, tied.run.of)
+    fitted = {s.effect: s.error.rms for s in found.steps[1:2]}
     out = []
     for name, (score, error, candidate) in best.items():
         # kept above what a float can tell from zero: a p of zero would claim too much
@@ -331,60 +312,3 @@ def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tup
         x, std = x * unit, std * unit
     size = np.array([p.size for p in effect.parameters])
     return x, std, bool((np.abs(x) - 2 * std <= TOLD * size).all())
-
-
-def _signature(found: SearchResult, stage: Stage) -> dict[str, Any]:
-    """The leading shape of what no effect explains, in words and numbers, and those that do as well. ``stage`` has it
-    among its shapes."""
-    shape: Shape = stage.nuisance[0]
-    scan = stage.scan
-    image = scan.image([])
-    plain, rank = image.rss_and_rank(scan.fitted)
-    gain = plain - image.rss_and_rank(scan.fitted + len(scan.numbers(scan.model[0])))[0]
-    # what is left once every shape that was found is in the model stands for the noise
-    excess = max(plain - scan.sum_of_squares * (image.count - rank) / scan.free, gain)
-    told = {
-        **_told(stage, shape, _axes_of(stage, shape)),
-        "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),
-        "ranges": {name: _range(stage.view.variables[name]) for name in shape.depends_on},
-        "indistinguishable": [_told(stage, other, [stage.run.names[a] for a in stage.axes]) for other in found.as_well],
-    }
-    return told | {"apart": what_parts(told, stage.view.pattern_of, stage.view.place)}
-
-
-def _told(stage: Stage, shape: Shape, axes: list[str]) -> dict[str, Any]:
-    """A shape as a table has it; ``axes`` where it is one on all of them."""
-    return {
-        "depends_on": list(shape.depends_on),
-        "shape": shape.shape,
-        "order": shape.order,
-        "period": shape.period,
-        "axis": axes if shape.axis is None else [stage.run.names[stage.axes[shape.axis]]],
-        "at": shape.setting,
-        "joint": shape.pattern,
-    }
-
-
-def _range(values: Floats) -> tuple[float, float]:
-    """Middle and half width of a variable's values."""
-    low, high = float(values.min()), float(values.max())
-    return (0.5 * (low + high), 0.5 * (high - low) or 1.0)
-
-
-def _axes_of(stage: Stage, shape: Shape) -> list[str]:
-    """Axes on which a shape takes more than noise would."""
-    scan = stage.scan
-    image = scan.image([])
-    first = len(scan.numbers(shape.columns))
-    fitted, columns = image.model[:, : scan.fitted], image.model[:, scan.fitted : scan.fitted + first]
-    basis = orthonormal(fitted)
-    x = linalg.lstsq(columns - basis @ (basis.T @ columns), image.residual, rcond=1e-9)[0]
-    length = np.maximum(np.linalg.norm(fitted, axis=0), 1e-300)
-    covered = linalg.lstsq(fitted / length, columns @ x, rcond=1e-9)[0] / length
-    weights = np.concatenate([-covered, x])
-    by_axis = sum(((model[:, :, : len(weights)] @ weights) ** 2).sum(axis=0) for _, _, model in scan.every_block())
-    noise = stage.scan.sum_of_squares / stage.scan.free
-    count = max(len(shape.functions), len(shape.dense), len(shape.waves), len(shape.along) // stage.scan.m)
-    enough = noise * float(scipy.special.chdtri(count, _AXIS_LEVEL))
-    axes = [stage.run.names[stage.axes[k]] for k in range(stage.scan.m) if by_axis[k] > enough]
-    return axes or [stage.run.names[stage.axes[int(np.argmax(by_axis))]]]

@@ -36,7 +36,8 @@ def blocks_of_effects(made: Maker) -> None:
     for effect, behind in view.lagging:
         for lag in lags_of(view):
             made.add("effect", (), [made.whole(behind(lag)(view.whole))], effect=effect, setting=lag)
-    searched = [effect for effect, known in view.periodic if known is None]
+    # a period that the robot file declares may be wrong
+    searched = [effect for effect, _ in view.periodic]
     if not searched:
         return
     names = view.waving

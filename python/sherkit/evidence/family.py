@@ -62,10 +62,15 @@ class Family:
 
     def where(self, block: Block) -> int:
         """The number of the block of the same cause whose setting is nearest. Raises ``KeyError`` for none."""
-        same = [i for i, one in enumerate(self.blocks) if one.cause == block.cause]
-        if not same:
-            raise KeyError(block.cause)
+        same = self._of_cause[block.cause]
         return min(same, key=lambda i: abs((self.blocks[i].setting or 0.0) - (block.setting or 0.0)))
+
+    @cached_property
+    def _of_cause(self) -> dict[tuple[object, ...], list[int]]:
+        out: dict[tuple[object, ...], list[int]] = {}
+        for i, block in enumerate(self.blocks):
+            out.setdefault(block.cause, []).append(i)
+        return out
 
     def without_twins(self, basis: Floats, left: Floats) -> None:
         """Takes the weight of shapes of which one effect holds nearly all, of the part ``left`` (B,) of their squares

@@ -146,7 +146,7 @@ class FittedRun(Saved):
         return self.fit.loss == "linear" and not self.fit.priors and self.fit.converged
 
     def refit(self, added: Sequence[tuple[Effect, float | None]]) -> FittedRun:
-        """The full fit with more effects, each at its setting, from the drawing. Raises
+        """The full fit with more effects, each at its setting, from where this fit came to rest. Raises
         :class:`~sherkit.errors.SherkitError`."""
         if (made := self._refits.get(tuple(added))) is not None:
             return made
@@ -154,7 +154,10 @@ class FittedRun(Saved):
         for effect, setting in added:
             model = model.with_effect(effect, at=setting)
         before = (self, frozenset(effect.name for effect, _ in added)) if self._is_minimum else None
-        made = self._refits[tuple(added)] = FittedRun(identify(model, self.data, noise=self.fit.noise), before)
+        known = dict(zip((p.name for p in self.model.parameters), self.fit.values.tolist(), strict=True))
+        start = np.array([known.get(p.name, 0.0) for p in model.parameters])
+        fit = identify(model, self.data, noise=self.fit.noise, start=start)
+        made = self._refits[tuple(added)] = FittedRun(fit, before)
         return made
 
     def without_effects(self, names: Collection[str]) -> FittedRun:

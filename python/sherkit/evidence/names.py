@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .base import log_bayes
+from .base import Base, log_bayes
 from .described import MOST, Described
 from .sets import EffectSet, Sets
 from .sizes import ABSURD, sizes_of
@@ -42,6 +42,8 @@ class Names:
     ties: tuple[EffectSet, ...]
     beside: Described
     alone: Described
+    #: What is left without any effect.
+    without: Base
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -64,15 +66,15 @@ def names_of(sets: Sets) -> Names:
     found = sets.found()
     alone = sets.described(sets.base, MOST, _STARTS)
     if not found:
-        return Names(None, (), {}, (), alone, alone)
+        return Names(None, (), {}, (), alone, alone, sets.base)
     lead = sets.leading(found)
     beside = sets.described(lead.base, MOST, 1)
     told = tuple(_told(sets, lead, beside, alone, k) for k in range(len(lead.blocks)))
-    names = Names(lead, told, {}, _ties(lead, found), beside, alone)
+    names = Names(lead, told, {}, _ties(lead, found), beside, alone, sets.base)
     refused = {one.name: why for one in told if (why := _refused(names, one))}
     if any(one.absurd for one in told):
         refused = {one.name: "its size would be absurd" for one in told}
-    return Names(lead, told, refused, names.ties, beside, alone)
+    return Names(lead, told, refused, names.ties, beside, alone, sets.base)
 
 
 def _told(sets: Sets, lead: EffectSet, beside: Described, alone: Described, k: int) -> Told:
@@ -100,7 +102,8 @@ def _refused(names: Names, one: Told) -> str:
     """Why an effect is not named; empty where it may be."""
     assert names.lead is not None, "it is of a set"
     several = len(names.lead.blocks) > 1
-    partly = not names.lead.explains or names.shapes_say_more
+    # three or more with many numbers imitate anything
+    partly = not names.lead.explains or names.shapes_say_more or len(names.lead.blocks) > 2
     least = max(TIED if several else -np.inf, NEEDED if partly else -np.inf)
     if one.needed < least:
         return "shapes that follow no cause say as much in its place"

@@ -1,0 +1,89 @@
+"""The signature of what no effect explains: the shape that describes it, and those that do as well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.special
+
+from ..base.types import Floats
+from ..evidence.base import Base
+from ..evidence.blocks import Block
+from ..evidence.names import Names
+from ..evidence.run import Run
+from .template import what_parts
+
+#: Evidence, in nats, by which one shape is clearly better than another (Kass and Raftery, "Bayes factors", JASA 1995).
+CLEARLY = 3.0
+#: Kinds of shapes, the simplest first.
+_SIMPLEST = ("smooth", "step", "interaction", "hysteretic", "periodic")
+#: Level at which an axis takes part in a signature.
+_AXIS_LEVEL = 1e-3
+
+
+def signature_of(names: Names, named: Sequence[str]) -> dict[str, Any] | None:
+    """In words and numbers, what effects leave, or, where none is ``named``, what is left without any; None where no
+    shape describes it."""
+    lead = names.lead
+    described, base = names.alone, names.without
+    if named and lead is not None:
+        described, base = names.beside, lead.base
+    if not described.shapes:
+        return None
+    first, *others = _as_likely(base)
+    with_it = base.beside(first)
+    # what is left once every shape that was found is in the model stands for the noise
+    noise = described.base.rss / max(described.base.free, 1)
+    gain = base.rss - with_it.rss
+    excess = max(base.rss - noise * base.free, gain, 1e-300)
+    run = base.family.run
+    axes = [run.of.names[a] for a in run.of.axes]
+    told = {
+        **_told(run, first, _axes_of(base, with_it, noise, len(first.at), axes)),
+        "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),
+        "ranges": {name: _range(run.view.variables[name]) for name in first.depends_on},
+        "indistinguishable": [_told(run, other, axes) for other in others],
+    }
+    return told | {"apart": what_parts(told, run.view.pattern_of, run.view.place)}
+
+
+def _as_likely(base: Base) -> list[Block]:
+    """The likeliest shape of each cause that is as likely as any, the simplest first."""
+    likeliest = float(base.shapes.max())
+    some: dict[tuple[object, ...], tuple[tuple[float, ...], Block]] = {}
+    for i in np.flatnonzero(base.shapes >= likeliest - CLEARLY).tolist():
+        block = base.family.blocks[i]
+        numbers = len(block.at) + (block.period is not None)
+        order = (numbers, _SIMPLEST.index(block.shape), len(block.depends_on), -float(base.shapes[i]))
+        if block.cause not in some or order < some[block.cause][0]:
+            some[block.cause] = order, block
+    return [block for _, block in sorted(some.values(), key=lambda one: one[0])]
+
+
+def _told(run: Run, shape: Block, axes: list[str]) -> dict[str, Any]:
+    """A shape as a table has it; ``axes`` where it is one on all of them."""
+    return {
+        "depends_on": list(shape.depends_on),
+        "shape": shape.shape,
+        "order": shape.order,
+        "period": shape.period,
+        "axis": axes if shape.axis is None else [run.of.names[run.of.axes[shape.axis]]],
+        "at": shape.setting,
+        "joint": shape.pattern,
+    }
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    """Middle and half width of a variable's values."""
+    low, high = float(values.min()), float(values.max())
+    return (0.5 * (low + high), 0.5 * (high - low) or 1.0)
+
+
+def _axes_of(base: Base, with_it: Base, noise: float, count: int, axes: list[str]) -> list[str]:
+    """Axes on which a shape takes more than ``noise``, a variance, would."""
+    taken = np.square(base.residual - with_it.residual).reshape(-1, len(axes)).sum(axis=0)
+    enough = noise * float(scipy.special.chdtri(max(count / len(axes), 1.0), _AXIS_LEVEL))
+    some = [axis for axis, one in zip(axes, taken.tolist(), strict=True) if one > enough]
+    return some or [axes[int(np.argmax(taken))]]

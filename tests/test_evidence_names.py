@@ -1,0 +1,98 @@
+"""What the evidence of a run names, on simulated robots whose hidden effects are known."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import worlds
+from second_simulator.unnamed import DELTA_KINDS, delta_unnamed
+from sherkit.base.types import Floats
+from sherkit.evidence.base import Base
+from sherkit.evidence.family import Family
+from sherkit.evidence.fitted_run import FittedRun
+from sherkit.evidence.names import Names, names_of
+from sherkit.evidence.run import run_of
+from sherkit.evidence.sets import Sets
+from sherkit.evidence.settings import refined
+from worlds import World
+
+
+def sets_of(world: World) -> Sets:
+    """Of a run without outliers or mistakes."""
+    fit = FittedRun(world.study().fit)
+    run = run_of(fit, np.flatnonzero(fit.whole), fit.catalogue, fit.noise[0])
+    family = Family(run)
+    return Sets(family, Base.of(family, run))
+
+
+@cache
+def asked(*hidden: str) -> Names:
+    """Names in a delta's run with these effects hidden, each of four noises."""
+    return names_of(sets_of(worlds.delta_world(1, {name: 4 * worlds.NOISE_UM for name in hidden})))
+
+
+def test_nothing_hidden_names_nothing() -> None:
+    """Catches evidence that grows with how much is tried. Level: one run in a hundred; this seed is fixed."""
+    found = names_of(sets_of(worlds.clean(0)))
+    assert found.lead is None
+    assert found.alone.shapes == ()
+
+
+@pytest.mark.parametrize("name", ["rail_lean", "joint_scale"])
+def test_a_single_effect_is_named_and_explains(name: str) -> None:
+    """Catches a lead that is not the likeliest, and a rest that counts the effect again."""
+    found = asked(name)
+    assert found.named == (name,)
+    assert found.explains
+    assert found.told[0].needed > 0
+
+
+def test_the_size_is_that_of_the_full_fit() -> None:
+    """Catches a set whose base is that of the fit before it: with the effect in, noise is left."""
+    lead = asked("rail_lean").lead
+    assert lead is not None
+    assert lead.base.rss / lead.base.free == pytest.approx(1.0, abs=0.1)
+    assert lead.log_bf > 100.0
+
+
+def test_two_effects_are_a_pair() -> None:
+    """Catches a search that stops at singles, and a pair that is found where each was best alone."""
+    found = asked("rail_lean", "drive_compliance")
+    assert set(found.named) == {"rail_lean", "drive_compliance"}
+    assert found.explains
+
+
+def test_an_unknown_is_described_and_not_explained() -> None:
+    """Catches an effect that stands in for physics of no catalogue, and a description that stops at its first shape."""
+    bow = next(kind for kind in DELTA_KINDS if kind.__name__ == "bowed_rails")
+    made = delta_unnamed(bow, 5.0, "shuffled", 0)
+    found = names_of(sets_of(World(made.settings, made.columns, made.noise)))
+    assert not (found.explains and found.named)
+    assert len(found.alone.shapes) > 1
+    assert all(block.effect is None for block in found.alone.shapes)
+
+
+def test_a_moment_is_found_to_the_row() -> None:
+    """Catches a moment that stays where a block was made, 24 over the run: a step of three noises from one row on."""
+    world = worlds.clean(0)
+    sets = sets_of(world)
+    run = sets.family.run
+    time, n = run.view.time, len(run)
+    assert time is not None
+    cut = n // 3 + 7
+    step = np.where(np.arange(n) >= cut, 3.0, 0.0)[:, None] * np.ones(run.axes)
+    base = with_residual(sets.base, run.residual + run.flat(step))
+    i = max((i for i, b in enumerate(base.family.blocks) if b.setting and b.effect), key=lambda i: base.gains[0][i])
+    block = base.family.blocks[i]
+    if block.effect is None or block.effect.search != "time_s":
+        pytest.fail(f"a step in time is taken for {block.name}")
+    assert refined(base, block).setting == pytest.approx(0.5 * (time[cut - 1] + time[cut]), abs=float(np.ptp(time)) / n)
+
+
+def with_residual(base: Base, residual: Floats) -> Base:
+    """The same model of other readings."""
+    left = residual - base.basis @ (base.basis.T @ residual)
+    return Base(base.family, base.basis, left, base.left, base.family.columns.products(left[:, None])[:, 0])
