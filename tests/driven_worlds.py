@@ -1,8 +1,8 @@
 """Machines that are driven row by row: the second simulators, as a loop that chooses its own poses meets them.
 
 A world has a clock: a reading takes some seconds, and no row is read before the moment that it asks for. What is hidden
-is as large as a fit of the geometry, and of the pose of an instrument that stands anywhere, leaves so many noises of it,
-on poses over the whole workspace and half an hour.
+is as large as a fit of the geometry, and of the pose of an instrument that stands anywhere, leaves so many noises of
+it, on poses over the whole workspace and half an hour.
 """
 
 from __future__ import annotations
