@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base import linalg
-from ..base.types import Floats
+from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TIME
 from .hypotheses import Key
@@ -122,9 +122,7 @@ def showing(
     of it and one thing more (q, q), and the columns (n, m, q) of these. What is free counts by itself for the ``first``
     rows, and where there are no parts. Rows that what was fitted cannot reach (NaN) are never chosen.
     """
-    reached = np.isfinite(x).all(axis=(1, 2))
-    for _, z in parts:
-        reached &= np.isfinite(z).all(axis=(1, 2))
+    reached: Bools = np.logical_and.reduce([np.isfinite(z).all(axis=(1, 2)) for z in (x, *(z for _, z in parts))])
     x = np.where(reached[:, None, None], x, 0.0)
     parts = [(info, np.where(reached[:, None, None], z, 0.0)) for info, z in parts]
     infos, picked = [info for info, _ in parts], list[int]()
