@@ -291,7 +291,7 @@ def test_the_machine_stands_amid_its_errors(study: sk.Study) -> None:
     assert near.arrows is not None
     assert away.arrows is not None
     np.testing.assert_allclose(away.arrows.where_mm, near.arrows.where_mm, atol=0.2)
-    np.testing.assert_allclose(away.arrows.errors_mm[0], near.arrows.errors_mm[0], atol=1e-3)
+    np.testing.assert_allclose(away.arrows.errors_mm[0], near.arrows.errors_mm[0], atol=4e-3)
     assert np.abs(near.arrows.where_mm).max() < 40.0
 
 
