@@ -59,7 +59,7 @@ def test_what_is_hidden_is_told_wherever_the_instrument_stands(kind: str) -> Non
     d = sk.diagnose(world.robot, world.run({name: 5.0}, 2))
     consistent(d)
     # of effects that are tied the one that is said first may need a camera elsewhere than it is known to stand
-    assert d.verdict == "explained" or kind == "sphere" and d.indistinguishable
+    assert d.verdict == "explained" or (kind == "sphere" and d.indistinguishable)
     assert world.effects[name] & named(d)
 
 
