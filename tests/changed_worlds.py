@@ -118,7 +118,7 @@ class DeltaPair:
         return {**plan, "x_mm": read[:, 0], "y_mm": read[:, 1], "z_mm": read[:, 2]}
 
     def missed(self, deployed: sk.Calibration) -> Floats:
-        """What the deployed model is truly off (n, 3), mm, in the second run, as the first one's sensor sees it."""
+        """What the deployed model is truly off (n, 3), mm, in the second run, as the sensor of the first sees it."""
         joints = np.column_stack([self.runs[1][f"q{k}_mm"] for k in (1, 2, 3)])
         plan, errors, effects = self.after
         there = truth(self.real, plan, errors, effects | {"sensor_pose": self.stands[0]})

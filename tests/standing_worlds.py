@@ -8,6 +8,7 @@ simulators.
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -35,7 +36,7 @@ from second_simulator import (
     scaled_effect,
     simulate,
 )
-from second_simulator.spherical import GEOMETRY, spherical_plan
+from second_simulator.spherical import GEOMETRY, SPHERICAL_EFFECTS, draw_spherical_effect, spherical_plan
 from sherkit.model.kinds import kind_of, model_of
 from sherkit.model.robot_file import run_for
 from sherkit.model.sensor_pose import HELD, POSE, KnownPose, SensorPose
@@ -124,7 +125,10 @@ class Standing(ABC):
 
     def _as_read(self, robot: Any, columns: Columns) -> sk.Measurements:
         table, names = written_otherwise(columns, self.number)
-        return run_for(robot, sk.from_frame(table, columns=names))
+        with warnings.catch_warnings():
+            # that units were converted is said, and asked for here
+            warnings.simplefilter("ignore", sk.SherkitWarning)
+            return run_for(robot, sk.from_frame(table, columns=names))
 
     def exact_run(self, hidden: Mapping[str, float] | None = None) -> sk.Measurements:
         """What would be read without noise, by our names."""
@@ -309,15 +313,41 @@ class Sphere(Standing):
     def exact(self, hidden: Mapping[str, float]) -> Columns:
         """As :class:`Standing` has it."""
         planted: dict[str, Any] = {"sensor_pose": self.stands}
-        fitted = (*GEOMETRY, "sensor_pose")
         for name, ratio in hidden.items():
-            rng = np.random.default_rng([self.number, 2, OF_SPHERES.index(name)])
-            planted |= self.once(
-                (name, ratio), lambda name=name, ratio=ratio, rng=rng: self.real.at_ratio(
-                    name, ratio, self.noise, self.plan, rng, fitted
-                )
-            )  # fmt: skip
+            unit = self.once(name, lambda name=name: self._unit(name))
+            fixed = SPHERICAL_EFFECTS[name].fixed
+            scaled = ratio * unit
+            scaled[len(unit) - fixed :] = unit[len(unit) - fixed :]
+            planted[name] = scaled
         return self.real.changed(effects=planted).run(self.plan, seed=self.number)
+
+    def _unit(self, name: str) -> Floats:
+        """An effect as large as leaves one noise beside α, β, R and a camera that stands no further off than is known
+        of it: what that would take up by standing elsewhere shows."""
+        drawn = draw_spherical_effect(name, np.random.default_rng([self.number, 2, OF_SPHERES.index(name)]))
+        amplitudes = len(drawn) - SPHERICAL_EFFECTS[name].fixed
+        drawn[:amplitudes] *= 0.05
+        plain = self.real.changed(effects={"sensor_pose": self.stands})
+        change = self.real.changed(effects={"sensor_pose": self.stands, name: drawn}).truth(self.plan) - plain.truth(
+            self.plan
+        )
+        geometry, camera = (
+            np.stack([(self._moved(one, 1e-3) - self._moved(one, -1e-3)).ravel() / 2e-3 for one in names], axis=1)
+            for names in (tuple(GEOMETRY), POSE)
+        )
+        known = np.hstack([np.zeros((6, 3)), np.diag(self.noise / OF_CAMERA)])
+        columns = np.vstack([np.hstack([geometry, camera]), known])
+        wanted = np.concatenate([change.ravel(), np.zeros(6)])
+        scale = np.linalg.norm(columns, axis=0)
+        left = wanted - columns @ (np.linalg.lstsq(columns / scale, wanted, rcond=1e-12)[0] / scale)
+        drawn[:amplitudes] *= self.noise / np.sqrt(np.sum(left**2) / change.size)
+        return drawn
+
+    def _moved(self, name: str, by: float) -> Floats:
+        """Pixels of the robot of which one number is larger, rad or mm."""
+        stands = self.stands + by * (np.array(POSE) == name)
+        more = {name: getattr(self.real, name) + by} if name in GEOMETRY else {}
+        return self.real.changed(effects={"sensor_pose": stands}, **more).truth(self.plan)
 
     @property
     def held(self) -> Any:

@@ -204,8 +204,11 @@ def test_the_moment_of_a_slip_is_found_to_the_row(name: str, seed: int) -> None:
     study.add(name)
     assert run.data.time_s is not None
     after = run.data.time_s > run.effects[name][3]
-    for model in (study.model, d.fit.model):
-        np.testing.assert_array_equal(run.data.time_s > model.settings()[f"{name}_time_s"], after)
+    # what shifts the point leaves what a shift of the instrument leaves, which leads
+    assert name in named(d)
+    (lead,) = d.effects
+    for model, slipped in ((study.model, name), (d.fit.model, lead)):
+        np.testing.assert_array_equal(run.data.time_s > model.settings()[f"{slipped}_time_s"], after)
 
 
 @pytest.mark.parametrize("order", ["planes", pytest.param("shuffled", marks=pytest.mark.slow)])

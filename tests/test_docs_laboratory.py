@@ -56,7 +56,7 @@ def test_the_page_on_the_laboratory_runs(tmp_path, monkeypatch):
                 assert name, block.place
                 (tmp_path / name[1]).write_text(hasty(name[1], block.text), encoding="utf-8")
             elif block.language == "python":
-                assert run_python(block, {}) == "96 steps\nTrue 12\n"
+                assert run_python(block, {}) == "96 steps\nTrue 14\n"
             elif block.language == "sh":
                 for arguments in filter(None, map(command, block.text.splitlines())):
                     ran.append(arguments[0])

@@ -267,13 +267,32 @@ def test_errors_stand_where_they_were_measured(study: sk.Study) -> None:
     assert scene.arrows is not None
     a, data = scene.arrows, study.data
     assert len(a.where_mm) == 75
+    turn, shift = before.model.sensor_frame(before.values)
+    seen = (data.readings[:, :3] - shift) @ turn
     for k in (0, 40, 74):
         rows = np.flatnonzero(data.groups == data.groups[np.flatnonzero(data.line == a.line[k])[0]])
-        assert np.abs(a.where_mm[k] - data.readings[rows, :3].mean(axis=0)).max() < 1e-9
+        assert np.abs(a.where_mm[k] - seen[rows].mean(axis=0)).max() < 1e-9
         for fit, errors in ((before, a.errors_mm[0]), (study.fit, a.errors_mm[1])):
-            assert np.abs(errors[k] - fit.residuals[rows, :3].mean(axis=0)).max() < 1e-9
+            assert np.abs(errors[k] - fit.residuals[rows, :3].mean(axis=0) @ turn).max() < 1e-9
     assert set(np.argsort(-np.linalg.norm(a.errors_mm[0], axis=1))[:5]) == set(a.worst[0].astype(int))
     assert len(a.slabs) == 3
+
+
+def test_the_machine_stands_amid_its_errors(study: sk.Study) -> None:
+    """Catches a machine drawn at its base, and its errors where a tracker that stands far off saw them."""
+    readings = study.data.readings[:, :3] @ Rotation.from_rotvec([0.3, -0.4, 0.5]).as_matrix().T + [200.0, -120.0, 77.0]
+    columns = {f"{axis}_mm": readings[:, k] for k, axis in enumerate("xyz")}
+    far = sk.Study(EXAMPLE, sk.from_frame(study.data.to_frame().with_columns(**columns), "far"))
+    far.add("rail_lean")
+    near, away = (
+        space_of(State("geometry calibrated", next(s.fit for s in one.history if s.fit is not None)),
+                 State("now", one.fit)) for one in (study, far)
+    )  # fmt: skip
+    assert near.arrows is not None
+    assert away.arrows is not None
+    np.testing.assert_allclose(away.arrows.where_mm, near.arrows.where_mm, atol=0.2)
+    np.testing.assert_allclose(away.arrows.errors_mm[0], near.arrows.errors_mm[0], atol=4e-3)
+    assert np.abs(near.arrows.where_mm).max() < 40.0
 
 
 @needs_browser

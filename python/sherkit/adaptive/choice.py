@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base import linalg
-from ..base.types import Floats
+from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TIME
 from .hypotheses import Key
@@ -120,15 +120,19 @@ def showing(
 
     ``x`` (n, m, p) are the columns of what is free and ``base`` (p, p) what is known of it; each part is what is known
     of it and one thing more (q, q), and the columns (n, m, q) of these. What is free counts by itself for the ``first``
-    rows, and where there are no parts.
+    rows, and where there are no parts. Rows that what was fitted cannot reach (NaN) are never chosen.
     """
+    reached: Bools = np.logical_and.reduce([np.isfinite(z).all(axis=(1, 2)) for z in (x, *(z for _, z in parts))])
+    x = np.where(reached[:, None, None], x, 0.0)
+    parts = [(info, np.where(reached[:, None, None], z, 0.0)) for info, z in parts]
     infos, picked = [info for info, _ in parts], list[int]()
-    for k in range(min(count, len(x))):
+    for k in range(min(count, int(reached.sum()))):
         alone = log_gain(x, base)
         gained = alone.copy() if k < first or not parts else np.zeros(len(x))
         for info, (_, z) in zip(infos, parts, strict=True):
             gained += log_gain(z, info) - alone
         gained[picked] = -np.inf
+        gained[~reached] = -np.inf
         best = int(np.argmax(gained))
         picked.append(best)
         base = base + x[best].T @ x[best]

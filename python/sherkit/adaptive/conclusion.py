@@ -267,7 +267,9 @@ def accuracy_um(loop: Held, found: Look, effects: tuple[str, ...], fit: Fit) -> 
     places = found.family.region.spread(PLACES, loop.seed + 1)
     try:
         made = calibrate(loop.robot, found.data, effects=effects, correction="none").calibration
-        promised = made.predicted_accuracies(places.targets).radius_mm
+        # the region is one of the drawing: where its poses are in the calibration's frame is the calibration's to say
+        there = made.forward_batch(places.joints)
+        promised = made.predicted_accuracies(there.values[there.reached]).radius_mm
         if np.isfinite(promised).any():
             return float(1e3 * np.nanmax(promised))
     except SherkitError:

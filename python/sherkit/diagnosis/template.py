@@ -102,6 +102,9 @@ def template(
         (layout.joints, "joints") if joint else (layout.coordinates, "body" if _is_point(layout) else "sensor")
     )
     targets = [layout.joints.index(joint)] if joint else [layout.names.index(axis) for axis in signature["axis"]]
+    if at == "body":
+        # the axes along which it was seen are those of the instrument, which may stand turned against the base
+        targets = list(range(len(columns)))
     parameters, called = [], {t: _suffix(k, columns, targets) for k, t in enumerate(targets)}
     for t in targets:
         unit = unit_in(columns[t]) or layout.unit

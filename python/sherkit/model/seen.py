@@ -17,7 +17,19 @@ from ..data import Measurements
 from ..data.columns import Layout
 from .base import ModelWithEffects
 from .effect import Effect, Parameter
-from .sensor_pose import FREE, IN_PLANE, OWN_AXES, POSE, SPACE, Registered, SensorPose, Triple, registered, slip_of
+from .sensor_pose import (
+    FREE,
+    IN_PLANE,
+    OWN_AXES,
+    POSE,
+    SPACE,
+    Registered,
+    SensorPose,
+    Triple,
+    in_space,
+    registered,
+    slip_of,
+)
 from .set_ups import effect_of, seen_from_the_last
 
 #: A turn by so little, rad, moves no arrow of a picture.
@@ -175,10 +187,3 @@ class SeenModel(ModelWithEffects):
             if self.reads_places(data) and not np.allclose(turn, np.eye(len(turn)), rtol=0, atol=_TO_THE_EYE)
             else None
         )
-
-
-def in_space(places: Floats) -> Floats:
-    """Places (n, 3); of those in a plane (n, 2) the third coordinate is zero."""
-    out = np.zeros((len(places), 3))
-    out[:, : places.shape[1]] = places
-    return out

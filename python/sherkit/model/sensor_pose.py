@@ -154,8 +154,7 @@ def _deviations(name: str, given: Any) -> Triple:
     if not min(x, y, z) >= 0 or np.isnan([x, y, z]).any():
         raise RobotError(
             f"sensor_pose: {name}: expected a number for all axes, or three, none below zero (0 holds an axis, inf "
-            f"frees "
-            f"it), got {given!r}"
+            f"frees it), got {given!r}"
         )
     return (x, y, z)
 
@@ -191,6 +190,13 @@ class Registered:
         """The turn as a rotation vector (3,)."""
         made: Floats = scipy.spatial.transform.Rotation.from_matrix(self.turn).as_rotvec()
         return made
+
+
+def in_space(places: Floats) -> Floats:
+    """Places (n, 3); of those in a plane (n, 2) the third coordinate is zero."""
+    out = np.zeros((len(places), 3))
+    out[:, : places.shape[1]] = places
+    return out
 
 
 def registered(

@@ -65,8 +65,7 @@ COMMON: dict[str, Sentences] = {
     ),
     "sensor_slip": Sentences(
         physics="The instrument or its stand was knocked, or the robot moved on its floor: from one moment on it sees "
-        "the "
-        "robot elsewhere, shifted and turned.",
+        "the robot elsewhere, shifted and turned.",
         residuals="A step over time, which differs from place to place where it is a turn.",
         remedy="Clamp the stand; measure reference nests on the robot's base before and after; measure again from the "
         "moment on.",

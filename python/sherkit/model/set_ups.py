@@ -18,7 +18,7 @@ from ..errors import FitError
 from .effect import Effect
 from .rows import Rows, run_of
 from .sensor_link import left_jacobian, rotation_matrix
-from .sensor_pose import POSE, SHIFTS, Registered
+from .sensor_pose import POSE, SHIFTS, Registered, in_space
 
 #: How the name of a set-up begins among parameters.
 SETUP_PREFIX = f"{SETUP}="
@@ -118,11 +118,11 @@ def seen_from_the_last(model: Any, data: Measurements) -> Measurements:
         _require_whole(data, rows, turn, name)
         size = data.coordinates
         readings[rows, :size] = np.where(
-            data.taken[rows, :size], (_in_space(data.readings[rows, :size]) @ turn.T + shift)[:, :size], 0.0
+            data.taken[rows, :size], (in_space(data.readings[rows, :size]) @ turn.T + shift)[:, :size], 0.0
         )
         square = np.square(turn[:size, :size]).T
         variances[:, rows, :size] = variances[:, rows, :size] @ square
-        middle = _in_space(readings[rows[used[rows]], :size]).mean(axis=0)
+        middle = in_space(readings[rows[used[rows]], :size]).mean(axis=0)
         made.append(SetUp(name, last, _rows_of(turn), _triple(shift), _triple(middle)))
     sigma, pose_sigma = np.sqrt(variances)
     return replace(data, readings=readings, sigma=sigma, pose_sigma=pose_sigma, set_ups=tuple(made))
@@ -176,12 +176,6 @@ def _require_whole(data: Measurements, rows: Any, turn: Floats, name: str) -> No
             f"{data.place(torn)}: setup '{name}': one coordinate says nothing once the instrument was turned; give all "
             "that were read, or leave the row out (outlier = 1)"
         )
-
-
-def _in_space(places: Floats) -> Floats:
-    out = np.zeros((len(places), 3))
-    out[:, : places.shape[1]] = places
-    return out
 
 
 def _triple(values: Floats) -> Triple:

@@ -25,7 +25,9 @@ from ..errors import SherkitError
 from ..fit.identify import Fit
 from ..model.drawing import Draw, Drawing
 from ..model.kinds import draw_of, kind_of
+from ..model.sensor_pose import POSE, SPACE
 from ..robots.calibrated import Calibration
+from ..robots.deployed import BASE, SENSOR
 from .picture import thinned
 from .residual_arrows import round_number
 from .residuals import State
@@ -326,8 +328,13 @@ def machine_name(model: Any) -> str:
 def _errors(
     draw: Draw, fits: tuple[Fit, Fit], data: Measurements, first: Ints, group: Ints, keep: Ints
 ) -> tuple[Floats, Floats, Drawing]:
-    """Places (k, 3), errors of each fit (2, k, 3), and the machine amid them; repeats of a pose are averaged."""
-    plain = [np.zeros_like(fit.values) for fit in fits]
+    """Places (k, 3), errors of each fit (2, k, 3), and the machine amid them; repeats of a pose are averaged.
+
+    The machine is that of the drawing; what reads its places stands where the first fit has it, for all that is drawn.
+    """
+    places = data.layout.coordinates in (SPACE, SPACE[:2])
+    stands = {p.name: v for p, v in zip(fits[0].parameters, fits[0].values, strict=True) if places and p.name in POSE}
+    plain = [np.array([stands.get(p.name, 0.0) for p in fit.parameters]) for fit in fits]
     read = draw(fits[0].model, data, plain[0], data.readings[:, : data.coordinates]).shown_mm
 
     def mean(values: Floats) -> Floats:
@@ -335,7 +342,10 @@ def _errors(
         np.add.at(sums, group, values)
         return (sums / np.bincount(group)[:, None])[keep]
 
-    errors = [mean(read - draw(fit.model, data, fit.values, None).shown_mm) for fit in fits]
+    errors = [
+        mean(read - draw(fit.model, data, at, fit.model.predict(data, fit.values)[:, : data.coordinates]).shown_mm)
+        for fit, at in zip(fits, plain, strict=True)
+    ]
     where = mean(read)
     middle = int(np.nanargmin(np.linalg.norm(where - np.nanmean(where, axis=0), axis=1)))
     pose = data.select(first[[middle]])
@@ -360,7 +370,9 @@ def _field(calibration: Calibration, draw: Draw, fit: Fit, where: Floats) -> Fie
     planes = calibration.planes(2 * int(np.sqrt(_MOST_CELLS / 3)) // 2)
     grid = np.ascontiguousarray(planes.grid[planes.inside])
     try:
-        found = fit.model.robot.inverse_batch(grid)
+        # a robot is sent to places of its base
+        at_base = calibration.frame == SENSOR and BASE in calibration.frames
+        found = fit.model.robot.inverse_batch(calibration.from_sensor(grid) if at_base else grid)
         grid = grid[found.reached]
         promised = 1e3 * calibration.predicted_accuracies(grid).total_mm
         model = replace(fit.model, effects=())

@@ -58,6 +58,8 @@ class Study(Shown):
         with_outliers: bool = False,
     ) -> None:
         self.robot = robot_of(robot)
+        self.model = model_of(self.robot, free)
+        self.data = self.model.as_declared(run_for(robot, data))
         self.seed = seed
         self.loss = loss
         self.own: dict[str, Effect] = {}
@@ -67,8 +69,6 @@ class Study(Shown):
         self._diagnosis: Diagnosis | None = None
         for effect in effects:
             self._register(effect)
-        self.model = model_of(self.robot, free)
-        self.data = self.model.as_declared(run_for(robot, data))
         #: Rows that were judged to be gross errors; those of them that are not marked were put back.
         self._judged: Ints = np.zeros(0, dtype=np.int64)
         self._with_outliers = with_outliers

@@ -25,7 +25,7 @@ def drawing(model: DeltaModel, data: Measurements, values: Floats, readings: Flo
     """The robot at each row, or with ``readings`` (n, m) as what is read. Raises as
     :meth:`~sherkit.model.chain.ChainModel.predict`."""
     points = model.parts(data, values)
-    shown = (model.predict(data, values) if readings is None else readings)[:, :3]
+    shown = model.at_base((model.predict(data, values) if readings is None else readings)[:, :3], values)
     limbs = [points[:, _PER_LIMB * k : _PER_LIMB * (k + 1)] for k in range(3)]
     centre, tip, target = (points[:, 3 * _PER_LIMB + k] for k in range(3))
     parts = [Part(f"rail {k}", "frame", limb[:, :2]) for k, limb in enumerate(limbs, 1)]

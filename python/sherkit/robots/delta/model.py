@@ -6,7 +6,7 @@ The table of the effects is `rust/core/src/delta/effects.rs`; here are the sente
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -18,7 +18,7 @@ from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...errors import SherkitError
 from ...model.chain import SLACK, ChainModel
-from ...model.effect import Effect, Sentences
+from ...model.effect import Effect, Parameter, Sentences
 from ...model.sensor_pose import POSE
 from ...model.sentences import catalogue_of
 from .robot import DELTA, POSITION, Delta
@@ -94,6 +94,8 @@ CATALOGUE: dict[str, Effect] = catalogue_of(_core.DeltaModel.CATALOGUE, _OWN)
 _WORKSPACE_MM = 20.0
 #: Poses along each axis from which the next ones are chosen.
 _GRID = (7, 7, 5)
+#: Effects that grow from where the base has its origin.
+_ABOUT_THE_ORIGIN = ("thermal_growth", "link_growth")
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,15 @@ class DeltaModel(ChainModel):
         """The paper's twelve and what the robot's file leaves open of the sensors' pose."""
         names = (p.name for p in self.base if not p.name.startswith("platform"))
         return tuple(name for name in names if not self.held_of_pose(name))
+
+    def as_known(self, parameter: Parameter) -> Parameter:
+        """As of any model. Where a sensor stands anywhere, readings do not tell where base and joints are counted from
+        but by what warms about that origin: so little that the base would be turned by half a right angle for it.
+        There it is known as well as a drawing is."""
+        warms = any(one.name in _ABOUT_THE_ORIGIN for one in self.effects)
+        if warms and np.isinf(self.pose_sd).all() and parameter.name.startswith(("base_", "joint_offset_")):
+            return replace(parameter, known=True)
+        return super().as_known(parameter)
 
     def settings(self) -> dict[str, float | None]:
         """Period of the encoders, moments of the slips, lag of the stands, origin of time."""

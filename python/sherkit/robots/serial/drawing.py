@@ -17,9 +17,8 @@ def drawing(model: SerialModel, data: Measurements, values: Floats, readings: Fl
     """The arm at each row, or with ``readings`` (n, m) as what is read. Raises as
     :meth:`~sherkit.model.chain.ChainModel.predict`."""
     robot, points = model.robot, model.parts(data, values)
-    read = (model.predict(data, values) if readings is None else readings)[:, :3]
-    # what the tracker shows, seen from the base as the drawing places both
-    shown = (read - np.array(robot.sensor_pose.origin_mm)) @ robot.sensor_pose.turn
+    # what the tracker shows, seen from the base
+    shown = model.at_base((model.predict(data, values) if readings is None else readings)[:, :3], values)
     reach = float(robot.reach_mm[0])
     base = _BASE * reach * np.eye(3)
     parts = [Part(f"{axis} of the base", "guide", line(np.zeros(3), base[k])) for k, axis in enumerate("xyz")]
