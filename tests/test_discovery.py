@@ -32,9 +32,7 @@ from second_simulator import (
     simulate,
     whole_grid,
 )
-from sherkit.diagnosis import beside, template
-from sherkit.diagnosis import named as named_effects
-from sherkit.diagnosis.held_out import HeldOutGain
+from sherkit.diagnosis import template
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -242,24 +240,6 @@ def test_humidity_is_described_and_not_explained() -> None:
     assert d.signature["shape"] == "smooth"
     assert d.signature["share_explained"] > 0.9
     assert {w.variable: w.p_value for w in d.where}["humidity_pct"] < 1e-10
-
-
-def test_a_quarter_of_what_it_brought_keeps_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a bar that an innocent passes, or a true cause does not: where shapes say as much as the effects do, one
-    that brings 0.3 of its gain beside whatever they depend on is named, and one that brings 0.2 is not. Seed 1."""
-    wave: Any = lambda c: 0.02 * np.sin(4.0 * c["time_s"] / c["time_s"].max())  # noqa: E731
-    run = measured(GRIDS["small"], 1, scaled={"thermal_shift": 2 * NOISE_UM}, repeats=2, add={"x_mm": wave})
-    asked: list[Any] = []
-    monkeypatch.setattr(named_effects, "innocents", lambda *given: asked.append(given) or [])
-    run.diagnose()
-    monkeypatch.setattr(beside, "CLEARLY", np.inf)
-    for share, refused in ((0.3, []), (0.2, ["thermal_shift"])):
-
-        def gain(*_: Any, beside: Any = None, share: float = share, **__: Any) -> HeldOutGain:
-            return HeldOutGain("thermal_shift", 2.0, np.sqrt(4.0 - (1.0 if beside is None else share)), 1e-6, 1.0)
-
-        monkeypatch.setattr(beside, "held_out_gain", gain)
-        assert [name for name, _ in beside.innocents(*asked[0])] == refused
 
 
 @sk.effect(at="body", parameters={"amplitude": ("mm", 0.05)}, remedy="Measure on a floor at rest.")

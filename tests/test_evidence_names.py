@@ -31,7 +31,7 @@ def sets_of(world: World) -> Sets:
 @cache
 def asked(*hidden: str) -> Names:
     """Names in a delta's run with these effects hidden, each of four noises."""
-    return names_of(sets_of(worlds.delta_world(1, {name: 4 * worlds.NOISE_UM for name in hidden})))
+    return names_of(sets_of(worlds.delta_world(1, dict.fromkeys(hidden, 4 * worlds.NOISE_UM))))
 
 
 def test_nothing_hidden_names_nothing() -> None:

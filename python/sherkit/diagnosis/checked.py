@@ -34,6 +34,8 @@ from .rounded import Rounded, rounded
 from .sensor_pose import KNOWN_LEVEL, known_stand
 from .where import SlowDrift
 
+_SMALLEST_P = 1e-300
+
 
 def checks_of(
     final: FittedRun,
@@ -90,7 +92,7 @@ def checks_of(
         out.append(
             Check(
                 f"earns:{one.effect}", f"{one.effect} earns its place given all others", _HELD,
-                f"{_fall(one, unit)}; chosen again without them for {one.again:.0%} of the rows",
+                _fall(one, unit),
                 holds=one.holds, p=one.p, decisive=False,
             )
         )  # fmt: skip
@@ -120,7 +122,8 @@ def _fall(one: HeldOutGain, unit: str) -> str:
 def chance_of(evidence: float) -> float:
     """How often chance gives as much evidence, at most: a Bayes factor is E or more in no more than one of E runs of
     nothing but noise (Ville, 1939)."""
-    return float(np.exp(-max(evidence, 0.0)))
+    # a p of zero would claim too much
+    return max(float(np.exp(-max(evidence, 0.0))), _SMALLEST_P)
 
 
 def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Check:

@@ -18,13 +18,11 @@ from ..errors import SherkitError
 from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
 from ..evidence.run import in_time
-from ..evidence.sizes import displaces
 from ..fit.error import ErrorSize, held_out_error
-from ..fit.folds import Beside, Folds, ranks_of, roots_of
+from ..fit.folds import Beside, Folds, roots_of
 from ..model.effect import Effect
 from .lack_of_fit import FLIPS, codes_of
 from .stage import Stage
-from .waves import waves_of
 
 #: Columns (b, m, k) of a stretch of rows.
 Columns = Callable[[slice], Floats]
@@ -47,21 +45,16 @@ def rms(squares: Floats, scale: Floats) -> float:
     return float(np.sqrt(np.mean(squares * scale**2)))
 
 
-def folds_of(view: Linearised, fold: Ints, columns: Columns | None = None) -> Folds:
-    """What was fitted, or these ``columns``, by folds (repetitions, n)."""
-    return Folds.of(columns or view.fitted, view.residual, fold)
+def folds_of(view: Linearised, fold: Ints) -> Folds:
+    """What was fitted, by folds (repetitions, n)."""
+    return Folds.of(view.fitted, view.residual, fold)
 
 
-def squares_of(view: Linearised, fold: Ints, beside: Columns | None = None) -> tuple[Floats, Folds]:
-    """Squared errors (repetitions, n, m) of rows that were held out in turn, and the folds. Columns ``beside`` are
-    fitted as well, where they are given."""
-
-    def fitted(rows: slice) -> Floats:
-        return view.fitted(rows) if beside is None else np.concatenate([view.fitted(rows), beside(rows)], axis=2)
-
-    folds = folds_of(view, fold, fitted)
-    parts = [folds.errors(fitted(rows), view.residual[rows], rows) for rows in view.blocks]
-    return np.concatenate(parts, axis=1) ** 2, folds
+def squares_of(view: Linearised, fold: Ints) -> Floats:
+    """Squared errors (repetitions, n, m) of rows that were held out in turn."""
+    folds = folds_of(view, fold)
+    parts = [folds.errors(view.fitted(rows), view.residual[rows], rows) for rows in view.blocks]
+    return np.concatenate(parts, axis=1) ** 2
 
 
 def by_noise_alone(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints], level: float, seed: int) -> float:
@@ -110,20 +103,17 @@ def _square_root(grams: Floats) -> Floats:
 
 #: Level of the test on rows held out.
 LEVEL = 0.01
-#: Rivals that are fitted in full.
-_REFITTED = 2
 
 
 @dataclass(frozen=True)
 class HeldOutGain:
-    """What an effect brings on rows held out: RMS ``without`` it and ``with_it`` in the unit of the run, one-sided
-    ``p``, and for what part of these rows it was chosen ``again`` without them."""
+    """What an effect brings on rows held out: RMS ``without`` it and ``with_it`` in the unit of the run, and the
+    one-sided ``p`` of that."""
 
     effect: str
     without: float
     with_it: float
     p: float
-    again: float
 
     @property
     def holds(self) -> bool:
@@ -137,18 +127,13 @@ def held_out_gain(
     *,
     sigma: Floats,
     repeated_folds: Sequence[Ints],
-    tried: Sequence[Effect] = (),
-    alike: Collection[str] = (),
-    periods: Sequence[float] = (),
     also: Collection[str] = (),
-    beside: Columns | None = None,
     seed: int = 0,
 ) -> HeldOutGain:
     """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
 
-    ``repeated_folds`` are folds (n,) of all rows of the data; effects that were ``tried``, but those ``alike`` by name,
-    and other ``periods`` of its own might have been chosen in its place; ``beside`` are columns that are fitted as
-    well. An effect without which the rows cannot be fitted earns its place.
+    ``repeated_folds`` are folds (n,) of all rows of the data. An effect without which the rows cannot be fitted earns
+    its place.
     """
     axes = list(run.axes)
     rows = in_time(run, np.flatnonzero(run.whole))
@@ -157,37 +142,16 @@ def held_out_gain(
     try:
         full = run.without_effects(also) if also else run
         less = full.without_effects((effect.name,))
-        more, plain = (one.linearised(rows, tried, scale) for one in (full, less))
+        more, plain = (one.linearised(rows, (), scale) for one in (full, less))
     except SherkitError:
-        return HeldOutGain(effect.name, np.inf, 0.0, 1.0 / FLIPS, 1.0)
-    with_it, of_more = squares_of(more, fold, beside)
-    without, _ = squares_of(plain, fold, beside)
-    chosen = np.ones(fold.shape, dtype=bool)
-    others = [(rival, place) for rival, place in plain.effects if rival.name not in alike]
-    if others or periods:
-        linear = _scores_beside(plain, [place for _, place in others], periods, fold)
-        exact = [_scores(of_more)]
-        # what comes nearest to first order is fitted in full: far from zero its derivatives there do not tell
-        for k in np.argsort(linear[: len(others)].mean(axis=1))[:_REFITTED]:
-            try:
-                rival = less.refit([(others[int(k)][0], None)])
-                view = rival.linearised(rows, (), scale)
-            except SherkitError:
-                continue
-            # what fits only on another machine would not have been chosen
-            if displaces(rival.fit, less.fit):
-                continue
-            exact.append(_scores(folds_of(view, fold)))
-        best = np.concatenate([np.stack(exact), linear]).min(axis=0)
-        chosen = (exact[0] <= best)[of_more.place]
-    gain = (without.sum(axis=2) - with_it.sum(axis=2)) * chosen
-    p = flipped(gain.mean(axis=0), more.group, seed)
+        return HeldOutGain(effect.name, np.inf, 0.0, 1.0 / FLIPS)
+    with_it, without = (squares_of(one, fold) for one in (more, plain))
+    gain = without.sum(axis=2) - with_it.sum(axis=2)
     return HeldOutGain(
         effect.name,
         without=rms(without, scale) * run.per_row,
         with_it=rms(with_it, scale) * run.per_row,
-        p=p,
-        again=float(chosen.mean()),
+        p=flipped(gain.mean(axis=0), more.group, seed),
     )
 
 
@@ -197,32 +161,6 @@ def flipped(gain: Floats, group: Ints, seed: int) -> float:
     sums = np.bincount(codes_of(int(pose.max()) + 1, seed)[pose], gain, FLIPS).astype(np.float64)
     total = float(sums.sum())
     return float((1 + (walsh_hadamard(sums)[1:] >= total).sum()) / FLIPS)
-
-
-def _scores(folds: Folds) -> Floats:
-    """Schwarz's criterion (f,) of a fit to the rows outside each fold."""
-    gram, right, squares, count = folds.outside
-    root = roots_of(gram)
-    fitted = (root.transpose(0, 2, 1) @ right[:, :, None])[:, :, 0]
-    return _schwarz(squares - (fitted**2).sum(axis=1), ranks_of(root), count)
-
-
-def _scores_beside(view: Linearised, effects: Sequence[slice], periods: Sequence[float], fold: Ints) -> Floats:
-    """Schwarz's criterion (sets, f) of the fit to the rows outside each fold with each effect, or waves of each period,
-    beside its own columns."""
-
-    def columns(rows: slice) -> Floats:
-        there = view.effects_in(rows)
-        parts = [there[:, :, place] for place in effects]
-        return np.concatenate([view.fitted(rows), *parts, *(waves_of(view, 1.0 / p, rows) for p in periods)], axis=2)
-
-    counts = [*(place.stop - place.start for place in effects), *(2 * len(view.waving) for _ in periods)]
-    beside = Beside(columns, counts, view.residual, fold)
-    return _schwarz(*beside.outside, beside.counts_outside)
-
-
-def _schwarz(squares: Floats, rank: Ints, count: Floats) -> Floats:
-    return np.asarray(count * np.log(np.maximum(squares, 1e-300)) + rank * np.log(count))
 
 
 # -- Held-out error with each single addition, by blocks, in linear approximation around the fit --------------------

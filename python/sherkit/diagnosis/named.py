@@ -21,7 +21,6 @@ from ..fit.identify import Fit
 from ..model.effect import Effect
 from .answers import StepReport
 from .columns import Columns
-from .explanation import refit
 from .held_out import HeldOutGain, error_of, held_out_gain
 from .periods import Period, period_of
 from .search import Search
@@ -84,7 +83,7 @@ def searched(
 ) -> Named:
     """Asks the evidence of these rows what is missing, and names what may be named. Nothing is looked for where there
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
-    search = Search(run, effects, rows, sigma, level=level, seed=seed, step=step)
+    search = Search(run, effects, rows, sigma)
     stage = search.stage(search.base)
     first = (StepReport(None, error_of(run, sigma, repeated_folds)),)
     if run.is_exact:
@@ -146,6 +145,11 @@ def _judged(
     return partial, ordered, gains, tuple(steps)
 
 
+def refit(run: FittedRun, candidates: Sequence[Candidate]) -> FittedRun:
+    """The full fit with these candidates, at the settings they were found with."""
+    return run.refit([c.addition for c in candidates])
+
+
 def not_needed(
     run: FittedRun, effects: Sequence[Effect], sigma: Floats, repeated_folds: Sequence[Ints], seed: int
 ) -> list[HeldOutGain]:
@@ -179,7 +183,7 @@ def at_its_setting(run: FittedRun, effect: Effect) -> Candidate | None:
 
 def _looked_at(run: FittedRun, effect: Effect) -> tuple[Search, Stage]:
     rows = np.flatnonzero(run.whole)
-    search = Search(run, (effect,), rows, run.noise[0], level=0.01, rho=0.0)
+    search = Search(run, (effect,), rows, run.noise[0], rho=0.0)
     return search, search.stage(search.base)
 
 
