@@ -9,7 +9,9 @@ import numpy as np
 
 from ..base.names import listed
 from ..base.types import Floats
+from ..data.columns import bare
 from ..data.doubts import Doubt
+from ..evidence.base import OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
 from ..evidence.sizes import ABSURD, PLAUSIBLE, largest, sizes_of
 from ..fit.set_up import Mistake
@@ -27,14 +29,14 @@ from .answers import (
     Check,
 )  # fmt: skip
 from .held_out import PRAISE, FewEnough, HeldOutGain
-from .lack_of_fit import LackOfFit
 from .named import Named
 from .repeats import Repeats
 from .rounded import Rounded, rounded
 from .sensor_pose import KNOWN_LEVEL, known_stand
 from .where import SlowDrift
 
-_SMALLEST_P = 1e-300
+#: An error of the poses' own counts from this part of the noise on: below it the whole error grows by less than 5 %.
+_COUNTS = 0.3
 
 
 def checks_of(
@@ -42,7 +44,6 @@ def checks_of(
     found: Named,
     sigma: Floats,
     origin: str,
-    fitness: LackOfFit | None,
     needed: Sequence[HeldOutGain],
     level: float,
     wrong: Sequence[Check],
@@ -57,7 +58,7 @@ def checks_of(
 ) -> tuple[Check, ...]:
     """Every check about a final fit, those that decide first.
 
-    ``sigma`` (columns,) is the noise, ``fitness`` what poses leave beyond their repeats, ``needed`` what the
+    ``sigma`` (columns,) is the noise, ``needed`` what the
     effects that were in the model earn, ``wrong`` what is asked of the rows left out, ``mistakes`` those of the
     set-up, ``table`` what its poses cannot tell, ``digits`` what steps of columns leave where that is most,
     ``slow_drift`` what is left in the course of time, ``repeats`` what repeats of a pose hold, ``contradicted`` by
@@ -67,7 +68,9 @@ def checks_of(
     unit, used = final.unit, f"all {int(final.whole.sum())} rows that are used"
     out = [_set_up(mistakes, final), *_table(table, final), _converged(final, used), _plausible(final, used)]
     out += [_as_drawn(final, used), *wrong]
-    p = chance_of(found.missing if found.structure else found.left)
+    p = chance_of(found.missing)
+    own = found.base.of_its_own
+    off = own is not None and chance_of(own.evidence) <= level and own.part > _COUNTS
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
         "by the weighted mean of the Bayes factors of all effects and shapes",
@@ -75,12 +78,12 @@ def checks_of(
     )  # fmt: skip
     error = found.steps[-1].error.rms
     small = _small(final, error, sigma, origin, by_noise)
-    fails = not left.holds or small.holds is False or (fitness is not None and fitness.counts)
+    fails = not left.holds or small.holds is False or off
     known = origin != "unknown"
     # few poses predict worse than they were read: what is their own tells more
-    beyond = fitness.size if fitness else float(np.sqrt(max(error**2 - known * _noise(final, sigma) ** 2, 0.0)))
+    beyond = _size(final, own) if own else float(np.sqrt(max(error**2 - known * _noise(final, sigma) ** 2, 0.0)))
     steps = digits or (rounded(final, beyond, sigma, noise_known=known) if fails else None)
-    out += [left, _poses(final, fitness, followed=found.structure or steps is not None), small]
+    out += [left, _poses(final, own, off, followed=found.structure or steps is not None), small]
     out += _stands(final, used)
     if (loose := _loosely(final, small, error, sigma, enough)) is not None:
         out.append(loose)
@@ -117,13 +120,6 @@ def _fall(one: HeldOutGain, unit: str) -> str:
     if not np.isfinite(one.without):
         return "without it these rows cannot be fitted"
     return f"held out {one.without:.4g} {unit} without it, {one.with_it:.4g} with it"
-
-
-def chance_of(evidence: float) -> float:
-    """How often chance gives as much evidence, at most: a Bayes factor is E or more in no more than one of E runs of
-    nothing but noise (Ville, 1939)."""
-    # a p of zero would claim too much
-    return max(float(np.exp(-max(evidence, 0.0))), _SMALLEST_P)
 
 
 def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Check:
@@ -193,17 +189,22 @@ def _stands(final: FittedRun, used: str) -> list[Check]:
     ]  # fmt: skip
 
 
-def _poses(final: FittedRun, fitness: LackOfFit | None, *, followed: bool) -> Check:
+def _size(final: FittedRun, own: OwnErrors) -> float:
+    return final.per_unit * float(np.linalg.norm(own.size))
+
+
+def _poses(final: FittedRun, own: OwnErrors | None, off: bool, *, followed: bool) -> Check:
     tested = "poses are as near to the model as their repeats are to one another"
-    if fitness is None:
+    if own is None:
         return Check(POSES_AS_REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
-    each = ", ".join(f"{axis} {value:.2g}" for axis, value in fitness.own.items())
-    told = f"each pose is off by {fitness.size:.2g} {final.unit} of its own ({each})"
+    names = [bare(final.names[a]) for a in final.axes]
+    each = ", ".join(f"{axis} {final.per_unit * one:.2g}" for axis, one in zip(names, own.size.tolist(), strict=True))
+    told = f"each pose is off by {_size(final, own):.2g} {final.unit} of its own ({each})"
     columns = listed([name for k, name in enumerate(final.data.layout.pose_sigmas) if k in final.axes])
     file = final.model.pose_sigma_in_file
     declare = f"columns {columns}" + (f", or {file} in the robot file" if file else "")
     return Check(
-        POSES_AS_REPEATS, tested, f"{fitness.poses} repeated poses", told, holds=not fitness.counts, p=fitness.p,
+        POSES_AS_REPEATS, tested, f"{own.poses} poses", told, holds=not off, p=chance_of(own.evidence),
         # what follows something is not each pose's own
         fails=told if followed else (
             f"{told}, which no effect and no shape follows: look at what differs from pose to pose but not between "
@@ -229,7 +230,7 @@ def _repeats(repeats: Repeats | None) -> Check:
     if repeats is None:
         return Check(REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
     return Check(
-        REPEATS, tested, f"{repeats.rows} rows of repeated poses", str(repeats), holds=not repeats.held, p=repeats.p,
+        REPEATS, tested, f"{repeats.rows} rows of repeated poses", str(repeats), holds=not repeats.held,
         fails=f"repeats of a pose differ by more than noise: {repeats}",
     )  # fmt: skip
 

@@ -6,12 +6,12 @@ All is linear around the full fit, so that a fit without a block is a subtractio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
-from .._core import walsh_hadamard
 from ..base import linalg
 from ..base.types import Floats, Ints
 from ..errors import SherkitError
@@ -19,13 +19,8 @@ from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
 from ..evidence.run import in_time
 from ..fit.error import ErrorSize, held_out_error
-from ..fit.folds import Beside, Folds, roots_of
+from ..fit.folds import Folds, roots_of
 from ..model.effect import Effect
-from .lack_of_fit import FLIPS, codes_of
-from .stage import Stage
-
-#: Columns (b, m, k) of a stretch of rows.
-Columns = Callable[[slice], Floats]
 
 #: Held-out error over noise up to which what is left is as small as the noise.
 PRAISE = 1.25
@@ -128,7 +123,6 @@ def held_out_gain(
     sigma: Floats,
     repeated_folds: Sequence[Ints],
     also: Collection[str] = (),
-    seed: int = 0,
 ) -> HeldOutGain:
     """What ``effect``, which is in the model of ``run``, brings given all others of the model but those of ``also``.
 
@@ -144,64 +138,23 @@ def held_out_gain(
         less = full.without_effects((effect.name,))
         more, plain = (one.linearised(rows, (), scale) for one in (full, less))
     except SherkitError:
-        return HeldOutGain(effect.name, np.inf, 0.0, 1.0 / FLIPS)
+        return HeldOutGain(effect.name, np.inf, 0.0, 0.0)
     with_it, without = (squares_of(one, fold) for one in (more, plain))
     gain = without.sum(axis=2) - with_it.sum(axis=2)
     return HeldOutGain(
         effect.name,
         without=rms(without, scale) * run.per_row,
         with_it=rms(with_it, scale) * run.per_row,
-        p=flipped(gain.mean(axis=0), more.group, seed),
+        p=_by_chance(gain.mean(axis=0), more.group),
     )
 
 
-def flipped(gain: Floats, group: Ints, seed: int) -> float:
-    """One-sided p of a positive sum of paired gains (n,), by flipping signs of whole groups (n,)."""
-    pose = np.unique(group, return_inverse=True)[1].ravel()
-    sums = np.bincount(codes_of(int(pose.max()) + 1, seed)[pose], gain, FLIPS).astype(np.float64)
-    total = float(sums.sum())
-    return float((1 + (walsh_hadamard(sums)[1:] >= total).sum()) / FLIPS)
-
-
-# -- Held-out error with each single addition, by blocks, in linear approximation around the fit --------------------
-
-
-@dataclass(frozen=True)
-class HeldOutError:
-    """Root mean square error of held-out readings and its standard error, from how much the blocks differ."""
-
-    rms: float
-    std: float
-
-
-def held_out(stage: Stage, fold: Ints) -> list[HeldOutError]:
-    """Held-out error (in the unit of the run, axes together) with each candidate of a stage.
-
-    ``fold`` (repetitions, n) is the fold of each row in each repetition.
-    """
-    view = stage.view
-
-    def columns(rows: slice) -> Floats:
-        parts = [view.fitted(rows), *(stage.columns_of(c, rows) for c in stage.candidates)]
-        out = np.concatenate(parts, axis=2)
-        # in the unit of the readings, so that axes count by their error
-        out *= stage.sigma[:, None]
-        return out
-
-    counts = [len(stage.scan.numbers(c.columns)) for c in stage.candidates]
-    beside = Beside(columns, counts, view.residual * stage.sigma, fold)
-    return [_error(beside, squares, stage.run.per_row) for squares in beside.held_out]
-
-
-def _error(folds: Beside, squares: Floats, unit: float) -> HeldOutError:
-    """What blocks left out in turn show. Every repetition is of the same rows: it is known no better than from one."""
-    repetitions, count = len(folds.place), int(folds.counts.sum())
-    rms = float(np.sqrt(max(float(squares.sum()), 0.0) / count))
-    apart = squares - rms**2 * folds.counts
-    per_repetition = len(folds) / repetitions
-    variance = float((apart**2).sum()) * per_repetition / max(per_repetition - 1, 1) * repetitions / count**2
-    # the error of a mean square is twice the root's size
-    return HeldOutError(unit * rms, unit * np.sqrt(variance) / (2 * rms) if rms > 0 else 0.0)
+def _by_chance(gain: Floats, pose: Ints) -> float:
+    """One-sided p of a positive sum of paired gains (n,), of which those of one pose are one witness: normal, with the
+    variance that signs at random of whole poses would have."""
+    sums = np.bincount(np.unique(pose, return_inverse=True)[1].ravel(), gain)
+    spread = float(np.sqrt(np.square(sums).sum()))
+    return float(scipy.special.ndtr(-sums.sum() / spread)) if spread > 0 else 1.0
 
 
 # -- Which parameters are enough: on few poses most may bring next to nothing on rows held out ---------------------

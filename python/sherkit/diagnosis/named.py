@@ -12,22 +12,20 @@ import numpy as np
 from ..base.types import Floats, Ints
 from ..errors import EffectError
 from ..evidence.base import Base
+from ..evidence.blocks import Block
+from ..evidence.described import MOST, Described
 from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
 from ..evidence.names import Names, names_of
-from ..evidence.run import run_of
+from ..evidence.periods import Period, period_of
+from ..evidence.run import Run, run_of
 from ..evidence.sets import EffectSet, Sets
+from ..evidence.settings import refined, unit_columns
 from ..fit.identify import Fit
 from ..model.effect import Effect
 from .answers import StepReport
-from .columns import Columns
+from .candidates import strongest
 from .held_out import HeldOutGain, error_of, held_out_gain
-from .periods import Period, period_of
-from .search import Search
-from .stage import Candidate, Stage
-
-#: Nothing that is missing is asked for where a fit leaves nothing but rounding.
-_NOTHING = -np.inf
 
 
 @dataclass(eq=False)
@@ -35,18 +33,17 @@ class Named:
     """What the evidence of a run says: the ``added`` effects that it names, in the order in which the error falls, the
     full fit with them, ``final``, and what each of them earns.
 
-    ``names`` are all that were judged, None where nothing was looked for; ``missing`` and ``left`` are the evidence, in
-    nats, that something is missing before anything is added and after; ``stage`` is the run as reports show it;
-    ``notes`` are on effects that were found and are not named.
+    ``first`` is what is in the model before anything is added, ``base`` with all that is named; ``left`` describes what
+    that leaves. ``names_judged`` are all that were judged, None where nothing was looked for; ``notes`` are on effects
+    that were found and are not named.
     """
 
-    stage: Stage
-    search: Search
+    first: Base
+    base: Base
+    left: Described
     names_judged: Names | None
-    missing: float
-    left: float
     final: FittedRun
-    added: list[Candidate] = field(default_factory=list)
+    added: list[Block] = field(default_factory=list)
     gains: list[HeldOutGain] = field(default_factory=list)
     steps: tuple[StepReport, ...] = ()
     notes: list[str] = field(default_factory=list)
@@ -54,7 +51,7 @@ class Named:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the effects, in the order of the steps."""
-        return tuple(c.name for c in self.added)
+        return tuple(block.name for block in self.added)
 
     @property
     def ties(self) -> tuple[EffectSet, ...]:
@@ -68,6 +65,15 @@ class Named:
         judged = self.names_judged
         return judged is not None and judged.lead is not None and not (judged.explains and self.added)
 
+    @property
+    def missing(self) -> float:
+        """By how much, in nats, the readings favour that something is missing: what no effect of these explains, or
+        what is left beside all that are named."""
+        judged = self.names_judged
+        if self.structure or judged is None or judged.lead is None:
+            return self.first.evidence
+        return judged.lead.rest
+
 
 def searched(
     run: FittedRun,
@@ -77,41 +83,37 @@ def searched(
     repeated_folds: Sequence[Ints],
     *,
     level: float,
-    seed: int,
     step: Callable[[str], None],
     look: bool,
 ) -> Named:
     """Asks the evidence of these rows what is missing, and names what may be named. Nothing is looked for where there
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
-    search = Search(run, effects, rows, sigma)
-    stage = search.stage(search.base)
-    first = (StepReport(None, error_of(run, sigma, repeated_folds)),)
-    if run.is_exact:
-        return Named(stage, search, None, _NOTHING, _NOTHING, run, steps=first)
+    first = StepReport(None, error_of(run, sigma, repeated_folds))
     step("evidence")
     family = Family(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma))
     sets = Sets(family, Base.of(family, family.run), step)
-    missing = sets.base.evidence
-    if not look or missing < -np.log(level):
-        return Named(stage, search, None, missing, missing, run, steps=first)
+    base = sets.base
+    nothing = Named(base, base, Described((), 0.0, base), None, run, steps=(first,))
+    if run.is_exact or not look or base.evidence < -np.log(level):
+        return nothing
     names = names_of(sets)
     lead = names.lead
     if lead is None:
-        return Named(stage, search, names, missing, missing, run, steps=first)
+        return replace(nothing, names_judged=names, left=names.alone)
     refused = dict(names.refused)
     if not refused and (why := _too_many(run, lead.run.of)):
         refused = dict.fromkeys(lead.names, why)
     names = replace(names, refused=refused)
     notes = [f"{name} was found and is not named: {why}" for name, why in refused.items()]
-    named = [block for block in lead.blocks if block.name not in refused]
-    added = [Candidate(b.effect, Columns(exact=True), b.setting) for b in named if b.effect is not None]
-    if not added:
-        return Named(stage, search, names, missing, missing, run, steps=first, notes=notes)
+    added = [block for block in lead.blocks if block.name not in refused]
+    kept = sets.fitted(added) if added else None
+    if kept is None:
+        return replace(nothing, names_judged=names, left=names.alone, notes=notes)
     added, told = on_all_rows(run, added)
     step("held-out errors")
-    final, ordered, gains, steps = _judged(run, added, sigma, repeated_folds, seed, first[0])
-    notes += told
-    return Named(stage, search, names, missing, lead.rest, final, ordered, gains, steps, notes)
+    final, ordered, gains, steps = _judged(run, added, sigma, repeated_folds, first)
+    left = names.beside if kept is lead else sets.described(kept.base, MOST, 1)
+    return Named(base, kept.base, left, names, final, ordered, gains, steps, [*notes, *told])
 
 
 def _too_many(run: FittedRun, final: FittedRun) -> str:
@@ -126,32 +128,35 @@ def _too_many(run: FittedRun, final: FittedRun) -> str:
 
 def _judged(
     run: FittedRun,
-    added: Sequence[Candidate],
+    added: Sequence[Block],
     sigma: Floats,
     repeated_folds: Sequence[Ints],
-    seed: int,
     base: StepReport,
-) -> tuple[FittedRun, list[Candidate], list[HeldOutGain], tuple[StepReport, ...]]:
+) -> tuple[FittedRun, list[Block], list[HeldOutGain], tuple[StepReport, ...]]:
     """The fit with all that was found, in the order in which the error falls, and what each earns."""
     steps, left, partial = [base], list(added), run
-    ordered: list[Candidate] = []
+    ordered: list[Block] = []
     while left:
         options = [(error_of(with_it, sigma, repeated_folds), k, with_it)
                    for k, with_it in enumerate(refit(partial, (c,)) for c in left)]  # fmt: skip
         error, k, partial = min(options, key=lambda o: (o[0].rms, o[1]))
         ordered.append(left.pop(k))
         steps.append(StepReport(ordered[-1].name, error))
-    gains = [held_out_gain(partial, c.effect, sigma=sigma, repeated_folds=repeated_folds, seed=seed) for c in ordered]
+    gains = [
+        held_out_gain(partial, block.effect, sigma=sigma, repeated_folds=repeated_folds)
+        for block in ordered
+        if block.effect is not None
+    ]
     return partial, ordered, gains, tuple(steps)
 
 
-def refit(run: FittedRun, candidates: Sequence[Candidate]) -> FittedRun:
-    """The full fit with these candidates, at the settings they were found with."""
-    return run.refit([c.addition for c in candidates])
+def refit(run: FittedRun, blocks: Sequence[Block]) -> FittedRun:
+    """The full fit with these effects, at the settings they were found with."""
+    return run.refit([(block.effect, block.setting) for block in blocks if block.effect is not None])
 
 
 def not_needed(
-    run: FittedRun, effects: Sequence[Effect], sigma: Floats, repeated_folds: Sequence[Ints], seed: int
+    run: FittedRun, effects: Sequence[Effect], sigma: Floats, repeated_folds: Sequence[Ints]
 ) -> list[HeldOutGain]:
     """What each of the ``effects`` that were in the model earns. Of those that earn nothing the least useful is taken
     out first, and the others are judged without it: of two that say the same only one is not needed."""
@@ -159,7 +164,7 @@ def not_needed(
     left = list(effects)
     also: list[str] = []
     while left:
-        gains = [held_out_gain(run, e, sigma=sigma, repeated_folds=repeated_folds, also=also, seed=seed) for e in left]
+        gains = [held_out_gain(run, e, sigma=sigma, repeated_folds=repeated_folds, also=also) for e in left]
         failing = [one for one in gains if not one.holds]
         if not failing:
             return out + gains
@@ -175,56 +180,46 @@ def not_needed(
 # -- Settings searched for besides parameters: the moment of a step, the period of a wave --------------------------
 
 
-def at_its_setting(run: FittedRun, effect: Effect) -> Candidate | None:
-    """The effect at the setting at which it takes most of what a run leaves; None where it cannot be tried."""
-    search, stage = _looked_at(run, effect)
-    return next((c for c in search.strongest_settings(stage) if c.name == effect.name), None)
+def at_its_setting(run: FittedRun, effect: Effect) -> Period | Block | None:
+    """The effect at the setting at which it takes most of what a run leaves, with its aliases where that is a period;
+    None where it cannot be tried."""
+    own = Run.plain(run, np.flatnonzero(run.whole), (effect,), run.noise[0])
+    family = Family(own, shapes=False)
+    base = Base.of(family, own)
+    if effect.is_periodic:
+        return period_of(base, effect)
+    block = strongest(base).get(effect.name)
+    if block is None:
+        return None
+    found = refined(base, block)
+    at_once = next((one for one in family.blocks if one.name == effect.name and one.setting is None), None)
+    if effect.is_lagging and at_once is not None and found.setting is not None:
+        # Schwarz's price of one number more
+        left = [base.rss - base.takes(unit_columns(own, effect, one.setting)) for one in (at_once, found)]
+        if len(base.residual) * np.log(left[0] / max(left[1], 1e-300)) < np.log(len(base.residual)):
+            return at_once
+    return found
 
 
-def _looked_at(run: FittedRun, effect: Effect) -> tuple[Search, Stage]:
-    rows = np.flatnonzero(run.whole)
-    search = Search(run, (effect,), rows, run.noise[0], rho=0.0)
-    return search, search.stage(search.base)
-
-
-def on_all_rows(run: FittedRun, added: Sequence[Candidate]) -> tuple[list[Candidate], tuple[str, ...]]:
+def on_all_rows(run: FittedRun, added: Sequence[Block]) -> tuple[list[Block], tuple[str, ...]]:
     """These effects at the settings that all rows of a run give, each with the others in the model; and what a person
     is to know of their periods."""
-    out: list[Candidate] = []
+    out: list[Block] = []
     told: list[str] = []
-    for candidate in added:
-        if candidate.effect.search is None:
-            out.append(candidate)
+    for block in added:
+        effect = block.effect
+        if effect is None or effect.search is None:
+            out.append(block)
             continue
-        others = [c for c in added if c is not candidate]
-        beside = refit(run, others) if others else run
-        period = period_in(beside, candidate.effect) if candidate.effect.is_periodic else None
-        found = at_its_setting(beside, candidate.effect) if period is None else period.candidate
-        out.append(candidate if found is None else found)
-        told += () if period is None else period.sentences
-        if out[-1].effect.is_lagging and (lag := out[-1].setting):
-            told.append(f"{candidate.name}: it comes {lag:.3g} s after the recorded temperature")
+        others = [one for one in added if one is not block]
+        found = at_its_setting(refit(run, others) if others else run, effect)
+        if isinstance(found, Period):
+            told += found.sentences
+            found = found.block
+        out.append(block if found is None else found)
+        if effect.is_lagging and (lag := out[-1].setting):
+            told.append(f"{block.name}: it comes {lag:.3g} s after the recorded temperature")
     return out, tuple(told)
-
-
-def as_shown(found: Named) -> Stage:
-    """What was seen first, as a report shows it: each effect at the setting that was found, or at which it would have
-    been tried first."""
-    first = found.stage
-    at = {c.name: c for c in found.search.strongest_settings(first)}
-    for added in found.added:
-        tried = [c for c in first.candidates if c.name == added.name and (c.setting is None) == (added.setting is None)]
-        if tried:
-            near = min(tried, key=lambda c: abs((c.setting or 0.0) - (added.setting or 0.0)))
-            at[added.name] = replace(near, setting=added.setting)
-    return first.asking(list(at.values()))
-
-
-def period_in(run: FittedRun, effect: Effect) -> Period | None:
-    """The period at which an effect takes most of what a run leaves, with its aliases; None where it cannot be
-    tried."""
-    _, stage = _looked_at(run, effect)
-    return period_of(stage, [c for c in stage.candidates if c.name == effect.name], aliases=True)
 
 
 def setting_for(fit: Fit, effect: Effect) -> float | None:
@@ -239,4 +234,4 @@ def setting_for(fit: Fit, effect: Effect) -> float | None:
     if found is None:
         what = "period" if effect.is_periodic else "lag" if effect.is_lagging else "moment"
         raise EffectError(f"'{effect.name}': no {what} can be searched for in these rows")
-    return found.setting
+    return (found.block if isinstance(found, Period) else found).setting

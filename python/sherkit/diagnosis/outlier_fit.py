@@ -13,17 +13,17 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
 from ..data.noise import MAD
 from ..evidence.fitted_run import DIGITS
 from ..evidence.linearised import Linearised, step_gains, within
+from ..evidence.shapes import Smooth, smooth_shapes
 from ..evidence.whitening import orthonormal
 from ..fit.folds import BLOCK
-from .lack_of_fit import chi2_log_tail, chi2_tail, f_tail
 from .robust_start import CUT, ROUNDS, apart_from_pose, huber
-from .shapes import Family, build
 
 #: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
 #: ones.
@@ -111,7 +111,7 @@ class OutlierFit:
             rows = self.order[self.starts[k] : self.starts[k] + int(self.count[k])]
             off = (self.e[rows] - np.median(self.e[rows], axis=0)) / np.maximum(self.within, self.floor)
             square = (off**2).sum(axis=1) / _ABOUT_A_MEDIAN
-            out[rows[np.argmax(square)]] = chi2_tail(float(square.max()), self.e.shape[1]) < _ALONE_OFF
+            out[rows[np.argmax(square)]] = _chi2_tail(float(square.max()), self.e.shape[1]) < _ALONE_OFF
         return out
 
     def _outlying(self) -> Bools:
@@ -199,7 +199,7 @@ class OutlierFit:
             by, own = mean[self.moved].mean(axis=0), mean[now].std(axis=0)
             squares += ((mean[self.moved] - by) ** 2).sum(axis=0)
             count += m + 2
-            if chi2_tail(float(((by / np.maximum(own, self.floor)) ** 2).sum()), m) > _LEVEL / items:
+            if _chi2_tail(float(((by / np.maximum(own, self.floor)) ** 2).sum()), m) > _LEVEL / items:
                 return now, np.inf, np.inf
         squares = np.maximum(squares / items, self.floor**2)
         criterion = float(items * np.log(squares).sum() + count * np.log(items * m))
@@ -213,26 +213,28 @@ class OutlierFit:
         return np.unique(np.linspace(0, len(self.e) - 1, min(len(self.e), BLOCK)).astype(np.int64))
 
     @cached_property
-    def _smooth(self) -> tuple[Family, list[int], list[int]]:
-        """Shapes, and the numbers of the smooth ones' functions and full columns."""
-        family = build(self.view)
-        smooth = [one for one in family.shapes if one.shape in ("smooth", "interaction")]
-        return family, sorted({k for s in smooth for k in s.functions}), sorted({k for s in smooth for k in s.dense})
+    def _smooth(self) -> tuple[list[Smooth], list[Smooth]]:
+        """Smooth shapes on an axis alone, and those that arrive as errors of joints."""
+        every = smooth_shapes(self.view)
+        return [one for one in every if one.joint is None], [one for one in every if one.joint is not None]
 
     @cached_property
     def _columns(self) -> tuple[Floats, Floats]:
         """What may describe the rows that are seen: functions (b, f), each of which counts on every axis by itself, and
         full columns (b·m, d) of smooth shapes and effects."""
-        family, single, dense = self._smooth
+        single, dense = self._smooth
+        seen, m = self._seen, self.e.shape[1]
         last = self.view.effects[-1][1].stop if self.view.effects else 0
-        functions, full = [], []
+        functions = [one.values[seen] for one in single]
+        along = [self.view.patterns[one.joint or ""][seen] * one.values[seen, None] for one in dense]
+        effects = []
         for rows in self.view.blocks:
-            here = self._seen[(self._seen >= rows.start) & (self._seen < rows.stop)] - rows.start
-            functions.append(family.functions_in(rows)[here][:, single])
-            effects = self.view.effects_in(rows)[here, :, :last]
-            full.append(np.concatenate([family.dense_in(rows)[here][:, :, dense], effects], axis=2))
-        every = np.concatenate(full)
-        return np.concatenate(functions), every.reshape(math.prod(every.shape[:2]), every.shape[2])
+            here = seen[(seen >= rows.start) & (seen < rows.stop)] - rows.start
+            effects.append(self.view.effects_in(rows)[here, :, :last])
+        full = np.concatenate(effects)
+        full = np.concatenate([np.stack(along, axis=2), full], axis=2) if along else full
+        none = np.zeros((len(seen), 0))
+        return np.stack(functions, axis=1) if functions else none, full.reshape(len(seen) * m, -1)
 
     def _products(self, values: Floats) -> Floats:
         """Columns times others (b, m, k) where they are seen: (K, k); functions axis by axis before full ones."""
@@ -253,7 +255,7 @@ class OutlierFit:
         variance = max(variance, shared)
         gain, tried = self._gains(tame[self._seen])
         best = int(np.argmax(gain)) if len(gain) else -1
-        chance = chi2_log_tail(gain[best] / variance, 1) + np.log(tried) if tried else np.inf
+        chance = _chi2_log_tail(gain[best] / variance, 1) + np.log(tried) if tried else np.inf
         stepped = self._step(tame, variance)
         if stepped is not None and stepped[0] < min(chance, np.log(_DESCRIBED)):
             self.has_step = True
@@ -277,17 +279,14 @@ class OutlierFit:
     def _one(self, number: int) -> Floats:
         """One column as the basis has it (items, m, 1)."""
         m = self.e.shape[1]
-        family, single, dense = self._smooth
+        single, dense = self._smooth
         if number < m * len(single):
             axis, k = divmod(number, len(single))
-            function, mean, length = family.functions[single[k]]
-            on = np.multiply.outer((function(self.view.whole) - mean) / length, np.eye(m)[axis])
-            return self._down(on)[:, :, None]
+            return self._down(np.multiply.outer(single[k].values, np.eye(m)[axis]))[:, :, None]
         number -= m * len(single)
         if number < len(dense):
-            pattern, function, mean, length = family.dense[dense[number]]
-            values = (function(self.view.whole) - mean) / length
-            return self._down(self.view.patterns[pattern] * values[:, None])[:, :, None]
+            pattern = self.view.patterns[dense[number].joint or ""]
+            return self._down(pattern * dense[number].values[:, None])[:, :, None]
         which = slice(number - len(dense), number - len(dense) + 1)
         if self._effects.nbytes:
             return self._effects[:, :, which]
@@ -351,7 +350,7 @@ class OutlierFit:
         self._within = self.basis.shape[1], inside + within(new, cuts)
         gain = step_gains(tame, self._within[1], cuts, _ABSORBED) / variance
         best = int(np.argmax(gain))
-        return float(chi2_log_tail(gain[best], m) + np.log(len(cuts))), int(cuts[best])
+        return float(_chi2_log_tail(gain[best], m) + np.log(len(cuts))), int(cuts[best])
 
     def _after(self, cut: int) -> Floats:
         """A step (n, m, m) of each axis from this row on."""
@@ -431,9 +430,20 @@ class OutlierFit:
             freedom = float((1.0 - hat[inliers]).sum(axis=0).clip(2.0).mean()) - 1.0
         variance = np.maximum(spread + each - usual, 0.5 * each)
         distance = (square / np.maximum(variance, self.floor**2)).sum(axis=1)
-        p = f_tail(distance / m, m, max(freedom, 1.0))
+        p = scipy.special.fdtrc(m, max(freedom, 1.0), np.maximum(distance / m, 0.0))
         order = np.argsort(p)
         below = np.flatnonzero(p[order] <= _LEVEL * np.arange(1, len(p) + 1) / len(p))
         out = np.zeros(len(p), dtype=bool)
         out[order[: min(int(below[-1]) + 1, len(p) // 2)] if len(below) else []] = True
         return out
+
+
+def _chi2_tail(x: float, freedom: int) -> float:
+    """Chance that χ² with ``freedom`` is beyond ``x``."""
+    return float(scipy.special.chdtrc(freedom, max(x, 0.0)))
+
+
+def _chi2_log_tail(x: float, freedom: int) -> float:
+    """Its logarithm; -inf where the chance is no number any more."""
+    p = _chi2_tail(x, freedom)
+    return math.log(p) if p > 0 else -math.inf

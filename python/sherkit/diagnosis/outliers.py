@@ -13,6 +13,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+import scipy
 
 from ..base import linalg
 from ..base.arguments import as_annotated
@@ -30,7 +31,6 @@ from ..fit.error import of_residuals
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
-from .lack_of_fit import chi2_tail
 from .outlier_fit import OutlierFit
 from .robust_start import huber, robust_start
 
@@ -147,7 +147,7 @@ def came_from_elsewhere(run: FittedRun, effects: Sequence[Effect], rows: Ints) -
     sides = np.array(list(product((1.0, -1.0), repeat=data.joints.shape[1])))
     alike = replace(data.select(np.repeat(first, len(sides))), direction=sides)
     off = (alike.readings - with_it.model.predict(alike, with_it.fit.values))[:, axes]
-    chance = chi2_tail(np.square(off / spread).sum(axis=1), len(axes))
+    chance = scipy.special.chdtrc(len(axes), np.square(off / spread).sum(axis=1))
     return bool(chance[0] < _OFF and chance.max() > _NEAR)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from ..base import linalg
 from ..base.arguments import Level, Seed, as_annotated
@@ -14,8 +13,9 @@ from ..base.types import Floats
 from ..data.doubts import doubts
 from ..data.reader import RunLike
 from ..errors import EffectError, FitError
+from ..evidence.base import chance_of
 from ..evidence.fitted_run import FittedRun, enough_of
-from ..evidence.sizes import TOLD, implausible, is_plausible
+from ..evidence.sizes import implausible
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
@@ -23,30 +23,22 @@ from ..fit.set_up import held, set_up_mistakes, unread
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
-from .answers import CandidateReport, Diagnosis, verdict_of
-from .checked import chance_of, checks_of
+from .answers import Diagnosis, verdict_of
+from .candidates import candidates_of, strongest
+from .checked import checks_of
 from .findings import findings_of
 from .gathered import checks_of_outliers
-from .held_out import HeldOutError, by_noise_alone, few_enough, held_out
-from .lack_of_fit import lack_of_fit
-from .named import Named, as_shown, not_needed, searched
+from .held_out import by_noise_alone, few_enough
+from .named import Named, not_needed, searched
 from .next_poses import Proposal, next_poses
 from .outliers import is_first_by_side, sentences, without_outliers
-from .repeats import by_repeats, in_repeats, same_within_poses, with_the_way
+from .repeats import contradicted, in_repeats
 from .rounded import steps_in
 from .sensor_pose import taken_by_pose
 from .signature import signature_of
-from .stage import Candidate, Stage
 from .where import confounded_with, neighbour_correlation, slow_drift_of, smallest_found, where
 
 LEVEL = 0.01
-#: Numbers up to which a single effect is taken by its name without asking what an unknown would look like.
-_FEW = 6
-_SMALLEST_P = 1e-300
-#: Part of a column's square below which what is left of it is rounding.
-_ROUNDING = 1e-14
-#: Level at which an axis takes part in a signature.
-_AXIS_LEVEL = 1e-3
 
 
 @as_annotated
@@ -116,17 +108,6 @@ def diagnose(
             "neither repeats nor a declared noise: how much of the rest is noise cannot be known, only whether "
             "it has structure; repeat some poses or add sigma columns"
         )
-    step("what repeats hold")
-    # what is left of a mistake of the set-up tells nothing of noise
-    repeats = None if mistakes or run.is_exact else in_repeats(run, seed=seed)
-    contradicted: dict[str, tuple[float, float]] = {}
-    if repeats is not None:
-        run = run.with_data(with_the_way(run.data, repeats.held, run))
-        shown, contradicted = by_repeats(run, sigma, repeats, declared=origin == "declared")
-        if not np.array_equal(shown, sigma):
-            # axes were weighed by what repeats hold
-            run, sigma = run.on(np.arange(len(run.data)), shown), shown
-        origin = "repeats" if contradicted else origin
     long = run
     if len(enough := enough_of(run.data, rows)) < len(rows):
         run, rows = run.on(enough), np.arange(len(enough))
@@ -138,13 +119,11 @@ def diagnose(
     steps = steps_in(run) if look and not run.is_exact else None
     if steps is not None and not steps.alone and steps.put_back is not None:
         # digits were cut off where no effect is missing once they are put back
-        there = searched(
-            steps.put_back, every, rows, sigma, repeated_folds, level=level, seed=seed, step=step, look=True
-        )
+        there = searched(steps.put_back, every, rows, sigma, repeated_folds, level=level, step=step, look=True)
         steps = None if there.names else steps
     look, rounded = look and steps is None, None if steps is None else steps.rounded
-    found = searched(run, every, rows, sigma, repeated_folds, level=level, seed=seed, step=step, look=look)
-    final, rho = found.final, found.search.rho
+    found = searched(run, every, rows, sigma, repeated_folds, level=level, step=step, look=look)
+    final = found.final
     of_all = final if run is long else long if final is run else final.as_in(long)
     # a row that is as what was found says was wrong beside a model that lacked it
     wrong = checks_of_outliers(of_all, outliers, seed, side=side)
@@ -152,21 +131,19 @@ def diagnose(
     notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
 
     step("fitting all rows")
-    base_stage = as_shown(found)
-    gains = held_out(base_stage, np.stack([repetition[rows][base_stage.rows] for repetition in repeated_folds]))
-
-    left = repeats
-    if repeats is not None and not same_within_poses(long, of_all):
-        left = in_repeats(of_all, seed=seed)
-    if origin != "declared":
-        sigma = _noise_left(of_all, sigma) if left is None else left.noise
+    # what is left of a mistake of the set-up tells nothing of noise
+    repeats = None if mistakes or run.is_exact else in_repeats(found.base, found.left)
+    declared = {} if repeats is None or origin != "declared" else contradicted(of_all, repeats)
+    if origin != "declared" or declared:
+        sigma = _spread(of_all) if repeats is None else repeats.noise
+    if declared:
+        origin, of_all = "repeats", of_all.on(np.arange(len(of_all.data)), sigma)
     own = [e for e in run.model.effects if e.name not in run.model.within]
-    needed = not_needed(final, own, sigma, repeated_folds, seed)
-    fitness = lack_of_fit(of_all, level)
+    needed = not_needed(final, own, sigma, repeated_folds)
     slow_drift = slow_drift_of(of_all)
     checks = checks_of(
-        final, found, sigma, origin, fitness, needed, level, wrong, mistakes, table, rounded, slow_drift,
-        left, contradicted, lambda: by_noise_alone(final, sigma, repeated_folds, level, seed),
+        final, found, sigma, origin, needed, level, wrong, mistakes, table, rounded, slow_drift,
+        repeats, declared, lambda: by_noise_alone(final, sigma, repeated_folds, level, seed),
         lambda: few_enough(final, sigma, repeated_folds),
     )  # fmt: skip
     verdict = verdict_of(checks, found.names)
@@ -180,25 +157,26 @@ def diagnose(
             "column"
         )
     indistinguishable = _ties(found)
-    reports = _candidate_reports(base_stage, gains, final, found)
+    base, view = found.first, found.first.family.run.view
+    fits = {name: tied.run.of for tied in reversed(found.ties) for name in tied.names}
+    fits |= {block.name: final for block in found.added}
+    alone = {one.effect: one.error.rms for one in found.steps[1:2]}
+    reports = candidates_of(base, repeated_folds, found.added, fits, alone)
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate" and not final.is_exact:
-        threshold = float(np.quantile(found.stage.scan.null(seed)[1:], 1 - level))
-        smallest = {
-            c.name: smallest_found(base_stage, c, threshold) for c in found.search.strongest_settings(base_stage)
-        }
-    signature = left.signature(of_all) if left is not None and left.held else None
+        smallest = {name: smallest_found(base, block, level) for name, block in strongest(base).items()}
+    signature = None
     if found.structure and found.names_judged is not None:
-        signature = signature_of(found.names_judged, tuple(found.names)) or signature
+        signature = signature_of(found.names_judged, tuple(found.names))
     proposal = _next(found, sigma)
     said = Diagnosis(
         verdict=verdict,
         unit=run.unit,
         noise={run.names[a]: run.per_unit * float(sigma[a]) for a in run.axes},
         noise_origin=origin,
-        correlation_in_time=float(rho or 0.0),
+        correlation_in_time=base.family.run.white.rho,
         level=level,
-        p_missing=chance_of(found.missing),
+        p_missing=chance_of(base.evidence),
         effects=found.names,
         not_needed=tuple(one.effect for one in needed if not one.holds),
         checks=checks,
@@ -206,13 +184,13 @@ def diagnose(
         indistinguishable=indistinguishable,
         steps=found.steps,
         candidates=reports,
-        untestable=dict(base_stage.untestable),
+        untestable=dict(view.untestable),
         smallest_found=smallest,
-        where=where(base_stage),
-        neighbour_correlation=neighbour_correlation(base_stage),
+        where=where(base),
+        neighbour_correlation=neighbour_correlation(view),
         confirmed=max((one.p for one in found.gains), default=None),
         signature=signature,
-        confounded_with=confounded_with(base_stage),
+        confounded_with=confounded_with(base.family.run),
         taken_by_pose={} if run.is_exact else taken_by_pose(run.model, run.data, run.fit.values, run.catalogue),
         outliers=outliers,
         next_poses=proposal.poses,
@@ -230,22 +208,9 @@ def _next(found: Named, sigma: Floats) -> Proposal:
     return next_poses(found.final.fit, rivals, sigma) if rivals else Proposal()
 
 
-def _noise_left(run: FittedRun, sigma: Floats) -> Floats:
-    """Noise once what was found is in the model: repeats of a pose then differ by noise alone, whatever varied
-    between them; without repeats, what is left."""
-    out = sigma.copy()
-    for a in run.axes:
-        used = run.used[:, a]
-        group = np.unique(run.data.groups[used], return_inverse=True)[1]
-        count = np.bincount(group)
-        free = int((count - 1).sum())
-        left = run.residuals[used, a]
-        if free >= 5:
-            mean = np.bincount(group, left) / count
-            out[a] = np.sqrt(((left - mean[group]) ** 2).sum() / free)
-        else:
-            out[a] = left.std()
-    return np.maximum(out, run.digits)
+def _spread(run: FittedRun) -> Floats:
+    """What a fit leaves of each reading (columns,): no repeats tell what of it is noise."""
+    return np.maximum(run.scatter, run.digits)
 
 
 def _ties(found: Named) -> tuple[tuple[str, ...], ...]:
@@ -257,58 +222,3 @@ def _ties(found: Named) -> tuple[tuple[str, ...], ...]:
         if out and new:
             groups.setdefault(out[0], [out[0]]).extend(n for n in new if n not in groups[out[0]])
     return tuple(tuple(group) for group in groups.values())
-
-
-def _candidate_reports(
-    base: Stage, gains: list[HeldOutError], final: FittedRun, found: Named
-) -> tuple[CandidateReport, ...]:
-    """Every effect that could be tried, the named ones first, then by held-out error: in linear approximation, but for
-    the first one that is named, which has a fit of its own."""
-    z = base.scan.z_scores[base.n_shapes :]
-    best: dict[str, tuple[float, HeldOutError, Candidate]] = {}
-    for score, error, candidate in zip(z.tolist(), gains, base.candidates, strict=True):
-        if candidate.name not in best or error.rms < best[candidate.name][1].rms:
-            best[candidate.name] = (score, error, candidate)
-    fits = {c.name: final for c in found.added}
-    for tied in found.ties:
-        for name in tied.names:
-            fits.setdefault(name, tied.run.of)
-    fitted = {s.effect: s.error.rms for s in found.steps[1:2]}
-    out = []
-    for name, (score, error, candidate) in best.items():
-        # kept above what a float can tell from zero: a p of zero would claim too much
-        p = min(1.0, max(len(best) * float(scipy.special.ndtr(-score)), _SMALLEST_P)) if np.isfinite(score) else 1.0
-        values, std, ok = _parameters(base, candidate, fits.get(name))
-        parameters = tuple(
-            {"name": q.name, "value": v, "std": s, "size": q.size, "unit": q.unit}
-            for q, v, s in zip(candidate.effect.parameters, values.tolist(), std.tolist(), strict=True)
-        )
-        left = fitted.get(name, error.rms)
-        out.append(CandidateReport(name, candidate.effect.link, left, error.std, p, ok, parameters))
-    named = [c.name for c in found.added]
-    out.sort(key=lambda c: (named.index(c.effect) if c.effect in named else len(named), c.held_out_rms))
-    return tuple(out)
-
-
-def _parameters(base: Stage, candidate: Candidate, run: FittedRun | None) -> tuple[Floats, Floats, bool]:
-    """Values, deviations and plausibility of a candidate: from its full fit, else in linear approximation."""
-    effect = candidate.effect
-    if run is not None:
-        place = run.owns(effect)
-        return run.fit.values[place], run.fit.std[place], is_plausible(run, effect, TOLD)
-    columns = base.scan.of(candidate.columns)
-    gram = columns.gram
-    # of a column that the fit holds rounding is left: whatever that says of its size, the deviation is larger
-    squares = np.maximum(np.diag(gram), np.maximum(_ROUNDING * np.diag(columns.whole), 1e-300))
-    np.fill_diagonal(gram, squares)
-    length = np.sqrt(squares)
-    value, vector = linalg.eigh(gram / np.outer(length, length))
-    keep = value > 1e-10
-    inverse = (vector[:, keep] / value[keep]) @ vector[:, keep].T / np.outer(length, length)
-    x = inverse @ columns.by_residual
-    std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    if candidate.columns.functions:
-        unit = base.sigma / np.sqrt(base.scan.n / 4.0)
-        x, std = x * unit, std * unit
-    size = np.array([p.size for p in effect.parameters])
-    return x, std, bool((np.abs(x) - 2 * std <= TOLD * size).all())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
@@ -12,7 +13,6 @@ from ..data.noise import MAD
 from ..errors import SherkitError
 from ..evidence.fitted_run import DIGITS, FittedRun
 from ..evidence.whitening import orthonormal
-from .lack_of_fit import normal_beyond
 
 #: Residuals are cut to this many spreads.
 CUT = 1.5
@@ -102,7 +102,7 @@ def apart_from_pose(e: Floats, repeated: Ints, floor: Floats, level: float) -> t
     if len(steps) < 5:
         return np.zeros(m), np.zeros(n, dtype=bool)
     noise = np.maximum(MAD * np.median(np.abs(steps), axis=0) / np.sqrt(2.0), floor)
-    threshold = normal_beyond(0.5 * level / (n * m))
+    threshold = float(-scipy.special.ndtri(0.5 * level / (n * m)))
     count = np.bincount(group)
     starts = np.concatenate([[0], np.cumsum(count)[:-1]])
     far = np.zeros(n, dtype=bool)

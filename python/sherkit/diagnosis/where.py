@@ -12,10 +12,13 @@ import scipy
 from ..base import linalg
 from ..base.types import Floats
 from ..data.columns import bare
+from ..evidence.base import Base, chance_of, log_bayes, total
+from ..evidence.blocks import Block
 from ..evidence.fitted_run import FittedRun
+from ..evidence.linearised import Linearised
+from ..evidence.run import Run
+from ..evidence.settings import columns_at
 from ..evidence.whitening import orthonormal
-from .lack_of_fit import rising_root, z_score
-from .stage import Candidate, Stage
 
 _BINS = 6
 
@@ -23,7 +26,7 @@ _BINS = 6
 @dataclass(frozen=True)
 class Dependence:
     """Error against one variable: bin edges, RMS per bin (in the unit of the diagnosis, axes together), and the p that
-    it is all the same mean, corrected for the shapes tried on this variable."""
+    it is all the same mean, of the mean Bayes factor of the shapes of this variable."""
 
     variable: str
     edges: tuple[float, ...]
@@ -31,36 +34,34 @@ class Dependence:
     p_value: float
 
 
-def where(stage: Stage) -> tuple[Dependence, ...]:
+def where(base: Base) -> tuple[Dependence, ...]:
     """One line for each variable (joints, coordinates, time, directions, covariates), the clearest first."""
     out = []
-    z = stage.scan.z_scores[: stage.n_shapes]
-    error = stage.view.residual * stage.sigma * stage.run.per_row
-    for name, values in stage.view.variables.items():
-        scores = [s for s, shape in zip(z.tolist(), stage.shapes, strict=True) if shape.depends_on == (name,)]
-        if not scores:
-            continue
-        p = min(1.0, len(scores) * float(scipy.special.ndtr(-max(scores))))
+    family, run, view = base.family, base.family.run, base.family.run.view
+    error = view.residual * run.sigma[list(run.of.axes)] * run.of.per_row
+    for name, values in view.variables.items():
+        alone = [i for i, one in enumerate(family.blocks) if one.effect is None and one.depends_on == (name,)]
         edges = np.unique(np.quantile(values, np.linspace(0, 1, _BINS + 1)))
-        if len(edges) < 2:
+        if not alone or len(edges) < 2:
             continue
+        p = chance_of(total(base.log_bf[alone]) - float(np.log(len(alone))))
         which = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
         rms = [float(np.sqrt(np.mean(error[which == k] ** 2))) for k in range(len(edges) - 1) if (which == k).any()]
         out.append(Dependence(name, tuple(edges.tolist()), tuple(rms), p))
     return tuple(sorted(out, key=lambda d: d.p_value))
 
 
-def neighbour_correlation(stage: Stage) -> float:
+def neighbour_correlation(view: Linearised) -> float:
     """Correlation of what is left at a pose with what is left at its nearest neighbour in the workspace."""
-    names = stage.view.place
+    names = view.place
     if not names:
         return 0.0
-    group = np.unique(stage.view.group, return_inverse=True)[1]
+    group = np.unique(view.group, return_inverse=True)[1]
     count = np.bincount(group)
     if len(count) < 10:
         return 0.0
-    place = np.stack([np.bincount(group, stage.view.variables[n]) / count for n in names], axis=1)
-    mean = np.stack([np.bincount(group, e) / count for e in stage.view.residual.T], axis=1)
+    place = np.stack([np.bincount(group, view.variables[n]) / count for n in names], axis=1)
+    mean = np.stack([np.bincount(group, e) / count for e in view.residual.T], axis=1)
     mean -= mean.mean(axis=0)
     near = scipy.spatial.cKDTree(place).query(place, 2)[1]
     # where several poses are at the same place one may be found before itself
@@ -76,32 +77,30 @@ _HIDDEN_FROM = 0.97
 _NAMED_FROM, _MOST_NAMED = 0.3, 6
 
 
-def confounded_with(stage: Stage) -> dict[str, tuple[str, ...]]:
+def confounded_with(run: Run) -> dict[str, tuple[str, ...]]:
     """Effects that hide, of those that were tried and of those in the model, and the parameters that take them up.
 
     What an effect leaves is judged by the combination of its parameters, in plausible sizes, of which most is to be
     seen: where even that is hidden, the effect is.
     """
-    names = np.array([p.name for p in stage.run.fit.parameters])
-    size = np.array([p.size for p in stage.run.fit.parameters])
-    fitted, scan = stage.scan.triangle, stage.scan
+    names = np.array([p.name for p in run.of.fit.parameters])
+    fitted = run.flat(run.view.fitted(run.view.whole)) * np.array([p.size for p in run.of.fit.parameters])
+    # lengths and angles among columns are those in the basis
+    fitted = run.basis.T @ fitted
+    every = run.flat(run.view.effects_in(run.view.whole))
     out = {}
-    for candidate in stage.candidates:
-        scale = 1.0 if candidate.columns.functions else np.array([p.size for p in candidate.effect.parameters])
-        columns = scan.of(candidate.columns)
-        whole, left = (gram * np.multiply.outer(scale, scale) for gram in (columns.whole, columns.gram))
-        # of the basis only what lies in it counts
-        inside = fitted @ scan.root @ (columns.by_model.T * scale)
-        if hidden := _taken_up(whole, left, inside, fitted * size, names):
-            out[candidate.name] = hidden
-    for effect in stage.run.model.effects:
-        own = np.zeros(len(names), dtype=bool)
-        own[stage.run.owns(effect)] = True
-        columns, others = fitted[:, own] * size[own], fitted[:, ~own]
-        basis = orthonormal(others)
-        within = basis.T @ columns
+    for effect, at in run.view.effects:
+        columns = every[:, at] * np.array([p.size for p in effect.parameters])
+        inside = run.basis.T @ columns
         whole = columns.T @ columns
-        if hidden := _taken_up(whole, whole - within.T @ within, columns, others * size[~own], names[~own]):
+        if hidden := _taken_up(whole, whole - inside.T @ inside, inside, fitted, names):
+            out[effect.name] = hidden
+    for effect in run.of.model.effects:
+        own = np.zeros(len(names), dtype=bool)
+        own[run.of.owns(effect)] = True
+        within = orthonormal(fitted[:, ~own]).T @ fitted[:, own]
+        whole = fitted[:, own].T @ fitted[:, own]
+        if hidden := _taken_up(whole, whole - within.T @ within, fitted[:, own], fitted[:, ~own], names[~own]):
             out[effect.name] = hidden
     return out
 
@@ -123,43 +122,36 @@ def _taken_up(whole: Floats, left: Floats, columns: Floats, fitted: Floats, name
 
 # -- What would have been found: silence without power is no answer ------------------------------------------------
 
-POWER = 0.8
+#: Power with which it would have been.
+_POWER = 0.8
 
 
-def noncentrality(threshold: float, rank: int, free: int) -> float:
-    """Sum of squares, in units of the noise, with which ``rank`` columns pass a deviate of ``threshold`` in 80 %.
-
-    Noncentral χ², since the degrees of freedom of the residual are many.
-    """
-    # the gain at which the z score reaches the threshold
-    total = float(free)
-
-    def excess(gain: float) -> float:
-        return float(z_score(np.array(gain), np.array(rank), total, free)) - threshold
-
-    high = total * 0.999
-    if excess(high) < 0:
-        return float("inf")
-    gain = rising_root(excess, 1e-9, high)
-    return rising_root(lambda nc: 1.0 - scipy.special.chndtr(gain, rank, nc) - POWER, 0.0, 4.0 * gain + 200.0)
-
-
-def smallest_found(stage: Stage, candidate: Candidate, threshold: float) -> tuple[float, float]:
+def smallest_found(base: Base, block: Block, level: float) -> tuple[float, float]:
     """The effect that would have been found with 80 % power: in plausible sizes, and as the RMS of what it leaves.
 
     All parameters at a random sign of the same multiple of their plausible sizes.
     """
-    size = np.array([p.size for p in candidate.effect.parameters])
-    if candidate.columns.functions:
-        # a step's function was centred and scaled to unit length: one plausible step is this much of it
-        size = size / stage.sigma * np.sqrt(stage.scan.n / 4.0)
-    needed = noncentrality(threshold, len(size), stage.scan.free)
-    at_size = float(np.diag(stage.scan.of(candidate.columns).gram) @ size**2)
-    if at_size <= 0:
+    assert block.effect is not None, "shapes have no plausible size"
+    family, run = base.family, base.family.run
+    columns = run.flat(columns_at(run, block.effect, block.setting))
+    size = np.array([p.size for p in block.effect.parameters])
+    at_size = float(np.square(columns - base.basis @ (base.basis.T @ columns)).sum(axis=0) @ size**2)
+    rank, free, count = float(len(size)), base.free, len(base.residual)
+    asked = -float(np.log(level) + family.log_weight[family.where(block)])
+
+    def short(gain: float) -> float:
+        return float(log_bayes(np.array([gain / (gain + free)]), np.array([rank]), free, count)[0]) - asked
+
+    most = 1e3 * (asked + rank + 10.0)
+    if at_size <= 0 or short(most) < 0:
         return float("inf"), float("inf")
-    times = float(np.sqrt(needed / at_size))
-    rms = float(np.sqrt(needed / (stage.scan.n * stage.scan.m)) * np.sqrt(np.mean(stage.sigma**2)))
-    return times, rms * stage.run.per_row
+    gain = float(scipy.optimize.brentq(short, 0.0, most))
+    needed = float(
+        scipy.optimize.brentq(lambda nc: 1.0 - _POWER - scipy.special.chndtr(gain, rank, nc), 0.0, 4.0 * gain + 200.0)
+    )
+    sigma = run.sigma[list(run.of.axes)]
+    rms = float(np.sqrt(needed / count) * np.sqrt(np.mean(sigma**2)))
+    return float(np.sqrt(needed / at_size)), rms * run.of.per_row
 
 
 # -- Whether what is left is steady, or wanders slowly, as no noise of single readings does ------------------------

@@ -18,7 +18,9 @@ from .thresholds import HELD_EFFECT, HELD_SHAPE, SCALES
 from .whitening import orthonormal
 
 #: What an error of its own at each pose may be, in noises of a reading, and degrees of freedom that tell it.
-_OWN, _FREE = np.array([0.35, 0.7, 2.0, 6.0]), 5
+_OWN, _FREE = np.array([0.35, 0.7, 2.0, 6.0]), 10
+#: No chance is said to be less.
+_SMALLEST_P = 1e-300
 #: No more of a sum of squares is taken than all of it.
 _ALL = 1.0 - 1e-12
 
@@ -39,6 +41,24 @@ def log_bayes(part: Floats, rank: Floats, free: int, count: int, scales: Floats 
 def total(logs: Floats) -> float:
     """Logarithm of a sum, given those of its terms."""
     return float(np.logaddexp.reduce(logs)) if len(logs) else -np.inf
+
+
+def chance_of(evidence: float) -> float:
+    """How often chance gives as much evidence, in nats, at most: a Bayes factor is E or more in no more than one of E
+    runs of nothing but noise (Ville, 1939)."""
+    # a p of zero would claim too much
+    return max(float(np.exp(-max(evidence, 0.0))), _SMALLEST_P)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnErrors:
+    """What each of ``poses`` is off by its own: ``evidence`` in nats that it is, its ``size`` (m,) in the unit of the
+    readings, and over all axes as a ``part`` of the noise."""
+
+    evidence: float
+    size: Floats
+    part: float
+    poses: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,29 +158,35 @@ class Base:
         return float(np.square(self._beyond(columns, HELD_EFFECT**0.5).T @ self.residual).sum())
 
     @cached_property
-    def of_its_own(self) -> tuple[float, float]:
-        """Logarithm of the Bayes factor of an error of its own at each pose, and how large that is, in noises of a
-        reading: nothing where poses were not repeated.
+    def of_its_own(self) -> OwnErrors | None:
+        """Whether each pose has an error of its own beyond what was declared (``pose_sigma_…``): None where too few
+        were repeated.
 
         What lies between the visits of a pose is noise; where the means of poses vary by more, each has an error.
         """
-        m = self.family.run.axes
-        pose = np.unique(self.family.run.poses, return_inverse=True)[1].ravel()
-        count = np.bincount(pose)
+        m, of = self.family.run.axes, self.family.run.of
+        _, pose, count = np.unique(self.family.run.view.repeated, return_inverse=True, return_counts=True)
+        pose = pose.ravel()
         residual = self.residual.reshape(-1, m)
         mean = np.stack([np.bincount(pose, residual[:, a]) / count for a in range(m)], axis=1)
-        within = float(np.square(residual - mean[pose]).sum())
-        between = self.rss - within
-        free_within = (len(pose) - len(count)) * m
-        free_between = self.free - free_within
-        if min(free_within, free_between) < _FREE or within <= 0 or between <= 0:
-            return 0.0, 0.0
-        times = len(pose) / len(count)
-        grown = 1.0 + np.square(_OWN) * times
+        within = np.square(residual - mean[pose]).sum(axis=0)
+        between = np.square(residual).sum(axis=0) - within
+        free_within = float(len(pose) - len(count))
+        free_between = self.free / m - free_within
+        if min(free_within, free_between) < _FREE or not within.all():
+            return None
+        times, noise = len(pose) / len(count), within / free_within
+        sigma = self.family.run.sigma[list(of.axes)]
+        declared = np.square(of.data.pose_sigma[self.family.run.rows][:, list(of.axes)]).mean(axis=0) / sigma**2
+        own = (between / free_between - noise) / times - declared
+        # as if none had been declared
+        between = between * noise / (noise + times * declared)
+        grown = 1.0 + np.square(_OWN)[:, None] * times
         each = -0.5 * free_between * np.log(grown)
-        each += 0.5 * (free_between + free_within) * np.log((between + within) / (between / grown + within))
-        size = np.sqrt(max(between / free_between / (within / free_within) - 1.0, 0.0) / times)
-        return total(each) - float(np.log(len(_OWN))), float(size)
+        each = each + 0.5 * (free_between + free_within) * np.log((between + within) / (between / grown + within))
+        evidence = total(each.sum(axis=1)) - float(np.log(len(_OWN)))
+        part = float(np.sqrt(max(own.sum(), 0.0) / (noise + declared).sum()))
+        return OwnErrors(evidence, np.sqrt(np.maximum(own, 0.0)) * sigma, part, len(count))
 
     def power(self, block: int, size: float, level: float) -> float:
         """Chance that a test of this block at this ``level`` finds it where its columns, each of unit length, add up to

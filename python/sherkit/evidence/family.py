@@ -29,12 +29,14 @@ class Family:
     ``blocks`` (B,) are those that are something in these rows; ``columns`` are theirs, by number. ``log_weight`` (B,)
     is the logarithm of the prior weight of each: half of it is of effects, half of shapes, each cause has as much as
     any other, and its settings and axes share it. A weight of nothing (-inf) is that of a shape which an effect is.
+    Effects are alone where no ``shapes`` are asked for.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, *, shapes: bool = True) -> None:
         made = Maker(run, Visits.of(run))
         blocks_of_effects(made)
-        blocks_of_shapes(made)
+        if shapes:
+            blocks_of_shapes(made)
         parts, blocks = made.done()
         self.run = run
         self.columns = Columns(run, made.visits, parts)

@@ -37,6 +37,14 @@ class Run:
     view: Linearised
     white: Whitening
 
+    @classmethod
+    def plain(cls, fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Run:
+        """The ``rows`` of a fit over the noise ``sigma`` (columns,), each by itself. Raises
+        :class:`~sherkit.errors.FitError` for too few rows."""
+        rows = in_time(fit, rows)
+        view = fit.linearised(rows, effects, sigma[list(fit.axes)])
+        return cls(fit, rows, sigma, view, Whitening(0.0, np.ones(len(rows), dtype=np.int64)))
+
     def __len__(self) -> int:
         return len(self.rows)
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from ..base.types import Floats
+from ..model.effect import Effect
 from .base import Base
 from .blocks import Block
 from .effects import MOMENTS, stepped
+from .linearised import Linearised
+from .run import Run
+from .waves import TURN
 
 #: Moments that are tried about one that was found; lags by factors of a quarter of two; waves over the range.
 _MOMENTS, _LAGS, _WAVES = 90, 2.0 ** np.arange(-0.75, 0.76, 0.25), np.arange(-0.5, 0.51, 0.05)
@@ -19,48 +21,62 @@ _MOMENTS, _LAGS, _WAVES = 90, 2.0 ** np.arange(-0.75, 0.76, 0.25), np.arange(-0.
 _FEWEST = 0.2
 
 
+def columns_at(run: Run, effect: Effect, setting: float | None) -> Floats:
+    """Columns (n, m, k) of an effect that can be tried in the rows of a run, over the noise, by its parameters."""
+    view = run.view
+    if setting is None:
+        at = next(at for one, at in view.effects if one.name == effect.name)
+        return view.effects_in(view.whole)[:, :, at]
+    if effect.search == "time_s":
+        assert view.time is not None, "a step has a moment"
+        place = next(at for one, at in view.in_time if one.name == effect.name)
+        n, m = view.residual.shape
+        # a step of each reading, or of the columns of the effect
+        of_readings = np.broadcast_to(np.diag(1.0 / run.sigma[list(run.of.axes)]), (n, m, m))
+        whole = of_readings if place is None else view.effects_in(view.whole)[:, :, place]
+        return stepped(whole, int(np.searchsorted(view.time, setting)))
+    if effect.is_lagging:
+        return next(of for one, of in view.lagging if one.name == effect.name)(setting)(view.whole)
+    angles = {name: TURN * view.inputs[name] / setting for name in view.waving}
+    return np.stack([view.patterns[k] * of(angles[k])[:, None] for k in view.waving for of in (np.sin, np.cos)], axis=2)
+
+
+def unit_columns(run: Run, effect: Effect, setting: float | None) -> Floats:
+    """The same (N, k) under the filter of a run, each of unit length; without those that are zero."""
+    columns = run.flat(columns_at(run, effect, setting))
+    length = np.linalg.norm(columns, axis=0)
+    return np.asarray(columns[:, length > 0] / length[length > 0])
+
+
 def refined(base: Base, block: Block) -> Block:
     """A block of an effect at the setting, near its own, at which it takes most beside a base."""
     if block.effect is None or block.setting is None:
         return block
-    tried = _near(base, block)
+    effect, tried = block.effect, _near(base.family.run.view, block)
 
     def takes(k: int) -> float:
-        columns = base.family.run.flat(tried[k][1]())
-        length = np.linalg.norm(columns, axis=0)
-        return base.takes(columns[:, length > 0] / length[length > 0])
+        return base.takes(unit_columns(base.family.run, effect, tried[k]))
 
     # every few of them first, then those about the best
     few = max(int(len(tried) ** 0.5), 1)
     found = {k: takes(k) for k in range(0, len(tried), few)}
     best = max(found, key=found.__getitem__)
     found |= {k: takes(k) for k in range(max(best - few + 1, 0), min(best + few, len(tried))) if k not in found}
-    return replace(block, setting=tried[max(found, key=found.__getitem__)][0])
+    return replace(block, setting=tried[max(found, key=found.__getitem__)])
 
 
-def _near(base: Base, block: Block) -> list[tuple[float, Callable[[], Floats]]]:
-    """Settings near that of a block, each with what gives its columns (n, m, k)."""
-    view, effect, setting = base.family.run.view, block.effect, block.setting
+def _near(view: Linearised, block: Block) -> list[float]:
+    """Settings near that of a block."""
+    effect, setting, n = block.effect, block.setting, len(view)
     assert effect is not None, "shapes are not searched"
     assert setting is not None, "it has one"
-    n, m = view.residual.shape
     if effect.search == "time_s":
         assert view.time is not None, "a step has a moment"
         about = np.searchsorted(view.time, setting) + np.arange(-n // MOMENTS - 2, n // MOMENTS + 3)
         cuts = np.unique(np.clip(about, 2, n - 2))
-        place = next(at for one, at in view.in_time if one.name == effect.name)
-        whole = np.broadcast_to(np.eye(m), (n, m, m)) if place is None else view.effects_in(view.whole)[:, :, place]
-        some = cuts[:: max(len(cuts) // _MOMENTS, 1)].tolist()
-        return [(float(0.5 * (view.time[c - 1] + view.time[c])), partial(stepped, whole, c)) for c in some]
+        some = cuts[:: max(len(cuts) // _MOMENTS, 1)]
+        return np.asarray(0.5 * (view.time[some - 1] + view.time[some])).tolist()
     if effect.is_lagging:
-        behind = next(of for one, of in view.lagging if one.name == effect.name)
-        return [(lag, partial(behind(lag), view.whole)) for lag in (setting * _LAGS).tolist()]
+        return np.asarray(setting * _LAGS).tolist()
     reach = max(float(np.ptp(view.inputs[name])) for name in view.waving)
-    waves = [count for count in (reach / setting + _WAVES).tolist() if count > _FEWEST]
-
-    def waving(count: float) -> Floats:
-        angle = {name: 2.0 * np.pi * view.inputs[name] * count / reach for name in view.waving}
-        each = [view.patterns[k] * of(angle[k])[:, None] for k in view.waving for of in (np.sin, np.cos)]
-        return np.stack(each, axis=2)
-
-    return [(reach / count, partial(waving, count)) for count in waves]
+    return [reach / count for count in (reach / setting + _WAVES).tolist() if count > _FEWEST]

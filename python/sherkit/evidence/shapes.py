@@ -5,13 +5,16 @@ They say whether something is left, and describe it; they never compete for the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from .._core import play
 from ..base.types import Floats
 from .effects import moments_of
+from .linearised import Linearised
 from .made import Maker, Piece
 from .run import unit
 from .waves import table_of, told, waves_along, waves_in_time, waves_over_place
@@ -51,8 +54,8 @@ def blocks_of_shapes(made: Maker) -> None:
 
 
 def _smooth(made: Maker, name: str, t: Floats, orders: int, *, along: bool) -> None:
-    powers = [t, 1.5 * t**2 - 0.5, (2.5 * t**2 - 1.5) * t][:orders]
-    functions = [made.function(np.asarray(power, dtype=np.float64)) for power in powers]
+    powers = [_power(t, order) for order in range(1, orders + 1)]
+    functions = [made.function(power) for power in powers]
     made.on_axes("smooth", (name,), functions[:1], order=1)
     if orders > 1:
         made.on_axes("smooth", (name,), functions, order=orders)
@@ -122,6 +125,50 @@ def _play(made: Maker, name: str) -> None:
     made.on_axes("hysteretic", (name,), [made.function(came)], setting=0.0)
     made.add("hysteretic", (name,), [made.along(name, came)], pattern=name, setting=0.0)
     for width in _PLAY:
-        behind = play(np.ascontiguousarray(q, dtype=float), width) - q
+        behind = play_operator(q, width) - q
         if reach := float(np.ptp(behind)):
             made.add("hysteretic", (name,), [made.along(name, behind / reach)], pattern=name, setting=width)
+
+
+def play_operator(q: Floats, width: float) -> Floats:
+    """The play operator: what follows ``q`` with a dead zone of ``width`` (Visintin, *Differential Models of
+    Hysteresis*, 1994)."""
+    return play(np.ascontiguousarray(q, dtype=float), width)
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """A slope, a curve or a product of variables, as an error of a ``joint``; where that is None, on an axis alone."""
+
+    joint: str | None
+    of: Callable[[], Floats]
+
+    @property
+    def values(self) -> Floats:
+        """Values (n,) of zero mean and unit length: made when they are asked for, since a long run has much of them."""
+        off = self.of()
+        off = off - off.mean()
+        return np.asarray(off / max(float(np.linalg.norm(off)), 1e-300))
+
+
+def smooth_shapes(view: Linearised) -> list[Smooth]:
+    """Slopes, curves and products of all variables: those on an axis alone first."""
+    u = {name: unit(values) for name, values in view.variables.items() if np.ptp(values) > 0}
+    joints = [name for name in u if name in view.pattern_of] if view.patterns else []
+    poses = [name for name in u if name in joints or name in view.place]
+    out = [Smooth(None, partial(_power, t, order)) for t in u.values() for order in range(1, _ORDERS + 1)]
+    pairs = [(a, b) for k, a in enumerate(poses) for b in poses[k + 1 :] if (a in joints) == (b in joints)]
+    pairs += [(a, b) for a in u if a not in poses for b in poses if b not in joints]
+    out += [Smooth(None, partial(np.multiply, u[a], u[b])) for a, b in pairs]
+    out += [Smooth(a, partial(_power, u[a], order)) for a in joints for order in range(1, _ORDERS + 1)]
+    for a in joints:
+        for b in joints:
+            if a != b:
+                out += [Smooth(a, partial(_power, u[b], 1)), Smooth(a, partial(np.square, u[b]))]
+                out.append(Smooth(a, partial(np.multiply, u[a], u[b])))
+    return out
+
+
+def _power(t: Floats, order: int) -> Floats:
+    """Legendre's polynomial of order 1 to 3."""
+    return np.asarray((t, 1.5 * t**2 - 0.5, (2.5 * t**2 - 1.5) * t)[order - 1])

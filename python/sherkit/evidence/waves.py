@@ -7,6 +7,8 @@ import numpy as np
 from ..base.types import Bools, Floats
 from .whitening import orthonormal
 
+#: A turn, rad.
+TURN = 2.0 * np.pi
 #: Waves over the range: along a joint, a half wave apart; in time; over a place, which a grid tells less well.
 _JOINT, _TIME, _PLACE = (1.0, 60.0), (1.0, 61.0), (2.0, 12.0)
 #: Waves slower than this part of a frequency, and the part of a wave from which on they stand in for it, where values

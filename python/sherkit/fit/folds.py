@@ -155,8 +155,8 @@ class Beside:
     small matrix (the Schur complement of its own). No set is multiplied with another.
 
     ``columns`` gives those (b, m, k) of a stretch of rows, the fitted ones and behind them sets of so many as
-    ``counts`` says; all else is as in :class:`Folds`. Of every set the least squares are known of the rows outside each
-    fold (:attr:`outside`) and the errors of those in it under that fit (:attr:`held_out`).
+    ``counts`` says; all else is as in :class:`Folds`. Of every set the errors of the rows of
+    each fold are known under the fit to the others (:attr:`held_out`).
     """
 
     def __init__(self, columns: Callable[[slice], Floats], counts: Sequence[int], residual: Floats, fold: Ints) -> None:
@@ -181,7 +181,6 @@ class Beside:
         by_fitted = by_fitted / (length[:p, None] * length)
         right, self.all_squares = by_residual[:, :-1] / length, by_residual[:, -1]
         self.counts = residual.shape[1] * np.bincount(self.place.ravel(), minlength=len(right))
-        self.counts_outside = _outside(self.counts, times)
         #: Inside each fold: products of the others with the residual, and of each set (f, s, k, k) with itself.
         self.right = right[:, p:]
         self.grams = [
@@ -194,14 +193,12 @@ class Beside:
         self.across = turn.T @ by_fitted[:, :, p:]
         self.along = right[:, :p] @ turn
         roots = roots_of(_outside(self.own, times))
-        self.rank = ranks_of(roots)
         #: Outside each fold: products of the fitted ones with the others, and what they say of these and, last, of the
         #: residual; what they leave of the products with the residual.
         cross = _outside(np.concatenate([self.across, self.along[:, :, None]], axis=2), times)
         self.says = roots @ (roots.transpose(0, 2, 1) @ cross)
         self.cross = cross[:, :, :-1]
         self.left = _outside(self.right, times) - (self.cross.transpose(0, 2, 1) @ self.says[:, :, -1:])[:, :, 0]
-        self.squares = _outside(self.all_squares, times) - (cross[:, :, -1] * self.says[:, :, -1]).sum(axis=1)
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -213,17 +210,6 @@ class Beside:
             cross, says = (one[:, :, at].transpose(0, 2, 1, 3) for one in (self.cross, self.says))
             left = _outside(gram, len(self.place)) - cross.transpose(0, 1, 3, 2) @ says
             yield which, at, gram, roots_of(left, _LEFT)
-
-    @property
-    def outside(self) -> tuple[Floats, Ints]:
-        """Of each set sums of squares (sets, f) that a fit to the rows outside each fold leaves there, and its rank."""
-        shape = (sum(len(which) for which, _ in self.sets), len(self))
-        squares, rank = np.zeros(shape), np.zeros(shape, dtype=np.int64)
-        for which, at, _, root in self._each():
-            taken = (root.transpose(0, 1, 3, 2) @ self.left[:, at, None])[..., 0]
-            squares[which] = (self.squares[:, None] - (taken**2).sum(axis=2)).T
-            rank[which] = (self.rank[:, None] + ranks_of(root)).T
-        return squares, rank
 
     @property
     def held_out(self) -> Floats:
@@ -285,11 +271,6 @@ def _turn(grams: Floats, times: int) -> Floats:
     """What makes columns with these Gram matrices (f, k, k) in each fold orthonormal over all rows (k, rank)."""
     root = roots_of(grams[: len(grams) // times].sum(axis=0))
     return root[:, (root != 0.0).any(axis=0)]
-
-
-def ranks_of(roots: Floats) -> Ints:
-    """Ranks (…,) of matrices with these :func:`roots_of`."""
-    return np.asarray((roots != 0.0).any(axis=-2).sum(axis=-1))
 
 
 def roots_of(grams: Floats, least: float = 0.0) -> Floats:

@@ -15,9 +15,12 @@ from bokeh.models import FactorRange, Range1d, Span, Whisker
 from ..base import linalg
 from ..base.types import Floats
 from ..diagnosis import Diagnosis, largest
-from ..diagnosis.stage import Stage, stage_of
+from ..diagnosis.candidates import strongest
+from ..evidence.base import Base
+from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
-from ..evidence.whitening import orthonormal
+from ..evidence.run import Run
+from ..evidence.settings import unit_columns
 from ..model.effect import Effect
 from .picture import Picture, Tables, single, sources_of, stacked
 from .residual_arrows import plane_of_most, round_number
@@ -197,9 +200,11 @@ def atlas_of(fit: Any, effects: Sequence[Effect] = ()) -> Atlas:
     """
     run = FittedRun(fit)
     every = (*run.catalogue, *effects)
-    stage = stage_of(run, every, np.flatnonzero(run.whole), run.noise[0], rho=0.0, thorough=False)
-    measured, signatures = _signatures(stage)
-    view = stage.view
+    sigma = run.noise[0]
+    # each row as it was read, without a filter in time
+    rows = Run.plain(run, np.flatnonzero(run.whole), every, sigma)
+    measured, signatures = _signatures(rows)
+    view = rows.view
     names = view.place
     plane, mask = plane_of_most({n: view.variables[n] for n in names}, measured)
     poses = np.unique(view.group[mask])
@@ -231,26 +236,21 @@ def atlas_of(fit: Any, effects: Sequence[Effect] = ()) -> Atlas:
     )
 
 
-def _signatures(stage: Stage) -> tuple[Floats, list[tuple[str, float, Floats]]]:
+def _signatures(run: Run) -> tuple[Floats, list[tuple[str, float, Floats]]]:
     """Measured error (n, m) in the unit of the layout, and for every effect its name, share explained, and error."""
-    view = stage.view
-    n, m = view.residual.shape
-    unit = stage.sigma * stage.run.per_unit
-    basis = orthonormal(view.fitted(view.whole))
-    residual = view.residual.ravel()
-    residual = residual - basis @ (basis.T @ residual)
-    whole = float(residual @ residual)
-    best: dict[str, tuple[float, Floats]] = {}
-    for candidate in stage.candidates:
-        columns = stage.raw(candidate.columns, view.whole).reshape(n * m, -1)
-        columns = columns - basis @ (basis.T @ columns)
+    base = Base.of(Family(run, shapes=False), run)
+    residual, m = base.residual, run.axes
+    unit, whole = run.sigma[list(run.of.axes)] * run.of.per_unit, max(base.rss, 1e-300)
+    out = []
+    for name, block in strongest(base).items():
+        assert block.effect is not None, "shapes were not asked for"
+        columns = unit_columns(run, block.effect, block.setting)
+        columns = columns - base.basis @ (base.basis.T @ columns)
         scale = np.linalg.norm(columns, axis=0)
-        x = linalg.lstsq(columns / np.where(scale > 0, scale, 1.0), residual, rcond=1e-9)[0]
-        shown = (columns / np.where(scale > 0, scale, 1.0)) @ x
-        share = float(shown @ residual) / whole if whole > 0 else 0.0
-        if candidate.name not in best or share > best[candidate.name][0]:
-            best[candidate.name] = (share, shown.reshape(n, m) * unit)
-    return view.residual * unit, [(name, share, error) for name, (share, error) in best.items()]
+        columns = columns / np.where(scale > 0, scale, 1.0)
+        shown = columns @ linalg.lstsq(columns, residual, rcond=1e-9)[0]
+        out.append((name, float(shown @ residual) / whole, shown.reshape(-1, m) * unit))
+    return run.view.residual * unit, out
 
 
 def signature_atlas(atlas: Atlas) -> Picture[Atlas]:

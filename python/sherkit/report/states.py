@@ -14,7 +14,7 @@ from ..base.names import state_with, told_apart
 from ..base.types import Floats
 from ..data.columns import bare
 from ..diagnosis import Diagnosis
-from ..diagnosis.named import at_its_setting
+from ..diagnosis.named import setting_for
 from ..errors import SherkitError
 from ..evidence.fitted_run import FittedRun
 from ..fit.error import ErrorSize
@@ -49,10 +49,7 @@ def states_of(study: Study, found: Diagnosis, base: Fit) -> list[State]:
         setting = None
         try:
             if effect.search is not None:
-                at = at_its_setting(run, effect)
-                if at is None:
-                    continue
-                setting = at.setting
+                setting = setting_for(base, effect)
             out.append(State(title, run.refit([(effect, setting)]).fit))
         except SherkitError:
             continue
