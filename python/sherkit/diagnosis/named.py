@@ -16,6 +16,7 @@ from ..evidence.blocks import Block
 from ..evidence.described import MOST, Described
 from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
+from ..evidence.noise import family_of
 from ..evidence.names import Names, names_of
 from ..evidence.periods import Period, period_of
 from ..evidence.run import Run, run_of
@@ -90,7 +91,7 @@ def searched(
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
     first = StepReport(None, error_of(run, sigma, repeated_folds))
     step("evidence")
-    family = Family(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma))
+    family = family_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma))
     sets = Sets(family, Base.of(family, family.run), step)
     base = sets.base
     nothing = Named(base, base, Described((), 0.0, base), None, run, steps=(first,))

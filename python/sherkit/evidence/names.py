@@ -12,6 +12,8 @@ from .sets import EffectSet, Sets
 from .sizes import ABSURD, sizes_of
 from .thresholds import ALARM, NEEDED, SURE, TELLS, TIED
 
+#: Most steps in time that are taken for as many accidents.
+_STEPS = 2
 #: Beginnings of a description that takes the place of an effect.
 _STARTS = 3
 
@@ -105,6 +107,9 @@ def _refused(names: Names, one: Told) -> str:
     # three or more with many numbers imitate anything
     partly = not names.lead.explains or names.shapes_say_more or len(names.lead.blocks) > 2
     least = max(TIED if several else -np.inf, NEEDED if partly else -np.inf)
+    steps = [block for block in names.lead.blocks if block.effect and block.effect.search == "time_s"]
+    if len(steps) > _STEPS and one.name in {block.name for block in steps}:
+        return "steps at three moments or more are no accident each: something switches to and fro"
     if one.needed < least:
         return "shapes that follow no cause say as much in its place"
     if partly and one.tells < TELLS:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ..base.types import Floats
 from ..errors import SherkitError
+from ..model.sensor_pose import SLIP
 from .base import Base, log_bayes, total
 from .blocks import Block
 from .described import Described, described
@@ -78,12 +79,14 @@ class Sets:
         for (which, _, _), grams in zip(family.groups, base.left, strict=True):
             left[which] = np.einsum("bkk->b", grams)
         family.without_twins(base.basis, left)
+        #: Effects alone: what shapes say of pairs is not asked.
+        self._of_effects = Base.of(Family(family.run, shapes=False), family.run)
         self._fitted: dict[tuple[tuple[str, float], ...], EffectSet | None] = {}
         self._described: dict[tuple[int, int, int], Described] = {}
 
     def fitted(self, blocks: Sequence[Block]) -> EffectSet | None:
         """The set in a full fit; None where it cannot be fitted."""
-        key = tuple(sorted((block.name, block.setting or 0.0) for block in blocks))
+        key = _key(blocks)
         if key not in self._fitted:
             self.step(f"refitting with {' and '.join(name for name, _ in key)}")
             self._fitted[key] = self._fit(tuple(blocks))
@@ -110,7 +113,7 @@ class Sets:
         sets.sort(key=lambda one: -one.value)
         while sets and len(sets[0].blocks) < _MOST and not any(one.explains for one in sets):
             lead = sets[0]
-            more = [self._with(lead, block) for block in self.likeliest(lead.each, 2, lead.names)]
+            more = [self._with(lead, block) for block in _likeliest(self.family, lead.each, 2, lead.names)]
             better = [one for one in more if one is not None and one.value > lead.value + TIED]
             if not better:
                 break
@@ -131,18 +134,26 @@ class Sets:
             value, mixed = max(both, key=lambda one: one[0])
             if not explaining or value > lead.value + TIED:
                 return mixed
-        return lead
+        return self._of_the_instrument(lead)
 
-    def likeliest(self, each: Floats, most: int, without: Collection[str] = ()) -> list[Block]:
-        """The likeliest effects, given what each block says (B,), each at its likeliest setting."""
-        best: dict[str, Block] = {}
-        for i in np.argsort(-each).tolist():
-            block = self.family.blocks[i]
-            if block.effect is not None and block.name not in without and np.isfinite(each[i]):
-                best.setdefault(block.name, block)
-                if len(best) == most:
-                    break
-        return list(best.values())
+    def _of_the_instrument(self, lead: EffectSet) -> EffectSet:
+        """The same set with a step of the instrument where it has what the robot does in time, if that comes as near
+        the data: an instrument is moved more easily than a robot."""
+        if SLIP in lead.names:
+            return lead
+        for block in lead.blocks:
+            others = [one for one in lead.blocks if one is not block]
+            beside = self._of_effects.beside(*map(self._near, others))
+            each = np.array([x if one.name == SLIP else -np.inf for x, one in _each(beside)])
+            if block.effect is None or "time_s" not in block.effect.needs or not np.isfinite(each).any():
+                continue
+            step = beside.family.blocks[int(np.argmax(each))]
+            assert step.effect is not None, "it is one"
+            other = self.fitted([*others, refined(beside, step)]) if block.effect.link != step.effect.link else None
+            as_near = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
+            if other is not None and other.base.rss < as_near and (other.explains or not lead.explains):
+                return other
+        return lead
 
     # -- within ---------------------------------------------------------------------------------------------------
 
@@ -156,9 +167,11 @@ class Sets:
                 base = Base.of(self.family, run)
             except (SherkitError, np.linalg.LinAlgError):
                 return None
-        rank = max(base.basis.shape[1] - self.base.basis.shape[1], 1)
-        part, numbers = 1.0 - base.rss / self.base.rss, len(self.base.residual)
-        bf = float(log_bayes(np.array([part]), np.array([rank]), self.base.free, numbers)[0])
+        # of several each has a size of its own: one is judged beside the others, where these have been fitted
+        names = {block.name for block in blocks}
+        less = [one for one in self._fitted.values() if one and len(one.blocks) + 1 == len(blocks)]
+        ways = [one.log_bf + _favours(one.base, base) for one in less if names.issuperset(one.names)]
+        bf = max([_favours(self.base, base), *ways])
         weight = sum(float(self.family.log_weight[self.family.where(block)]) for block in blocks)
         sizes = all(is_plausible(fit, block.effect) for block in blocks if block.effect)
         value = bf + weight + _ONE_MORE * (len(blocks) - 1)
@@ -166,7 +179,7 @@ class Sets:
 
     def _singles(self) -> list[EffectSet]:
         each, gain = self.base.each, self.base.gains[0]
-        blocks = self.likeliest(each, _SINGLES)
+        blocks = _likeliest(self.family, each, _SINGLES)
         # a cause of many numbers stands behind each that imitates it
         for i in np.argsort(-gain).tolist():
             block = self.family.blocks[i]
@@ -192,27 +205,56 @@ class Sets:
                 pairs[names] = (worth, one, other)
 
         for one in sets[:_BESIDE]:
-            for block in self.likeliest(one.each, _SECONDS, one.names):
+            for block in _likeliest(self.family, one.each, _SECONDS, one.names):
                 add(one.log_bf + float(one.each[self.family.where(block)]), one.blocks[0], block, again=True)
-        for first in self.likeliest(self.base.each, _FIRSTS):
-            beside = self.base.beside(first)
-            alone = float(self.base.log_bf[self.family.where(first)])
-            for block in self.likeliest(beside.each, _THIRDS, (first.name,)):
-                add(alone + float(beside.each[self.family.where(block)]), first, block, again=False)
+        of_effects = self._of_effects
+        for first in _likeliest(of_effects.family, of_effects.each, _FIRSTS):
+            beside = of_effects.beside(first)
+            alone = float(of_effects.log_bf[of_effects.family.where(first)])
+            for block in _likeliest(of_effects.family, beside.each, _THIRDS, (first.name,)):
+                add(alone + float(beside.each[of_effects.family.where(block)]), first, block, again=False)
         out = []
         for _, a, b in sorted(pairs.values(), key=lambda pair: -pair[0])[:_PAIRS]:
             # each setting beside the other, until both rest
             first, second = a, b
-            for _ in range(2):
-                second = refined(self.base.beside(self._near(first)), second)
-                first = refined(self.base.beside(self._near(second)), first)
+            for _ in range(2 if a.setting is not None or b.setting is not None else 0):
+                second = refined(self._of_effects.beside(self._near(first)), second)
+                first = refined(self._of_effects.beside(self._near(second)), first)
             if found := self.fitted([first, second]):
                 out.append(found)
         return out
 
     def _with(self, lead: EffectSet, block: Block) -> EffectSet | None:
-        beside = self.base.beside(*(self._near(one) for one in lead.blocks))
+        beside = self._of_effects.beside(*(self._near(one) for one in lead.blocks))
         return self.fitted([*lead.blocks, refined(beside, block)])
 
     def _near(self, block: Block) -> Block:
-        return self.family.blocks[self.family.where(block)]
+        family = self._of_effects.family
+        return family.blocks[family.where(block)]
+
+
+def _each(base: Base) -> Iterator[tuple[float, Block]]:
+    return zip(base.each.tolist(), base.family.blocks, strict=True)
+
+
+def _key(blocks: Sequence[Block]) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted((block.name, block.setting or 0.0) for block in blocks))
+
+
+def _favours(less: Base, more: Base) -> float:
+    """Logarithm of the Bayes factor of what a model has more than another."""
+    rank = max(more.basis.shape[1] - less.basis.shape[1], 1)
+    part = 1.0 - more.rss / less.rss
+    return float(log_bayes(np.array([part]), np.array([rank]), less.free, len(less.residual))[0])
+
+
+def _likeliest(family: Family, each: Floats, most: int, without: Collection[str] = ()) -> list[Block]:
+    """The likeliest effects of a family, given what each block says (B,), each at its likeliest setting."""
+    best: dict[str, Block] = {}
+    for i in np.argsort(-each).tolist():
+        block = family.blocks[i]
+        if block.effect is not None and block.name not in without and np.isfinite(each[i]):
+            best.setdefault(block.name, block)
+            if len(best) == most:
+                break
+    return list(best.values())
