@@ -14,8 +14,6 @@ import pytest
 
 import sherkit as sk
 import worlds
-from sherkit.diagnosis.waves import frequencies
-from sherkit.evidence.fitted_run import FittedRun
 from strategies import EXAMPLE
 from worlds import NOISE_UM, World, settings_without
 
@@ -28,23 +26,6 @@ def notes_on_periods(d: sk.diagnosis.Diagnosis) -> list[str]:
 
 #: Robot files without a pitch say so.
 pytestmark = pytest.mark.filterwarnings("ignore:.*is left out")
-
-
-def run_of(world: World) -> FittedRun:
-    return FittedRun(world.study().fit)
-
-
-def test_the_grid_ends_at_the_mean_distance_of_distinct_readings() -> None:
-    """Catches a grid that is too coarse for its peaks, that ends at a part of the range, or begins with what comes but
-    once in it and may be any bend."""
-    world = worlds.pitch_left_out(0)
-    run = run_of(world)
-    view = run.linearised(np.flatnonzero(run.whole), run.catalogue, run.noise[0][list(run.axes)])
-    at = frequencies(view)
-    span = max(float(np.ptp(v)) for v in view.inputs.values())
-    assert np.diff(at).max() <= 0.5 / span * (1 + 1e-9)
-    assert 1.0 / at[0] == pytest.approx(span / 2)
-    assert 0.4 < 1.0 / at[-1] < 0.6
 
 
 def test_a_pitch_that_is_right_stays() -> None:

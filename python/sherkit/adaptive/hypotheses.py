@@ -2,7 +2,7 @@
 
 Shapes are on scales that are fixed before the first reading: places and joints are counted from the middle of the
 region over its half width, time in hours, a covariate from its first value over a width of its own. What
-:mod:`sherkit.diagnosis.shapes` scales to the rows of a finished run would be another hypothesis at each look.
+:mod:`sherkit.evidence.shapes` scales to the rows of a finished run would be another hypothesis at each look.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ def signature_of(names: Names, named: Sequence[str]) -> dict[str, Any] | None:
     told = {
         **_told(run, first, _axes_of(base, with_it, noise, len(first.at), axes)),
         "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),
-        "ranges": {name: _range(run.view.variables[name]) for name in first.depends_on},
+        "ranges": {name: _range({**run.view.way, **run.view.variables}[name]) for name in first.depends_on},
         "indistinguishable": [_told(run, other, axes) for other in others],
     }
     return told | {"apart": what_parts(told, run.view.pattern_of, run.view.place)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from ..base.saved import Saved
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
+from ..data.columns import bare
 from ..data.lagged import DRAWN_C, Room
 from ..data.noise import Noise, noise_of
 from ..errors import FitError
@@ -276,6 +277,7 @@ class FittedRun(Saved):
             pattern_of={name: name for name in inputs if name in variables} if known else {},
             place=place,
             inputs=inputs,
+            way=way_to(part, {name: variables[name] for name in place}),
             time=part.time_s,
             effects=tuple((effect, at) for effect, at in columns if effect.search != "time_s"),
             in_time=tuple(
@@ -330,6 +332,26 @@ class _OverNoise:
 
     def all_axes(self, columns: Floats) -> bool:
         return len(self.axes) == columns.shape[1]
+
+
+def way_to(data: Measurements, place: Mapping[str, Floats]) -> dict[str, Floats]:
+    """How the machine came to rows in the order of time: the inputs of the row before, and the direction of the last
+    motion of the point, a unit vector. ``place`` are its coordinates (n,)."""
+    n = len(data)
+    before = data.joints[np.maximum(np.arange(n) - 1, 0)]
+    out = {f"before_{name}": before[:, k] for k, name in enumerate(data.layout.joints)}
+    if place:
+        # the place of the pose, not of the reading: what is predicted moves with time and direction as well
+        group = np.unique(data.groups, return_inverse=True)[1].ravel()
+        count = np.bincount(group)
+        points = np.column_stack([(np.bincount(group, values) / count)[group] for values in place.values()])
+        steps = np.diff(points, axis=0, prepend=points[:1])
+        moved = np.linalg.norm(steps, axis=1)
+        # where nothing moved, the motion before still holds
+        last = np.maximum.accumulate(np.where(moved > 0, np.arange(n), 0))
+        way = (steps / np.where(moved > 0, moved, 1.0)[:, None])[last]
+        out |= {f"came_{bare(name)}": way[:, k] for k, name in enumerate(place)}
+    return {name: np.asarray(v, dtype=float) for name, v in out.items() if np.isfinite(v).all() and np.ptp(v) > 0}
 
 
 # -- Rows of a long run that are looked at: all poses, and of each as many visits as tell --------------------------

@@ -59,7 +59,8 @@ class Linearised:
     its columns after the step, or None where these are a step of each reading; ``periodic`` those that are a wave
     of each input at a searched period, each with the period that the model has for it, or None; ``lagging`` those
     among ``effects`` that follow with a searched time constant, each with what gives its columns at another one;
-    ``untestable`` maps the others to the reason. ``inputs`` name to (n,), the readings of the inputs, be they constant
+    ``untestable`` maps the others to the reason. ``way`` names to (n,) how the machine came to these rows: inputs of the
+    row before, and the direction in which the point moved. ``inputs`` name to (n,), the readings of the inputs, be they constant
     or their patterns unknown.
     """
 
@@ -71,6 +72,7 @@ class Linearised:
     pattern_of: Mapping[str, str] = field(default_factory=dict)
     place: tuple[str, ...] = ()
     inputs: Mapping[str, Floats] = field(default_factory=dict)
+    way: Mapping[str, Floats] = field(default_factory=dict)
     time: Floats | None = None
     effects: Sequence[tuple[Effect, slice]] = ()
     in_time: Sequence[tuple[Effect, slice | None]] = ()

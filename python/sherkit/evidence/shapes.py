@@ -48,6 +48,8 @@ def blocks_of_shapes(made: Maker) -> None:
     _products(made, u, joints, poses)
     for name in joints:
         _play(made, name)
+    for name, values in view.way.items():
+        made.on_axes("smooth", (name,), [made.function(unit(values))], order=1)
     for k, moment in moments_of(view):
         step = made.function((np.arange(len(view)) >= k).astype(float))
         made.on_axes("step", ("time_s",), [step], each=False, setting=moment)
