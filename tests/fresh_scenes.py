@@ -1,8 +1,8 @@
 """The worlds of ``standing_worlds`` with physics that no catalogue has in them, and the same machine at other poses:
 what was promised of a run is asked there.
 
-A world is told in one line, ``delta/1234/backlash@2+bumps@5``: which robot, which number, and what is hidden at how many
-noises. Its physics is that of the second simulators, whatever adds to it a function of NumPy alone.
+A world is told in one line, ``delta/1234/backlash@2+bumps@5``: which robot, which number, and what is hidden at how
+many noises. Its physics is that of the second simulators, whatever adds to it a function of NumPy alone.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -36,7 +35,6 @@ from second_simulator.unnamed import (
     Scene,
     bowed_rails,
     humidity,
-    humidity_unrecorded,
 )
 from sherkit.model.kinds import model_of
 from standing_worlds import WORLDS, Arm, Columns, Delta, Scara, Sphere, Standing
@@ -114,7 +112,7 @@ class Fresh:
                 change * self.noise / np.sqrt(np.mean(one**2)) for change in (one.astype(float), other.astype(float))
             )
             left = self._left(one)
-            if LEAST_LEFT < left / self.noise:
+            if left / self.noise > LEAST_LEFT:
                 return one * ratio * self.noise / left, other * ratio * self.noise / left
         raise ValueError(f"{kind.__name__} is absorbed by the geometry")
 
@@ -147,11 +145,11 @@ class Fresh:
         columns = self._exact(self.standing, self._changes[0])
         rng = np.random.default_rng([self.number, 542, zlib.crc32(written(self.hidden).encode())])
         noisy = {name: columns[name] + self.noise * rng.normal(size=len(columns[name])) for name in self._readings}
-        return self.standing._as_read(self.robot, columns | noisy)  # noqa: SLF001
+        return self.standing._as_read(self.robot, columns | noisy)
 
     def error(self, fit: sk.fit.Fit) -> float:
         """By how many noises a fit is off at the other poses: root mean square of one reading, which has no noise."""
-        run = self.standing._as_read(self.robot, self._exact(self._other, self._changes[1]))  # noqa: SLF001
+        run = self.standing._as_read(self.robot, self._exact(self._other, self._changes[1]))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             off = (run.readings - fit.model.predict(run, fit.values))[run.taken]
@@ -164,7 +162,7 @@ class Fresh:
     def as_well(self, d: sk.diagnosis.Diagnosis) -> float:
         """The length, in noises of one reading, of what the columns of a diagnosis' fit leave of this run without its
         noise: below what can be seen in any run, nobody can tell."""
-        exact = self.standing._as_read(self.robot, self._exact(self.standing, self._changes[0]))  # noqa: SLF001
+        exact = self.standing._as_read(self.robot, self._exact(self.standing, self._changes[0]))
         missed = (exact.readings - d.fit.model.predict(exact, d.fit.values))[exact.taken]
         columns = d.fit.model.derivatives(exact, d.fit.values)[exact.taken]
         columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -182,7 +180,7 @@ def redrawn(scene: Scene, rng: np.random.Generator) -> Scene:
 def elsewhere(world: Any) -> Any:
     """The same machine, instrument, room and clock, at other poses within the ranges of the first."""
     out = copy(world)
-    out._made = {key: value for key, value in world._made.items() if not (isinstance(key, tuple) and key[-1] == "run")}  # noqa: SLF001
+    out._made = {key: value for key, value in world._made.items() if not (isinstance(key, tuple) and key[-1] == "run")}
     rng = np.random.default_rng([world.number, 540])
     frame = world.exact({})
     first = np.unique(frame["pose"], return_index=True)[1]

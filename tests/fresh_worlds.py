@@ -34,7 +34,7 @@ PRAISE = 1.25
 #: An innocent takes less than this part of what is left without it: idle.
 IDLE = 0.1
 #: Effects that are a part of a kind's truth: what snaps to another place slips, robot or instrument.
-PARTS = dict.fromkeys(("telegraph", "bump_back"), {"slip", "sensor_slip"})
+PARTS = {kind: {"slip", "sensor_slip"} for kind in ("telegraph", "bump_back")}
 WORKERS = 2
 
 
