@@ -95,11 +95,12 @@ def answered(suite: str, number: int, what: str, hidden: dict[str, float]) -> Re
 
 def _takes(d: Any, run: Any, name: str) -> float:
     """Which part of the squares that are left without it an effect takes, all else that was fitted being fitted again,
-    in linear approximation: moments, lags and periods stay as they were found."""
+    in linear approximation about its absence: moments, lags and periods stay as they were found."""
     fit, rows = d.fit, run.taken
     its = np.array([p.name.startswith(f"{name}.") or name == f"free {p.name}" for p in fit.parameters])
-    left = (run.readings - fit.model.predict(run, np.where(its, 0.0, fit.values)))[rows]
-    columns = fit.model.derivatives(run, fit.values)[rows][:, ~its]
+    absent = np.where(its, 0.0, fit.values)
+    left = (run.readings - fit.model.predict(run, absent))[rows]
+    columns = fit.model.derivatives(run, absent)[rows][:, ~its]
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     without = left - columns @ np.linalg.lstsq(columns, left, rcond=1e-10)[0]
     with_it = (run.readings - fit.model.predict(run, fit.values))[rows]

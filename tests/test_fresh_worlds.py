@@ -46,8 +46,8 @@ def _moving(to: list[float]) -> Scene:
 
 
 def test_relays_remember_the_way_and_close_their_loops() -> None:
-    """Catches a hysteresis that is a function of the place, or of the last direction alone, and one whose minor loops do
-    not close: by Preisach's model the value comes back with the turning point."""
+    """Catches a hysteresis that is a function of the place, or of the last direction alone, and one whose minor loops
+    do not close: by Preisach's model the value comes back with the turning point."""
     error = preisach(_moving([-1.0, 1.0, 0.0, 0.6, 0.0, -1.0, 0.0, 1.0])).ravel()
     down, again, up = error[2], error[4], error[6]
     assert again == pytest.approx(down)  # a loop from 0 to 0.6 and back was wiped out
@@ -66,8 +66,8 @@ def test_a_joint_stops_before_it_is_there() -> None:
 
 @pytest.mark.parametrize("suite", SUITES)
 def test_what_is_hidden_is_as_large_as_told_there_and_elsewhere(suite: str) -> None:
-    """Catches a machine that is another one at the other poses: with nothing hidden a fit is right there, and of a stretch
-    of a scale that is bad at five times the noise it is off by about as much as at the first."""
+    """Catches a machine that is another one at the other poses: with nothing hidden a fit is right there, and of a
+    stretch of a scale that is bad at five times the noise it is off by about as much as at the first."""
     world = Fresh(suite, MOVING[suite], {})
     assert world.error(sk.identify(world.robot, world.run())) < 0.5
     world = Fresh(suite, MOVING[suite], {"bad_stretch": 5.0})
@@ -108,7 +108,8 @@ def test_physics_of_no_catalogue_is_not_praised(kind: Kind) -> None:
 
 
 def test_a_lie_is_counted_as_one() -> None:
-    """Catches a count that never counts: an answer of praise that is off elsewhere, an innocent, a name that was lost."""
+    """Catches a count that never counts: an answer of praise that is off elsewhere, an innocent, a name that is
+    lost."""
     told = answered("delta", MOVING["delta"], "one at 5", {"drift": 5.0})
     assert told["right"]
     assert not told["lie"]
