@@ -126,14 +126,17 @@ def seen_from(stand: Floats | None, points: Floats) -> Floats:
 def run_of(
     name: str, seed: int, sizes: Mapping[str, float] | None = None, *, poses: int = 150, repeats: int = 2,
     stand: Floats | None = None, in_order: bool = False, exact: bool = False, still: int | None = None,
+    places: Floats | None = None,
 ) -> pl.DataFrame:  # fmt: skip
     """A run of ``poses`` at random, ``repeats`` times in another order each time, ten seconds a row, in a room and by a
     clock that are drawn, from where ``stand`` sees it, by default anywhere, in any order unless ``in_order``, without
-    noise if ``exact``. The joint of number ``still`` stands where it was first."""
+    noise if ``exact``. The joint of number ``still`` stands where it was first. ``places`` (poses, k) are taken instead
+    of those drawn."""
     true, joints, readings, noise = MACHINES[name]
     rng = np.random.default_rng(seed)
     low, high = np.array(list(joints.values())).T
-    places = rng.uniform(low, high, (poses, len(low)))
+    drawn = rng.uniform(low, high, (poses, len(low)))
+    places = drawn if places is None else places
     if still is not None:
         places[:, still] = places[0, still]
     pose = np.concatenate([rng.permutation(poses) for _ in range(repeats)])

@@ -248,6 +248,8 @@ class Scara(Standing):
 
     effects: ClassVar = {next(iter(sizes)): causes for sizes, causes in OF_MACHINES["scara"]}
     noise = MACHINES["scara"][3]
+    #: Poses (n, 3), where they are not those drawn.
+    places: Floats | None = None
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -261,7 +263,9 @@ class Scara(Standing):
 
     def _seen(self, sizes: Mapping[str, float]) -> pl.DataFrame:
         still = 2 if self.stands_still else None
-        return run_of("scara", self.number, sizes, poses=POSES, in_order=True, exact=True, still=still)
+        return run_of(
+            "scara", self.number, sizes, poses=POSES, in_order=True, exact=True, still=still, places=self.places
+        )
 
     def _unit(self, name: str) -> dict[str, float]:
         small = {one: 0.1 * size for one, size in self._plain[name].items()}
@@ -331,6 +335,12 @@ class Sphere(Standing):
         change = self.real.changed(effects={"sensor_pose": self.stands, name: drawn}).truth(self.plan) - plain.truth(
             self.plan
         )
+        drawn[:amplitudes] *= self.noise / np.sqrt(np.sum(self.left_of(change) ** 2) / change.size)
+        return drawn
+
+    def left_of(self, change: Floats) -> Floats:
+        """What α, β, R and the camera, no further off than is known of it, leave of a change (n, 2) of the pixels:
+        (2 n + 6,), the last six by how much the camera would contradict what is known."""
         geometry, camera = (
             np.stack([(self._moved(one, 1e-3) - self._moved(one, -1e-3)).ravel() / 2e-3 for one in names], axis=1)
             for names in (tuple(GEOMETRY), POSE)
@@ -339,9 +349,7 @@ class Sphere(Standing):
         columns = np.vstack([np.hstack([geometry, camera]), known])
         wanted = np.concatenate([change.ravel(), np.zeros(6)])
         scale = np.linalg.norm(columns, axis=0)
-        left = wanted - columns @ (np.linalg.lstsq(columns / scale, wanted, rcond=1e-12)[0] / scale)
-        drawn[:amplitudes] *= self.noise / np.sqrt(np.sum(left**2) / change.size)
-        return drawn
+        return wanted - columns @ (np.linalg.lstsq(columns / scale, wanted, rcond=1e-12)[0] / scale)
 
     def _moved(self, name: str, by: float) -> Floats:
         """Pixels of the robot of which one number is larger, rad or mm."""
