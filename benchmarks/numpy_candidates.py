@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from numpy_delta import derivatives, gauss_newton
+from numpy_delta import FREE, derivatives, designed, gauss_newton
 
 import sherkit as sk
 
@@ -14,13 +14,14 @@ FLIPS = 199
 
 
 def columns(robot: sk.delta.Delta, data: sk.Measurements) -> tuple[Floats, Floats, dict[str, Floats]]:
-    """Residual (n, 3) of the plain fit, its derivatives (n, 3, 15), and those by each candidate."""
+    """Residual (n, 3) of the plain fit, its derivatives (n, 3, 18), and those by each candidate."""
     q, offset = data.joints, np.array(robot.target_offset_mm)
     values = gauss_newton(robot.geometry, q, data.readings[:, :3], offset)[0]
     full = robot.geometry.copy()
-    full[[6 * limb + k for limb in range(3) for k in range(4)]] += values[:12]
-    x, by_geometry, by_end = derivatives(full, q)
-    n, point = len(q), x + offset + values[12:]
+    full[FREE] += values[:12]
+    _, _, by_end = derivatives(full, q)
+    point, plain = designed(robot.geometry, q, offset, values)
+    n = len(q)
     eye = np.broadcast_to(np.eye(3), (n, 3, 3))
     by_joint, home = by_end[..., 2], robot.inverse([0.0, 0.0, 0.0])
     time, wave = np.asarray(data.time_s), 2 * np.pi * q / (robot.pole_pitch_mm or 2.0)
@@ -37,7 +38,7 @@ def columns(robot: sk.delta.Delta, data: sk.Measurements) -> tuple[Floats, Float
         "beam_alignment": (eye[:, :, :, None] * point[:, None, None, :]).reshape(n, 3, 9),
         "sensor_linearity": eye * ((data.readings[:, :3] / 20.0) ** 3)[:, None],
     }
-    return data.readings[:, :3] - point, np.concatenate([by_geometry, eye], axis=2), candidates
+    return data.readings[:, :3] - point, plain, candidates
 
 
 def diagnose(robot: sk.delta.Delta, data: sk.Measurements) -> tuple[str, float]:

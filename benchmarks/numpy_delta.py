@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+#: Radius, angle, offset and rod of each limb, among its six numbers.
+FREE = np.array([6 * limb + k for limb in range(3) for k in range(4)])
+
 
 def forward(p: Floats, q: Floats) -> Floats:
     """Platform centres (n, 3) from joints (n, 3) and 18 parameters, by intersecting three spheres."""
@@ -79,20 +82,42 @@ def derivatives(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
     return x, out, by_end
 
 
+def turned(by: Floats) -> tuple[Floats, Floats]:
+    """The rotation about a vector (3,) and by what its change turns (3, 3 each), by Rodrigues' formula."""
+    angle = np.sqrt(by @ by)
+    k = np.array([[0.0, -by[2], by[1]], [by[2], 0.0, -by[0]], [-by[1], by[0], 0.0]])
+    once, twice = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    rest = (1.0 - once) / angle**2 if angle > 1e-4 else 1.0 / 6.0
+    return np.eye(3) + once * k + twice * (k @ k), np.eye(3) + twice * k + rest * (k @ k)
+
+
+def designed(p: Floats, q: Floats, offset: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Readings (n, 3) for 18 values, geometry and the sensor's turn and shift, and their derivatives (n, 3, 18)."""
+    full = p.copy()
+    full[FREE] += values[:12]
+    x, by_geometry, _ = derivatives(full, q)
+    rotation, change = turned(values[12:15])
+    there = (x + offset) @ rotation.T
+    out = np.zeros((len(q), 3, 18))
+    out[:, :, :12] = rotation @ by_geometry
+    # a further turn about each axis moves a point by the cross product of both
+    across = np.cross(change.T[None, :, :], there[:, None, :])
+    out[:, :, 12:15] = across.transpose(0, 2, 1)
+    out[:, [0, 1, 2], [15, 16, 17]] = 1.0
+    return there + values[15:], out
+
+
 def gauss_newton(p: Floats, q: Floats, measured: Floats, offset: Floats) -> tuple[Floats, float]:
-    """Values (15,) of geometry and shifts to the minimum, by normal equations, and the sum of squares left there."""
-    free = np.array([6 * limb + k for limb in range(3) for k in range(4)])
-    values, last = np.zeros(15), np.inf
+    """Values (18,) of geometry and sensor to the minimum, by normal equations, and the sum of squares left there."""
+    values, last = np.zeros(18), np.inf
     for _ in range(30):
-        full = p.copy()
-        full[free] += values[:12]
-        x, by_geometry, _ = derivatives(full, q)
-        left = measured - x - offset - values[12:]
+        predicted, columns = designed(p, q, offset, values)
+        left = measured - predicted
         cost = float(np.einsum("nk,nk->", left, left))
         if last - cost <= 1e-12 * cost:
             break
         last = cost
-        design = np.concatenate([by_geometry, np.broadcast_to(np.eye(3), (len(q), 3, 3))], axis=2).reshape(-1, 15)
+        design = columns.reshape(-1, 18)
         size = np.sqrt(np.einsum("nk,nk->k", design, design))
         gram = (design.T @ design) / np.outer(size, size)
         # some directions change no reading: what is left of them is rounding

@@ -7,11 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+import sherkit._core as _core
 from consistency import consistent, named
 from second_machines import apart
 from sensor_poses import BARS, IN_BASE, IN_SENSOR, Counted, blames_nobody, of_all, pose_found, table_of
+from sherkit.model.sensor_pose import registered
 from standing_worlds import WORLDS
 
 #: Chance with which a correct program fails one of the counts.
@@ -90,3 +93,43 @@ def test_worlds_of_any_pose_keep_their_bars() -> None:
             assert np.mean(shares) >= bar - 3.0 * np.std(shares) / np.sqrt(len(shares)), said
         else:
             assert len(shares) - sum(shares) <= stats.binom.isf(RARE, len(shares), 1.0 - bar), said
+
+
+def _kabsch(points: np.ndarray, read: np.ndarray, hand: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """What the core computes, a second time: the transform of the pairs that are near, chosen anew in each round."""
+    whole = np.isfinite(points).all(axis=1) & np.isfinite(read).all(axis=1)
+    near = whole
+    for _ in range(5):
+        middle, there = points[near].mean(axis=0), read[near].mean(axis=0)
+        u, _, v = np.linalg.svd((read[near] - there).T @ (points[near] - middle))
+        turn = u @ np.diag([1.0, 1.0, hand * np.sign(np.linalg.det(u @ v))]) @ v
+        missed = np.linalg.norm(read - there - (points - middle) @ turn.T, axis=1)
+        half = float(np.median(missed[whole]))
+        kept = whole & (missed <= 5.0 * half)
+        if (kept == near).all():
+            break
+        near = kept
+    return turn, there - turn @ middle, half
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("count", [30, 41])
+def test_the_sensor_stands_where_most_rows_say(mirrored: bool, count: int) -> None:
+    """Catches a median that is not one, wild or empty rows that count, a mirror on the wrong side, rows and columns of
+    the turn exchanged: against NumPy's singular vectors."""
+    rng = np.random.default_rng(count)
+    points = rng.normal(size=(count, 3)) * [40.0, 30.0, 5.0]
+    turn = stats.special_ortho_group.rvs(3, random_state=4) @ np.diag([1.0, 1.0, -1.0 if mirrored else 1.0])
+    read = points @ turn.T + [5.0, -80.0, 300.0] + 0.1 * rng.normal(size=points.shape)
+    read[3] += 70.0
+    read[9, 1] = np.nan
+    found = registered(points, read, mirrored=mirrored)
+    expected = _kabsch(points, read, -1.0 if mirrored else 1.0)
+    assert found is not None
+    for ours, theirs in zip((found.turn, found.shift_mm, found.missed_mm), expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+    off = _core.rotation_vector(stats.special_ortho_group.rvs(3, random_state=5))
+    again = Rotation.from_matrix(stats.special_ortho_group.rvs(3, random_state=5)).as_rotvec()
+    np.testing.assert_allclose(off, again, atol=1e-12)
+    assert registered(np.outer(np.arange(9.0), [1, 2, 3]), np.outer(np.arange(9.0), [1, 2, 3])) is None
+    assert registered(points[:3], read[:3]) is None

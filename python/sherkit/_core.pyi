@@ -41,7 +41,9 @@ __all__ = [
     "bernstein_held_out",
     "largest_under_flips",
     "play",
+    "register_most",
     "register_points",
+    "rotation_vector",
     "spherical_camera_placement",
     "spread_rows",
     "walsh_hadamard",
@@ -523,6 +525,15 @@ class PaperFilter(_ToolFilter):
         of_force: bool = False,
     ) -> PaperFilter: ...
     def copy(self) -> PaperFilter: ...
+
+def register_most(
+    points: _Floats, read: _Floats, *, mirrored: bool = False, fewest: int = 4
+) -> tuple[_Floats, _Floats, float] | None:
+    """The turn (3, 3) and shift (3,) that take most points (n, 3) to where they were read (n, 3), and by how much half
+    of them are off or less, mm; None where too few tell it, or these stand in a line."""
+
+def rotation_vector(turn: _Floats) -> _Floats:
+    """A turn (3, 3) as a rotation vector (3,), rad."""
 
 def register_points(source: _Floats, target: _Floats, method: str = "quaternion") -> dict[str, Any]:
     """The rigid transform that takes points (n, 3) to points (n, 3), by "quaternion" or "svd".

@@ -25,7 +25,7 @@ from .types import Bools, Floats
 
 #: The threads of NumPy's BLAS and of SciPy's, which are two. Looked for once, while this is imported:
 #: looking holds the loader's lock, and waits for ever where another thread imports at that moment.
-_POOLS = threadpoolctl.ThreadpoolController()
+_POOLS = threadpoolctl.ThreadpoolController().select(user_api="blas").lib_controllers
 
 #: Part of the largest number up to which what is left is rounding.
 _ROUNDING = 1e-12
@@ -49,19 +49,22 @@ class one_thread(ContextDecorator):  # noqa: N801 - read as a function: `with on
 
     _lock = threading.Lock()
     _entered = 0
-    _before: Any = None
+    _before: tuple[tuple[Any, int], ...] = ()
 
     def __enter__(self) -> None:
         with one_thread._lock:
             if one_thread._entered == 0:
-                one_thread._before = _POOLS.limit(limits=1, user_api="blas")
+                one_thread._before = tuple((pool, n) for pool in _POOLS if (n := pool.num_threads) != 1)
+                for pool, _ in one_thread._before:
+                    pool.set_num_threads(1)
             one_thread._entered += 1
 
     def __exit__(self, *_: object) -> None:
         with one_thread._lock:
             one_thread._entered -= 1
             if one_thread._entered == 0:
-                one_thread._before.restore_original_limits()
+                for pool, before in one_thread._before:
+                    pool.set_num_threads(before)
 
 
 def eigh(matrix: Floats) -> tuple[Floats, Floats]:

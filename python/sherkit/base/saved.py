@@ -11,4 +11,5 @@ class Saved:
     there it is computed again when it is asked for."""
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in vars(self).items() if not isinstance(getattr(type(self), k, None), cached_property)}
+        made = {k: v for k, v in vars(self).items() if not isinstance(getattr(type(self), k, None), cached_property)}
+        return {k: v for k, v in made.items() if not k.startswith("_last_")}

@@ -30,7 +30,14 @@ class Noise:
 
 def noise_of(data: Measurements) -> Noise:
     """The noise of each reading: declared where the file says, else from repeats, else unknown (one unit each)."""
-    noise = _of_readings(data)
+    known: Noise | None = vars(data).get("_noise")
+    if known is None:
+        known = vars(data)["_noise"] = _with_poses(data, _of_readings(data))
+    return known
+
+
+def _with_poses(data: Measurements, noise: Noise) -> Noise:
+    """The same with the errors of poses that the rows declare."""
     if not data.pose_sigma.any():
         return noise
     # an error of the pose that is declared alone is all the noise that is known
@@ -41,9 +48,8 @@ def noise_of(data: Measurements) -> Noise:
 
 def _of_readings(data: Measurements) -> Noise:
     """The noise without what repeats of a pose share."""
-    sigma = data.sigma
-    needed = data.taken
-    if np.isfinite(sigma[needed]).all():
+    sigma, needed = data.sigma, data.taken
+    if (np.isfinite(sigma) | ~needed).all():
         return Noise(np.where(needed, sigma, 1.0), "declared")
     repeats = data.repeatability
     if repeats is not None:

@@ -223,7 +223,6 @@ def residuals(model: ModelWithEffects, data: Measurements, values: Floats) -> Fl
 
 
 @as_annotated
-@linalg.one_thread()
 def identify(
     robot: RobotLike | Model | ModelWithEffects,
     data: RunLike,
@@ -251,7 +250,8 @@ def identify(
         print(fit.by_name["rail_lean.radial_1"], fit.rms())
     """
     given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
-    model = extended_by(model_of(given, free), effects)
+    model = model_of(given, free)
+    model = extended_by(model, effects) if len(effects) else model
     data = model.as_declared(run_for(robot, data))
     model = model.for_run(data)
     if loss not in LOSSES:
@@ -280,7 +280,7 @@ def identify(
             raise
         raise FitError(f"{error} Most likely: {'; '.join(m.sentence for m in mistakes)}.") from None
     values = solver.trial
-    moved = np.zeros(len(values))
+    moved = np.zeros(0)
     if loss != "linear":
         # residuals are judged by their own spread, taken anew until it settles
         for _ in range(_ROBUST_ROUNDS):
@@ -291,19 +291,28 @@ def identify(
                 break
         result = solver.result()
     evaluations, at_minimum = result["evaluations"], reached(ended, result)
-    judged = weights if loss == "linear" else weights / spread(problem.residuals(values), weights)
-    if loss != "linear" or known:
-        # what the readings say there, none of them weighed down for being far off
-        result = problem.information(judged, values)
-    ratio = scale(problem.residuals(values), judged, result["rank"], loss)
+    judged, plain = weights, loss == "linear" and not known
+    if plain and not linear:
+        # the solver knows what is left
+        free = np.count_nonzero(weights) - result["rank"]
+        overall = ratio = float(np.sqrt(result["cost"] / free)) if free > 0 else 1.0
+    else:
+        left = problem.residuals(values)
+        judged = weights if loss == "linear" else weights / spread(left, weights)
+        if not plain:
+            # what the readings say there, none of them weighed down for being far off
+            result = problem.information(judged, values)
+        ratio = scale(left, judged, result["rank"], loss)
+        # of a robust fit the covariance is that of each column by its own spread; this is all of them over the noise
+        overall = ratio if loss == "linear" else scale(left, weights, result["rank"], loss)
     covariance, beyond = result["covariance"] * ratio**2, result["unobserved_covariance"]
     if known:
         both = problem.information(judged / max(ratio, 1e-12), values, priors=priors)
         covariance, beyond = both["covariance"], both["unobserved_covariance"]
-    # of a robust fit the covariance is that of each column by its own spread; this is all of them over the noise
-    overall = ratio if loss == "linear" else scale(problem.residuals(values), weights, result["rank"], loss)
-    still = np.maximum(_STILL * np.sqrt(np.diag(covariance).clip(0.0)), _SETTLED * problem.sizes)
-    fit = Fit(
+    if loss != "linear":
+        still = np.maximum(_STILL * np.sqrt(np.diag(covariance).clip(0.0)), _SETTLED * problem.sizes)
+        at_minimum = at_minimum and bool((moved <= still).all())
+    return Fit(
         model=model,
         data=data,
         values=values,
@@ -316,12 +325,9 @@ def identify(
         noise=noise,
         loss=loss,
         priors=priors,
-        converged=at_minimum and bool((moved <= still).all()),
+        converged=at_minimum,
         evaluations=evaluations,
     )
-    # predicted for the scale already
-    vars(fit)["predicted"] = problem.predicted(values)
-    return fit
 
 
 def _over_the_wall(

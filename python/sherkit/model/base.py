@@ -248,8 +248,13 @@ class ModelWithEffects(Saved, ABC):
     def for_run(self, data: Measurements) -> Self:
         """The same model for a run: its time counted from the begin, unless it has an origin of time, since what moves
         on from one row to the next must not hang on the year."""
-        counts = self.settings().get("time_origin_s") == 0.0
-        return replace(self, time_origin_s=data.begins_s) if counts else self  # type: ignore[type-var]
+        if not data.begins_s or self.settings().get("time_origin_s") != 0.0:
+            return self
+        last = self.__dict__.get("_last_run")
+        if last is None or last.settings()["time_origin_s"] != data.begins_s:
+            # it has compiled parts: one is enough for all runs of that begin
+            last = self.__dict__["_last_run"] = replace(self, time_origin_s=data.begins_s)  # type: ignore[type-var]
+        return last
 
     def setting_of(self, effect: Effect) -> float | None:
         """The setting that the model has for an effect, as :meth:`with_effect` takes it; None where it has none."""

@@ -12,6 +12,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import scipy
 
+import sherkit._core as _core
+
 from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import Layout
@@ -75,18 +77,18 @@ class SeenModel(ModelWithEffects):
         pose: SensorPose = getattr(robot, "sensor_pose", OWN_AXES)
         return pose
 
-    @property
+    @cached_property
     def pose_sd(self) -> Floats:
         """How well each number of the sensor's pose is known (6,), rad and mm: infinite where it is free, 0 where it is
         held."""
         return self.sensor_pose.sd(*self.usual_pose_sd)
 
-    @property
+    @cached_property
     def free_of_pose(self) -> tuple[str, ...]:
         """As of any model."""
         return tuple(name for name, sd in zip(POSE, self.pose_sd, strict=True) if np.isinf(sd))
 
-    @property
+    @cached_property
     def stands_anywhere(self) -> tuple[str, ...]:
         """As of any model; of readings in a plane three numbers are all."""
         in_plane = all(one.coordinates == SPACE[:2] for one in self.layouts)
@@ -113,12 +115,18 @@ class SeenModel(ModelWithEffects):
     def start(self, data: Measurements) -> Floats:
         """The drawing, seen from where the sensor must stand for most of these rows to be as they are: it may stand
         anywhere where all of its pose is free, and a turn of half a circle is too far for steps from none."""
-        out, names, pose = super().start(data), [p.name for p in self.parameters], self.stands_anywhere
-        found = self.registration(data) if pose and self.reads_places(data) else None
+        out = super().start(data)
+        found = self.registration(data) if self.stands_anywhere and self.reads_places(data) else None
         if found is not None:
-            off = dict(zip(POSE, found, strict=True))
-            out[[names.index(name) for name in pose]] = [off[name] for name in pose]
+            at, of = self._places_of_pose
+            out[at] = found[of]
         return out
+
+    @cached_property
+    def _places_of_pose(self) -> tuple[list[int], list[int]]:
+        """Where the numbers of the sensor's pose that are free stand among the parameters, and among all six."""
+        names = [p.name for p in self.parameters]
+        return [names.index(name) for name in self.stands_anywhere], [POSE.index(n) for n in self.stands_anywhere]
 
     def registration(self, data: Measurements) -> Floats | None:
         """By how much the sensor's pose (6,) is off that of the robot's file, rad and mm, where most of these rows are
@@ -126,21 +134,25 @@ class SeenModel(ModelWithEffects):
         pose, size = self.sensor_pose, data.coordinates
         if not data.taken[:, size - 1].any():
             size -= 1  # heights that were not read leave a plane
-        found = self.registered(data.select(np.flatnonzero(data.taken[:, :size].all(axis=1) & ~data.outlier)), size)
+        whole = data.used[:, :size]
+        found = self.registered(data if whole.all() else data.select(np.flatnonzero(whole.all(axis=1))), size)
         if found is None:
             return None
-        off = replace(found, turn=found.turn @ pose.turn.T).rotation_rad
-        return np.array([*off, *(found.shift_mm - pose.origin_mm)])
+        off = _core.rotation_vector(np.ascontiguousarray(found.turn @ pose.turn.T))
+        return np.concatenate([off, found.shift_mm - pose.origin_mm])
 
     def registered(self, seen: Measurements, size: int, *, mirrored: bool = False) -> Registered | None:
         """The transform from the base to where most of these rows were read, by the drawing and the first ``size``
         coordinates, of which all were taken; None where too few tell it."""
         self.require_own(seen)
         pose = self.sensor_pose
-        shown, reached = self.drawn(seen)
-        shown = in_space(np.where(reached[:, None], shown, np.nan)[:, :size])
-        base = (shown - pose.origin_mm) @ pose.turn
-        return registered(base, in_space(seen.readings[:, :size]), mirrored=mirrored)
+        shown, _ = self.drawn(seen)  # NaN where it cannot be computed
+        found = registered(in_space(shown[:, :size]), in_space(seen.readings[:, :size]), mirrored=mirrored)
+        if found is None:
+            return None
+        # what is shown is turned and shifted already as the file says
+        shift = found.turn @ pose.origin_mm + found.shift_mm
+        return Registered(found.turn @ pose.turn, shift, found.missed_mm)
 
     # -- where it was moved in between ---------------------------------------------------------------------
 

@@ -16,8 +16,10 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+import sherkit._core as _core
+
 from ..base import linalg
-from ..base.types import Bools, Floats
+from ..base.types import Floats
 from ..data.declared import key, keys_from, keys_of
 from ..data.toml import Table
 from ..errors import RobotError
@@ -35,9 +37,8 @@ SPACE = ("x_mm", "y_mm", "z_mm")
 #: The numbers that readings of a plane show.
 IN_PLANE = ("sensor_turn_z", "sensor_shift_x", "sensor_shift_y")
 
-#: Rows that tell where a sensor stands; in so many rounds, in each of which rows count that are off by no more than
-#: this many times the median; and how thin a cloud of places is a line.
-_FEWEST, _ROUNDS, _FAR, _LINE = 4, 5, 5.0, 1e-3
+#: Rows that tell where a sensor stands.
+_FEWEST = 4
 
 
 def slip_of(name: str) -> str:
@@ -177,23 +178,18 @@ ANYWHERE, WITH_ITS_FILE = SensorPose(), KnownPose()
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """The rigid transform of points to where they were read: ``read = turn @ point + shift``; ``near`` are the rows
-    that tell it, and half of all are off by ``missed_mm`` or less."""
+    """The rigid transform of points to where they were read: ``read = turn @ point + shift``; half of all are off by
+    ``missed_mm`` or less."""
 
     turn: Floats
     shift_mm: Floats
-    near: Bools
     missed_mm: float
-
-    @property
-    def rotation_rad(self) -> Floats:
-        """The turn as a rotation vector (3,)."""
-        made: Floats = scipy.spatial.transform.Rotation.from_matrix(self.turn).as_rotvec()
-        return made
 
 
 def in_space(places: Floats) -> Floats:
     """Places (n, 3); of those in a plane (n, 2) the third coordinate is zero."""
+    if places.shape[1] == 3:
+        return places
     out = np.zeros((len(places), 3))
     out[:, : places.shape[1]] = places
     return out
@@ -202,26 +198,9 @@ def in_space(places: Floats) -> Floats:
 def registered(
     points_mm: Floats, read_mm: Floats, *, mirrored: bool = False, fewest: int = _FEWEST
 ) -> Registered | None:
-    """The turn and shift that bring points (n, 3) to where they were read (n, 3); None where they are too few, or stand
-    in a line. Rows with an empty cell (NaN) and rows far off do not count. ``mirrored`` is the best turn with a
+    """The turn and shift that bring most points (n, 3) to where they were read (n, 3); None where they are too few, or
+    stand in a line. Rows with an empty cell (NaN) and rows far off do not count. ``mirrored`` is the best turn with a
     mirror."""
-    whole: Bools = np.asarray(np.isfinite(points_mm).all(axis=1) & np.isfinite(read_mm).all(axis=1))
-    near, found = whole.copy(), None
-    hand = -1.0 if mirrored else 1.0
-    for _ in range(_ROUNDS):
-        if near.sum() < fewest:
-            return found
-        middle, there = points_mm[near].mean(axis=0), read_mm[near].mean(axis=0)
-        a, b = points_mm[near] - middle, read_mm[near] - there
-        if linalg.matrix_rank(a, tol=_LINE * float(np.abs(a).max())) < 2:
-            return found
-        u, _, v = linalg.svd(b.T @ a)
-        turn = u @ np.diag([1.0, 1.0, hand * np.sign(np.linalg.det(u @ v))]) @ v
-        missed = np.full(len(whole), np.inf)
-        missed[whole] = np.linalg.norm(read_mm[whole] - there - (points_mm[whole] - middle) @ turn.T, axis=1)
-        found = Registered(turn, there - turn @ middle, near, float(np.median(missed[whole])))
-        kept = missed <= max(_FAR * found.missed_mm, 1e-300)
-        if np.array_equal(kept, near):
-            break
-        near = kept
-    return found
+    points, read = (np.ascontiguousarray(one, dtype=float) for one in (points_mm, read_mm))
+    found = _core.register_most(points, read, mirrored=mirrored, fewest=fewest)
+    return None if found is None else Registered(*found)

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use proptest::prelude::*;
 use sherkit_core::Error;
 use sherkit_core::numbers::jacobi::{singular_values, symmetric_eigen};
-use sherkit_core::numbers::registration::{Method, Moments};
+use sherkit_core::numbers::registration::{Method, Moments, of_most};
 use sherkit_core::numbers::rigid::Rigid;
 
 const METHODS: [Method; 2] = [Method::Quaternion, Method::SingularValues];
@@ -232,4 +232,51 @@ fn too_few_or_not_finite_is_refused() {
     }
     let found = moments.solve(Method::default()).unwrap();
     assert!((found.transform.rotation - Matrix3::identity()).amax() < 1e-14);
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// Wild pairs or empty ones that turn the transform; a mirror that is none, or one where none was asked for; a limit
+    /// from the wrong median; a turn whose vector is that of its inverse.
+    #[test]
+    fn most_pairs_tell_the_transform(
+        seed in any::<u64>(),
+        n in 24..60_usize,
+        wild in 0..3_usize,
+        mirrored in any::<bool>(),
+    ) {
+        let mut random = Random(seed);
+        let truth = transform(&mut random, 50.0);
+        let mirror = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, if mirrored { -1.0 } else { 1.0 }));
+        let points = cloud(&mut random, n, [30.0, 20.0, 10.0], 50.0);
+        let mut read: Vec<_> = points.iter().map(|a| truth.apply(&(mirror * a))).collect();
+        for k in 0..wild {
+            read[k] += Vector3::new(0.0, 80.0, 500.0);
+        }
+        read[n - 1].x = f64::NAN;
+        let (mut missed, mut room) = (vec![0.0; n], vec![0.0; n]);
+        let pairs = points.iter().copied().zip(read.iter().copied());
+        let (found, half) = of_most(pairs, mirrored, 4, &mut missed, &mut room).unwrap();
+        prop_assert!((found.rotation - truth.rotation * mirror).amax() < 1e-9);
+        prop_assert!((found.translation - truth.translation).amax() < 1e-7);
+        prop_assert!(half < 1e-9);
+        let vector = truth.rotation_vector();
+        let back = nalgebra::Rotation3::new(vector).into_inner();
+        prop_assert!((back - truth.rotation).amax() < 1e-12 && vector.norm() < 3.15);
+    }
+}
+
+#[test]
+fn pairs_that_tell_nothing_are_refused() {
+    let at = |x: f64| Vector3::new(x, 2.0 * x, 0.0);
+    let line: Vec<_> = (0..9)
+        .map(|k| (at(f64::from(k)), at(f64::from(k))))
+        .collect();
+    let (mut missed, mut room) = ([0.0; 9], [0.0; 9]);
+    assert!(of_most(line.iter().copied(), false, 4, &mut missed, &mut room).is_none());
+    let few = line.iter().copied().take(3);
+    assert!(of_most(few, false, 4, &mut missed[..3], &mut room[..3]).is_none());
+    let none = line.iter().copied().take(0);
+    assert!(of_most(none, false, 0, &mut missed[..0], &mut room[..0]).is_none());
 }

@@ -46,6 +46,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
         m.add(name, flag)?;
     }
     m.add_function(wrap_pyfunction!(registration::register_points, m)?)?;
+    m.add_function(wrap_pyfunction!(registration::register_most, m)?)?;
+    m.add_function(wrap_pyfunction!(registration::rotation_vector, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_basis, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_held_out, m)?)?;

@@ -9,7 +9,8 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sherkit_core::Error;
-use sherkit_core::numbers::registration::{Method, Moments};
+use sherkit_core::numbers::registration::{Method, Moments, of_most};
+use sherkit_core::numbers::rigid::Rigid;
 
 /// A small matrix as an array.
 fn matrix<'py, const R: usize, const C: usize>(
@@ -70,4 +71,42 @@ pub fn register_points<'py>(
     out.set_item("unit_covariance", matrix(py, &found.unit_covariance)?)?;
     out.set_item("used", PyArray1::from_vec(py, used))?;
     Ok(out)
+}
+
+/// The transform that takes most points `(n, 3)` to where they were read `(n, 3)`, mm: turn, shift, and by how much half of
+/// them are off or less; None where too few tell it, or these stand in a line.
+#[pyfunction]
+#[pyo3(signature = (points, read, *, mirrored=false, fewest=4))]
+pub fn register_most<'py>(
+    py: Python<'py>,
+    points: PyReadonlyArray2<'_, f64>,
+    read: PyReadonlyArray2<'_, f64>,
+    mirrored: bool,
+    fewest: usize,
+) -> PyResult<Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>, f64)>> {
+    let from = rows::<3, _>("points", &points)?;
+    let to = rows_like::<3>("read", &read, from.len())?;
+    let pairs = from.iter().zip(to);
+    let pairs = pairs.map(|(a, b)| (Vector3::from(*a), Vector3::from(*b)));
+    let (mut missed, mut room) = (vec![0.0; from.len()], vec![0.0; from.len()]);
+    let Some((found, half)) = of_most(pairs, mirrored, fewest, &mut missed, &mut room) else {
+        return Ok(None);
+    };
+    let shift = PyArray1::from_slice(py, found.translation.as_slice());
+    Ok(Some((matrix(py, &found.rotation)?, shift, half)))
+}
+
+/// A turn `(3, 3)` as a rotation vector `(3,)`, rad.
+#[pyfunction]
+pub fn rotation_vector<'py>(
+    py: Python<'py>,
+    turn: PyReadonlyArray2<'_, f64>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let given = rows_like::<3>("turn", &turn, 3)?;
+    let rotation = nalgebra::Matrix3::from_fn(|i, j| given[i][j]);
+    let rigid = Rigid {
+        rotation,
+        ..Rigid::identity()
+    };
+    Ok(PyArray1::from_slice(py, rigid.rotation_vector().as_slice()))
 }

@@ -47,13 +47,46 @@ pub fn iterate(
     }
 }
 
+/// Numbers of which one begins a line of the processor's cache: vectors that lie across two lines take twice the time.
+struct Lined {
+    numbers: Vec<f64>,
+    first: usize,
+}
+
+impl Lined {
+    /// `len` zeros, of which the one `at` that place begins a line.
+    fn zeros(len: usize, at: usize) -> Self {
+        let numbers = vec![0.0; len + LANES];
+        let to_line = numbers[at..]
+            .as_ptr()
+            .align_offset(LANES * size_of::<f64>());
+        Self {
+            numbers,
+            first: to_line.min(LANES),
+        }
+    }
+}
+
+impl AsRef<[f64]> for Lined {
+    fn as_ref(&self) -> &[f64] {
+        &self.numbers[self.first..][..self.numbers.len() - LANES]
+    }
+}
+
+impl AsMut<[f64]> for Lined {
+    fn as_mut(&mut self) -> &mut [f64] {
+        let len = self.numbers.len() - LANES;
+        &mut self.numbers[self.first..][..len]
+    }
+}
+
 /// One iteration to the minimum of all rows that are pushed at its trial parameters.
 #[pyclass(module = "sherkit._core")]
 pub struct Solver {
     levenberg: Levenberg<Vec<f64>>,
     /// The way to where the careful iteration begins, while it is gone.
     descent: Option<Descent<Vec<f64>>>,
-    stack: Stack<Vec<f64>>,
+    stack: Stack<Lined>,
     loss: Loss,
     cost: f64,
     /// Evaluations and cost when the fit was last asked whether it still gains.
@@ -112,8 +145,11 @@ impl Solver {
         weight: V,
     ) {
         let counting = weight.numbers().iter().filter(|w| **w != 0.0).count();
-        let mut u = (residual * weight).where_any(weight);
-        let mut w = weight;
+        let all = counting == LANES;
+        let kept = |value: V| {
+            if all { value } else { value.where_any(weight) }
+        };
+        let (mut u, mut w) = (kept(residual * weight), weight);
         if self.loss == Loss::Linear {
             self.cost += (u * u).sum();
         } else {
@@ -126,8 +162,14 @@ impl Solver {
             (u, w) = (u * V::of(roots), w * V::of(roots));
         }
         let mut places = self.stack.next_wide(counting);
-        for (d, place) in derivatives.iter().zip(places.by_ref()) {
-            *place = (d[axis] * w).where_any(weight).numbers();
+        if all {
+            for (d, place) in derivatives.iter().zip(places.by_ref()) {
+                *place = (d[axis] * w).numbers();
+            }
+        } else {
+            for (d, place) in derivatives.iter().zip(places.by_ref()) {
+                *place = (d[axis] * w).where_any(weight).numbers();
+            }
         }
         places.for_each(|place| *place = u.numbers());
         self.stack.commit_wide();
@@ -249,7 +291,9 @@ impl Solver {
         Ok(Self {
             levenberg,
             descent: far.then_some(descent),
-            stack: Stack::new(n, 1, vec![0.0; stack_len(n, 1)]).map_err(to_python)?,
+            // behind the square of its triangle begin the columns of its block
+            stack: Stack::new(n, 1, Lined::zeros(stack_len(n, 1), (n + 1) * (n + 1)))
+                .map_err(to_python)?,
             loss: Loss::from_name(loss)
                 .ok_or_else(|| shape("loss", "'linear', 'huber', 'cauchy' or 'tukey'", &[]))?,
             cost: 0.0,

@@ -12,6 +12,7 @@ use crate::numbers::jacobi::{singular_values, symmetric_eigen};
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
+use core::iter::zip;
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
 /// Points that fix a rigid transform.
@@ -228,4 +229,112 @@ fn by_singular_vectors(left: &[[f64; 3]; 3], right: &[[f64; 3]; 3]) -> Matrix3<f
     };
     // cross = Σ left · value · rightᵀ with the source on the left, so the rotation takes left to right
     complete(right) * complete(left).transpose()
+}
+
+/// Rounds in which the pairs that tell a transform are chosen anew; those count that are off by no more than so many times
+/// the median; and how wide beside its largest coordinate a cloud is that is more than a line.
+const ROUNDS: usize = 5;
+const FAR: f64 = 5.0;
+const LINE: f64 = 1e-3;
+
+/// The transform of most pairs of points, and by how much half of all are off or less, mm; `mirrored`, the best turn with a
+/// mirror. None where fewer than `fewest` tell it, or these stand in a line. Pairs that are not finite and pairs far off do
+/// not count; `missed` holds how far off each is, and `room` as many numbers more.
+///
+/// Source: Kabsch 1976, on what is left of the pairs in each round.
+pub fn of_most(
+    pairs: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> + Clone,
+    mirrored: bool,
+    fewest: usize,
+    missed: &mut [f64],
+    room: &mut [f64],
+) -> Option<(Rigid, f64)> {
+    let mut limit = f64::MAX;
+    for ((from, to), missed) in zip(pairs.clone(), missed.iter_mut()) {
+        let finite = from.iter().chain(&to).all(|x| x.is_finite());
+        *missed = if finite { 0.0 } else { f64::INFINITY };
+    }
+    let mut found = None;
+    for _ in 0..ROUNDS {
+        let near = || {
+            let marked = zip(pairs.clone(), missed.iter());
+            marked.filter(|(_, m)| **m <= limit).map(|(pair, _)| pair)
+        };
+        let count = near().count();
+        if count < fewest.max(1) {
+            return found;
+        }
+        let (mut from, mut to) = (Vector3::zeros(), Vector3::zeros());
+        for (a, b) in near() {
+            from += a;
+            to += b;
+        }
+        (from, to) = (from / count as f64, to / count as f64);
+        let (mut scatter, mut cross) = (Matrix3::zeros(), Matrix3::zeros());
+        let mut largest = 0.0_f64;
+        for (a, b) in near() {
+            let a = a - from;
+            largest = largest.max(a.amax());
+            scatter += a * a.transpose();
+            cross += a * (b - to).transpose();
+        }
+        let wide = LINE * largest;
+        if symmetric_eigen(scatter.data.0).0[1] <= wide * wide {
+            return found;
+        }
+        let (_, left, right) = singular_values(cross.data.0);
+        let mut turn = by_singular_vectors(&left, &right);
+        if mirrored {
+            let [a, b] = [&right, &left].map(|v| Vector3::from(v[0]).cross(&Vector3::from(v[1])));
+            turn -= a * b.transpose() * 2.0;
+        }
+        let transform = Rigid {
+            rotation: turn,
+            translation: to - turn * from,
+        };
+        let (mut finite, mut changed) = (0, false);
+        let before = limit;
+        for ((a, b), missed) in zip(pairs.clone(), missed.iter_mut()) {
+            if missed.is_finite() {
+                let off = (b - to - turn * (a - from)).norm();
+                // whether it told this transform is kept in the sign until the next limit is known
+                *missed = if *missed <= before { off } else { -off };
+                if let Some(place) = room.get_mut(finite) {
+                    *place = off;
+                    finite += 1;
+                }
+            }
+        }
+        let median = middle_of(room.get_mut(..finite)?)?;
+        if !median.is_finite() {
+            return None;
+        }
+        limit = (FAR * median).max(1e-300);
+        for missed in missed.iter_mut() {
+            let (told, off) = (missed.is_sign_positive(), missed.abs());
+            changed |= off.is_finite() && told != (off <= limit);
+            *missed = off;
+        }
+        found = Some((transform, median));
+        if !changed {
+            break;
+        }
+    }
+    found
+}
+
+/// The median of numbers, whose order changes; None where there are none.
+fn middle_of(numbers: &mut [f64]) -> Option<f64> {
+    let half = numbers.len() / 2;
+    if half >= numbers.len() {
+        return None;
+    }
+    let odd = numbers.len() % 2 == 1;
+    let (below, &mut middle, _) = numbers.select_nth_unstable_by(half, f64::total_cmp);
+    let largest = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    Some(if odd {
+        middle
+    } else {
+        0.5 * (largest + middle)
+    })
 }

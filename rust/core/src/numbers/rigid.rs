@@ -1,6 +1,6 @@
 //! A rigid transform: a turn, then a shift.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// How far the columns of a turn may be from a right angle or one.
 pub const SQUARE: f64 = 1e-6;
@@ -30,6 +30,13 @@ impl Rigid {
         let r = &self.rotation;
         let off = r.transpose() * r - Matrix3::identity();
         off.amax() < SQUARE && r.determinant() > 0.0
+    }
+
+    /// Its turn as a rotation vector, rad.
+    #[must_use]
+    pub fn rotation_vector(&self) -> Vector3<f64> {
+        let turn = Rotation3::from_matrix_unchecked(self.rotation);
+        UnitQuaternion::from_rotation_matrix(&turn).scaled_axis()
     }
 
     /// Where a point goes.
