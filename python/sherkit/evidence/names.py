@@ -112,6 +112,8 @@ def _refused(names: Names, one: Told) -> str:
         return "steps at three moments or more are no accident each: something switches to and fro"
     if one.needed < least:
         return "shapes that follow no cause say as much in its place"
+    if not names.lead.plausible and one.needed < NEEDED and one.tells < TELLS:
+        return "its size is not plausible, and shapes that follow no cause say nearly as much"
     if partly and one.tells < TELLS:
         return "it says nothing beside the shapes that describe this run without it"
     return ""
