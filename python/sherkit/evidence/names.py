@@ -106,7 +106,8 @@ def _refused(names: Names, one: Told) -> str:
     several = len(names.lead.blocks) > 1
     # three or more with many numbers imitate anything
     partly = not names.lead.explains or names.shapes_say_more or len(names.lead.blocks) > 2
-    least = max(TIED if several else -np.inf, NEEDED if partly else -np.inf)
+    # two that explain all need but do better than what follows no cause
+    least = NEEDED if partly else 0.0 if several else -np.inf
     steps = [block for block in names.lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"
