@@ -41,7 +41,9 @@ WORKERS = 2
 def asks_of(suite: str, number: int) -> dict[str, dict[str, float]]:
     """What is hidden in a world in turn, by what is counted."""
     world: Any = WORLDS[SUITES[suite]](number)
-    rng, names, at = np.random.default_rng([number, 544]), world.askable, number // len(WORLDS)
+    place = list(SUITES).index(suite)
+    # each suite begins elsewhere on its list
+    rng, names, number = np.random.default_rng([number, 544, place]), world.askable, number + 5 * place
     known, more = KNOWN[suite], MORE_KINDS
     out: dict[str, dict[str, float]] = {"nothing": {}}
     if names:
@@ -49,7 +51,7 @@ def asks_of(suite: str, number: int) -> dict[str, dict[str, float]]:
         out |= {f"one at {ratio:g}": {one: ratio} for ratio in RATIOS}
     if len(names) > 1:
         out["two at 2"] = dict.fromkeys(rng.choice(names, 2, replace=False).tolist(), RATIOS[0])
-    out["unknown"] = {known[number % len(known)].__name__: RATIOS[at % 2]}
+    out["unknown"] = {known[number % len(known)].__name__: RATIOS[number // len(WORLDS) % 2]}
     out["new unknown"] = {more[number % len(more)].__name__: RATIOS[(number // len(more)) % 2]}
     if names:
         kind = (*known, *more)[int(rng.integers(len(known) + len(more)))].__name__
