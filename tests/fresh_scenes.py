@@ -11,6 +11,7 @@ import warnings
 import zlib
 from collections.abc import Mapping
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -43,8 +44,6 @@ from test_serial import left_by_geometry
 
 Floats = NDArray[np.float64]
 
-#: Poses from which those of the other run are taken: within the ranges of the first.
-POOL = 8
 SUITES = {"delta": "delta", "sphere": "sphere", "arm": "arm", "machine": "planar machine"}
 #: Kinds that an arm or a machine can have: neither rails nor a column of the humidity.
 _OF_ANY = tuple(kind for kind in DELTA_KINDS if kind not in (bowed_rails, humidity))
@@ -104,7 +103,7 @@ class Fresh:
         """One kind, drawn again where the geometry takes it up whole."""
         for trial in range(TRIALS):
             seed = [self.number, 541, zlib.crc32(kind.__name__.encode()), trial]
-            one, other = (kind(redrawn(scene, np.random.default_rng(seed))) for scene in (here, there))
+            one, other = (kind(replace(scene, rng=np.random.default_rng(seed))) for scene in (here, there))
             if not np.any(np.abs(one) > 0):
                 continue
             # in linear approximation: as small as a noise
@@ -170,13 +169,6 @@ class Fresh:
         return float(np.linalg.norm(left) / self.noise)
 
 
-def redrawn(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The same, with a source of its own for what is drawn."""
-    out = copy(scene)
-    object.__setattr__(out, "rng", rng)
-    return out
-
-
 def elsewhere(world: Any) -> Any:
     """The same machine, instrument, room and clock, at other poses within the ranges of the first."""
     out = copy(world)
@@ -187,16 +179,15 @@ def elsewhere(world: Any) -> Any:
     joints = np.stack([frame[name] for name in _joints_of(world)], axis=1)[first]
     seen = np.stack([frame[name] for name in world.readings], axis=1)[first]
     ends = np.unique([f(side) for side in (*joints.T, *seen.T) for f in (np.argmin, np.argmax)])
-    # between two of the run's poses, well apart: within every range of the joints
-    low, high = joints.min(axis=0), joints.max(axis=0)
-    drawn = low + (high - low) * rng.uniform(size=(POOL * len(joints), joints.shape[1]))
-    if isinstance(world, Sphere | Delta):  # joints there go together: half way between neighbours
-        one, other = rng.integers(0, len(joints), (2, len(drawn)))
-        part = rng.uniform(0.2, 0.8, (len(drawn), 1))
+    if isinstance(world, Sphere | Delta):  # joints there go together: between any two poses of the run
+        one, other = rng.integers(0, len(joints), (2, len(joints)))
+        part = rng.uniform(0.2, 0.8, (len(joints), 1))
         drawn = part * joints[one] + (1.0 - part) * joints[other]
+    else:
+        drawn = rng.uniform(joints.min(axis=0), joints.max(axis=0), joints.shape)
     places = np.concatenate([joints[ends], drawn])[: len(joints)]
     if isinstance(world, Delta):
-        # where the nominal robot has its point at these joints is not asked: the plan holds the joints
+        # the plan's own places are not asked for: it holds the joints
         plan = make_plan(world.real, np.tile(world.real.target_offset, (len(places), 1)), 2, "shuffled", world.number)
         plan |= {f"q{i + 1}_mm": places[plan["pose"] - 1, i] for i in range(3)}
         plan |= {"temperature_c": world.plan["temperature_c"]}

@@ -33,15 +33,20 @@ RATIOS = (2.0, 5.0)
 PRAISE = 1.25
 #: An innocent takes less than this part of what is left without it: idle.
 IDLE = 0.1
-#: Effects that are a part of a kind's truth: what snaps to another place slips, robot or instrument.
-PARTS = {kind: {"slip", "sensor_slip"} for kind in ("telegraph", "bump_back")}
+#: An effect of which geometry and instrument leave less than this part is counted apart: it is of no machine's size.
+LEAST_SHOWN = 0.01
+#: Effects that are a part of a kind's truth: what snaps to another place slips, robot or instrument; what grows late
+#: about a point far off shifts late.
+PARTS = {kind: {"slip", "sensor_slip"} for kind in ("telegraph", "bump_back")} | {"lagged_growth": {"thermal_shift"}}
 WORKERS = 2
 
 
 def asks_of(suite: str, number: int) -> dict[str, dict[str, float]]:
     """What is hidden in a world in turn, by what is counted."""
     world: Any = WORLDS[SUITES[suite]](number)
-    rng, names, at = np.random.default_rng([number, 544]), world.askable, number // len(WORLDS)
+    place = list(SUITES).index(suite)
+    # each suite begins elsewhere on its list
+    rng, names, number = np.random.default_rng([number, 544, place]), world.askable, number + 5 * place
     known, more = KNOWN[suite], MORE_KINDS
     out: dict[str, dict[str, float]] = {"nothing": {}}
     if names:
@@ -49,12 +54,25 @@ def asks_of(suite: str, number: int) -> dict[str, dict[str, float]]:
         out |= {f"one at {ratio:g}": {one: ratio} for ratio in RATIOS}
     if len(names) > 1:
         out["two at 2"] = dict.fromkeys(rng.choice(names, 2, replace=False).tolist(), RATIOS[0])
-    out["unknown"] = {known[number % len(known)].__name__: RATIOS[at % 2]}
+    out["unknown"] = {known[number % len(known)].__name__: RATIOS[number // len(WORLDS) % 2]}
     out["new unknown"] = {more[number % len(more)].__name__: RATIOS[(number // len(more)) % 2]}
     if names:
         kind = (*known, *more)[int(rng.integers(len(known) + len(more)))].__name__
         out["one and unknown"] = {str(rng.choice(names)): rng.choice(RATIOS), kind: rng.choice(RATIOS)}
     return out
+
+
+def _absurd(world: Fresh) -> bool:
+    """Whether geometry and instrument take all but a hundredth of an effect, so that what is left of it asks for rods
+    that differ by millimetres."""
+    exact = world.standing.exact
+    names, plain = world.standing.readings, exact({})
+    for name, ratio in world.effects.items():
+        changed = exact({name: ratio})
+        moved = np.sqrt(np.mean([np.square(changed[one] - plain[one]) for one in names]))
+        if moved * LEAST_SHOWN > ratio * world.noise:
+            return True
+    return False
 
 
 def answered(suite: str, number: int, what: str, hidden: dict[str, float]) -> Record:
@@ -78,6 +96,7 @@ def answered(suite: str, number: int, what: str, hidden: dict[str, float]) -> Re
     praised = d.verdict.split(",")[0] in PRAISED
     out["noises"] = round(world.error(d.fit), 3) if praised else None
     out["lie"] = praised and out["noises"] > PRAISE
+    out["absurd"] = _absurd(world)
     truth = world.true_names
     meant = set().union(*truth.values(), *(PARTS.get(name, set()) for name in hidden))
     told = meant.union(*(tie for tie in d.indistinguishable if meant & set(tie)))
@@ -156,7 +175,7 @@ def of_all(suites: Sequence[str], worlds: int, first: int, workers: int = WORKER
 
 
 def _is(*whats: str) -> Callable[[Record], bool]:
-    return lambda one: one["what"] in whats
+    return lambda one: one["what"] in whats and not one["absurd"]
 
 
 _UNKNOWN = ("unknown", "new unknown")
@@ -178,6 +197,9 @@ COUNTED: dict[str, tuple[Callable[[Record], bool], Callable[[Record], bool]]] = 
     "... true name kept": (_is("one and unknown"), lambda one: bool(one["kept"])),
     "... innocents  ": (_is("one and unknown"), lambda one: bool(one["innocents"])),
     "... idle innocents": (_is("one and unknown"), lambda one: any(part < IDLE for part in one["takes"])),
+    "effects of no machine's size (apart): found": (
+        lambda one: one["absurd"] and "right" in one, lambda one: one["right"] or one["as_well"],
+    ),
     "any: contradicts itself": (lambda one: True, lambda one: bool(one["contradictions"])),
 }  # fmt: skip
 
