@@ -113,6 +113,14 @@ def searched(
     added, told = on_all_rows(run, added)
     step("held-out errors")
     final, ordered, gains, steps = _judged(run, added, sigma, repeated_folds, first)
+    if worse := {one.effect: "rows held out are no nearer with it" for one in gains if one.with_it >= one.without}:
+        names = replace(names, refused=refused | worse)
+        notes += [f"{name} was found and is not named: {why}" for name, why in worse.items()]
+        added = [block for block in added if block.name not in worse]
+        kept = sets.fitted(added) if added else None
+        if kept is None:
+            return replace(nothing, names_judged=names, left=names.alone, notes=notes)
+        final, ordered, gains, steps = _judged(run, added, sigma, repeated_folds, first)
     left = names.beside if kept is lead else sets.described(kept.base, MOST, 1)
     return Named(base, kept.base, left, names, final, ordered, gains, steps, [*notes, *told])
 

@@ -10,7 +10,7 @@ from .base import Base, log_bayes
 from .described import MOST, Described
 from .sets import EffectSet, Sets
 from .sizes import ABSURD, sizes_of
-from .thresholds import ALARM, NEEDED, SURE, TELLS, TIED
+from .thresholds import ALARM, IMPLAUSIBLE, NEEDED, SURE, TELLS, TIED
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
@@ -103,17 +103,16 @@ def _told(sets: Sets, lead: EffectSet, beside: Described, alone: Described, k: i
 def _refused(names: Names, one: Told) -> str:
     """Why an effect is not named; empty where it may be."""
     assert names.lead is not None, "it is of a set"
-    several = len(names.lead.blocks) > 1
     # three or more with many numbers imitate anything
     partly = not names.lead.explains or names.shapes_say_more or len(names.lead.blocks) > 2
-    # two that explain all need but do better than what follows no cause
-    least = NEEDED if partly else 0.0 if several else -np.inf
+    # those that explain all need but do better than what follows no cause
+    least = NEEDED if partly else 0.0
     steps = [block for block in names.lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"
     if one.needed < least:
         return "shapes that follow no cause say as much in its place"
-    if not names.lead.plausible and one.needed < NEEDED and one.tells < TELLS:
+    if not names.lead.plausible and one.needed < IMPLAUSIBLE and one.tells < TELLS:
         return "its size is not plausible, and shapes that follow no cause say nearly as much"
     if partly and one.tells < TELLS:
         return "it says nothing beside the shapes that describe this run without it"
