@@ -135,7 +135,9 @@ def tokens(path: Path) -> int:
 
 def numbers(path: Path) -> int:
     """Numbers that stand at the head of a module, in whatever they stand there."""
-    heads = (one.value for one in ast.parse(path.read_text("utf-8")).body if isinstance(one, ast.Assign | ast.AnnAssign))
+    heads = (
+        one.value for one in ast.parse(path.read_text("utf-8")).body if isinstance(one, ast.Assign | ast.AnnAssign)
+    )
     every = (node for head in heads if head is not None for node in ast.walk(head))
     return sum(isinstance(n, ast.Constant) and type(n.value) in (int, float) for n in every)
 

@@ -16,8 +16,8 @@ from ..evidence.blocks import Block
 from ..evidence.described import MOST, Described
 from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
-from ..evidence.noise import family_of
 from ..evidence.names import Names, names_of
+from ..evidence.noise import family_of
 from ..evidence.periods import Period, period_of
 from ..evidence.run import Run, run_of
 from ..evidence.sets import EffectSet, Sets

@@ -59,9 +59,9 @@ class Linearised:
     its columns after the step, or None where these are a step of each reading; ``periodic`` those that are a wave
     of each input at a searched period, each with the period that the model has for it, or None; ``lagging`` those
     among ``effects`` that follow with a searched time constant, each with what gives its columns at another one;
-    ``untestable`` maps the others to the reason. ``way`` names to (n,) how the machine came to these rows: inputs of the
-    row before, and the direction in which the point moved. ``inputs`` name to (n,), the readings of the inputs, be they constant
-    or their patterns unknown.
+    ``untestable`` maps the others to the reason. ``way`` names to (n,) how the machine came to these rows: inputs
+    of the row before, and the direction in which the point moved. ``inputs`` name to (n,), the readings of the inputs,
+    be they constant or their patterns unknown.
     """
 
     residual: Floats
