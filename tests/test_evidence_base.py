@@ -102,9 +102,10 @@ def test_an_error_of_its_own_at_each_pose() -> None:
     for size in (0.0, 1.0):
         y = noise + size * own
         left = y - plain.basis @ (plain.basis.T @ y)
-        log_bf, told = Base(family, plain.basis, left, plain.left, plain.right).of_its_own
-        assert (log_bf > np.log(100.0)) == (size > 0)
-        assert told == pytest.approx(size, abs=0.3)
+        found = Base(family, plain.basis, left, plain.left, plain.right).own_errors()
+        assert found is not None
+        assert (found.evidence > np.log(100.0)) == (size > 0)
+        assert found.part == pytest.approx(size, abs=0.3)
 
 
 def test_power_is_that_of_a_test() -> None:

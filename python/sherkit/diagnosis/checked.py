@@ -11,7 +11,7 @@ from ..base.names import listed
 from ..base.types import Floats
 from ..data.columns import bare
 from ..data.doubts import Doubt
-from ..evidence.base import OwnErrors, chance_of
+from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
 from ..evidence.sizes import ABSURD, PLAUSIBLE, largest, sizes_of
 from ..fit.set_up import Mistake
@@ -69,7 +69,7 @@ def checks_of(
     out = [_set_up(mistakes, final), *_table(table, final), _converged(final, used), _plausible(final, used)]
     out += [_as_drawn(final, used), *wrong]
     p = chance_of(found.missing)
-    own = found.base.of_its_own
+    own = _own_errors(found.base)
     off = own is not None and chance_of(own.evidence) <= level and own.part > _COUNTS
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
@@ -187,6 +187,15 @@ def _stands(final: FittedRun, used: str) -> list[Check]:
             fails=f"the {its} stands {stand}: measure again where it stands, or free it ([sensor_pose] free = true)",
         )
     ]  # fmt: skip
+
+
+def _own_errors(base: Base) -> OwnErrors | None:
+    """What each pose is off by its own, beyond what the run declares, in the unit of the readings."""
+    run = base.family.run
+    axes = list(run.of.axes)
+    sigma = run.sigma[axes]
+    own = base.own_errors(np.square(run.of.data.pose_sigma[run.rows][:, axes]).mean(axis=0) / sigma**2)
+    return None if own is None else replace(own, size=own.size * sigma)
 
 
 def _size(final: FittedRun, own: OwnErrors) -> float:

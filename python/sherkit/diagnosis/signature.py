@@ -13,6 +13,7 @@ from ..evidence.base import Base
 from ..evidence.blocks import Block
 from ..evidence.names import Names
 from ..evidence.run import Run
+from ..evidence.settings import finer
 from .template import what_parts
 
 #: Evidence, in nats, by which one shape is clearly better than another (Kass and Raftery, "Bayes factors", JASA 1995).
@@ -33,6 +34,7 @@ def signature_of(names: Names, named: Sequence[str]) -> dict[str, Any] | None:
     if not described.shapes:
         return None
     first, *others = _as_likely(base)
+    first = finer(base, first)
     with_it = base.beside(first)
     # what is left once every shape that was found is in the model stands for the noise
     noise = described.base.rss / max(described.base.free, 1)

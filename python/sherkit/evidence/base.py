@@ -52,8 +52,8 @@ def chance_of(evidence: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class OwnErrors:
-    """What each of ``poses`` is off by its own: ``evidence`` in nats that it is, its ``size`` (m,) in the unit of the
-    readings, and over all axes as a ``part`` of the noise."""
+    """What each of ``poses`` is off by its own: ``evidence`` in nats that it is, its ``size`` (m,) on each axis in
+    noises, and over all axes as a ``part`` of the noise."""
 
     evidence: float
     size: Floats
@@ -157,14 +157,13 @@ class Base:
         """Sum of squares that these columns (N, k) would take."""
         return float(np.square(self._beyond(columns, HELD_EFFECT**0.5).T @ self.residual).sum())
 
-    @cached_property
-    def of_its_own(self) -> OwnErrors | None:
-        """Whether each pose has an error of its own beyond what was declared (``pose_sigma_…``): None where too few
-        were repeated.
+    def own_errors(self, declared: Floats | float = 0.0) -> OwnErrors | None:
+        """Whether each pose has an error of its own beyond what is ``declared`` (m,), variances in noises: None where
+        too few were repeated.
 
         What lies between the visits of a pose is noise; where the means of poses vary by more, each has an error.
         """
-        m, of = self.family.run.axes, self.family.run.of
+        m = self.family.run.axes
         _, pose, count = np.unique(self.family.run.view.repeated, return_inverse=True, return_counts=True)
         pose = pose.ravel()
         residual = self.residual.reshape(-1, m)
@@ -176,8 +175,6 @@ class Base:
         if min(free_within, free_between) < _FREE or not within.all():
             return None
         times, noise = len(pose) / len(count), within / free_within
-        sigma = self.family.run.sigma[list(of.axes)]
-        declared = np.square(of.data.pose_sigma[self.family.run.rows][:, list(of.axes)]).mean(axis=0) / sigma**2
         own = (between / free_between - noise) / times - declared
         # as if none had been declared
         between = between * noise / (noise + times * declared)
@@ -186,7 +183,7 @@ class Base:
         each = each + 0.5 * (free_between + free_within) * np.log((between + within) / (between / grown + within))
         evidence = total(each.sum(axis=1)) - float(np.log(len(_OWN)))
         part = float(np.sqrt(max(own.sum(), 0.0) / (noise + declared).sum()))
-        return OwnErrors(evidence, np.sqrt(np.maximum(own, 0.0)) * sigma, part, len(count))
+        return OwnErrors(evidence, np.sqrt(np.maximum(own, 0.0)), part, len(count))
 
     def power(self, block: int, size: float, level: float) -> float:
         """Chance that a test of this block at this ``level`` finds it where its columns, each of unit length, add up to

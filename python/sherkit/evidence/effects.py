@@ -44,7 +44,7 @@ def blocks_of_effects(made: Maker) -> None:
     reach = max(float(np.ptp(view.inputs[name])) for name in names)
     if not reach > 0:
         return
-    counts = waves_along()
+    counts = max((waves_along(view.inputs[name]) for name in names), key=len)
     parts = [
         made.part(table_of(2.0 * np.pi * view.inputs[name] / reach, counts), view.patterns[name][:, :, None])
         for name in names

@@ -105,8 +105,8 @@ def _refused(names: Names, one: Told) -> str:
     assert names.lead is not None, "it is of a set"
     # three or more with many numbers imitate anything
     partly = not names.lead.explains or names.shapes_say_more or len(names.lead.blocks) > 2
-    # those that explain all need but do better than what follows no cause
-    least = NEEDED if partly else 0.0
+    # several that explain all need but do better than what follows no cause; of one that may do a little better
+    least = NEEDED if partly else 0.0 if len(names.lead.blocks) > 1 else -ALARM
     steps = [block for block in names.lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"
@@ -120,12 +120,13 @@ def _refused(names: Names, one: Told) -> str:
 
 
 def _ties(lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSet, ...]:
-    """Sets of no more effects that say as much, and leave as little."""
+    """Sets of no more effects that say as much, or come as near the data, and leave as little."""
+    as_near = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
     return tuple(
         one
         for one in found
         if one is not lead
         and len(one.blocks) <= len(lead.blocks)
-        and one.value > lead.value - TIED
+        and (one.value > lead.value - TIED or (one.explains and one.base.rss < as_near))
         and one.rest < max(lead.rest, ALARM) + TIED
     )

@@ -17,6 +17,8 @@ from .waves import TURN
 
 #: Moments that are tried about one that was found; lags by factors of a quarter of two; waves over the range.
 _MOMENTS, _LAGS, _WAVES = 90, 2.0 ** np.arange(-0.75, 0.76, 0.25), np.arange(-0.5, 0.51, 0.05)
+#: The same of a shape.
+_FINER = np.linspace(-0.5, 0.5, 33)
 #: Fewest waves over the range of what waves.
 _FEWEST = 0.2
 
@@ -63,6 +65,27 @@ def refined(base: Base, block: Block) -> Block:
     best = max(found, key=found.__getitem__)
     found |= {k: takes(k) for k in range(max(best - few + 1, 0), min(best + few, len(tried))) if k not in found}
     return replace(block, setting=tried[max(found, key=found.__getitem__)])
+
+
+def finer(base: Base, block: Block) -> Block:
+    """A shape that is a wave of a variable at the period, between those that are tried, at which it takes most."""
+    run, view = base.family.run, base.family.run.view
+    axes = range(run.axes) if block.axis is None else [block.axis]
+    if block.period is None or (block.pattern is None and len(block.at) > 2 * len(axes)):
+        return block
+    values = view.variables[block.depends_on[0]]
+    reach = float(np.ptp(values))
+
+    def takes(count: float) -> float:
+        angle = TURN * (values - values.min()) * count / reach
+        waves = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        waves = waves - waves.mean(axis=0)
+        on = np.eye(run.axes)[:, list(axes)] if block.pattern is None else view.patterns[block.pattern][:, :, None]
+        columns = run.flat((waves[:, None, :, None] * on[..., None, :]).reshape(*view.residual.shape, -1))
+        return base.takes(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
+
+    counts = reach / block.period + _FINER
+    return replace(block, period=reach / max(counts[counts > _FEWEST].tolist(), key=takes))
 
 
 def _near(view: Linearised, block: Block) -> list[float]:

@@ -87,7 +87,7 @@ def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
 
 def _along(made: Maker, name: str, t: Floats) -> None:
     """Waves of a joint, as an error of it arrives at the readings."""
-    counts, reach = waves_along(), float(np.ptp(made.view.variables[name]))
+    counts, reach = waves_along(made.view.variables[name]), float(np.ptp(made.view.variables[name]))
     part = made.part(table_of(np.pi * (t + 1), counts), made.view.patterns[name][:, :, None])
     for k, count in enumerate(counts.tolist()):
         at = np.array([k, len(counts) + k])

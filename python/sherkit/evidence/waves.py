@@ -14,13 +14,18 @@ _JOINT, _TIME, _PLACE = (1.0, 60.0), (1.0, 61.0), (2.0, 12.0)
 #: Waves slower than this part of a frequency, and the part of a wave from which on they stand in for it, where values
 #: are too far apart to tell.
 _SLOWER, _STANDS_IN = 0.8, 0.8
+#: Part of a range within which values are the same.
+_SAME = 1e-3
 #: Values that tell whether they do.
 _LOOKED_AT = 2000
 
 
-def waves_along() -> Floats:
-    """How many waves over a joint's range are tried."""
-    return np.arange(*_JOINT, 0.5)
+def waves_along(values: Floats) -> Floats:
+    """How many waves over a joint's range are tried: no more than it has values, since further up there are more waves
+    than readings to tell them by."""
+    counts = np.arange(*_JOINT, 0.5)
+    distinct = len(np.unique(np.round(values / (_SAME * max(float(np.ptp(values)), 1e-300)))))
+    return np.asarray(counts[counts <= max(distinct, 2)])
 
 
 def waves_in_time() -> Floats:
