@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.stats
 
 from ..base import linalg
 from ..base.types import Floats, Ints
 from .blocks import Block
+from .design import power
 from .family import Family
 from .run import Run
 from .thresholds import HELD_EFFECT, HELD_SHAPE, SCALES
@@ -165,9 +165,7 @@ class Base:
     def power(self, block: int, size: float, level: float) -> float:
         """Chance that a test of this block at this ``level`` finds it where its columns, each of unit length, add up to
         ``size`` noises beside what is in the model: by the non-central χ² of its rank."""
-        rank = max(float(self.gains[1][block]), 1.0)
-        limit = scipy.stats.chi2.isf(level, rank)
-        return float(scipy.stats.ncx2.sf(limit, rank, max(size, 1e-12) ** 2))
+        return power(size**2, max(float(self.gains[1][block]), 1.0), level)
 
     def held_out(self, folds: Sequence[Ints]) -> Floats:
         """Squared errors (repetitions, N), in squared noises, of rows that a fit to the others predicts: ``folds``
