@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+import sherkit._core as _core
+
 from ..base import linalg
 from ..base.types import Floats, Ints
 from .blocks import Block
@@ -102,14 +104,7 @@ class Base:
         """Sum of squares that each block would take (B,), and its rank beside what is in the model (B,)."""
         gain, rank = np.zeros(len(self.family)), np.zeros(len(self.family))
         for (which, at, _), gram in zip(self.family.groups, self.left, strict=True):
-            least = self.family.least[which][:, None]
-            there = np.einsum("bkk->bk", gram) > least
-            right = np.where(there, self.right[at], 0.0)
-            inside = (
-                np.where(there[:, :, None] & there[:, None, :], gram, 0.0) + np.eye(at.shape[1]) * least[:, :, None]
-            )
-            gain[which] = np.einsum("bk,bk->b", right, linalg.solve(inside, right[:, :, None])[:, :, 0])
-            rank[which] = there.sum(axis=1)
+            gain[which], rank[which] = _core.blocks_taken(gram, self.right[at], self.family.least[which])
         return np.minimum(gain, self.rss * _ALL), rank
 
     @cached_property
