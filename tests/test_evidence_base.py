@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.integrate
+from hypothesis import given
+from hypothesis import strategies as st
 
+import sherkit._core as _core
+from sherkit.errors import SherkitError
 from sherkit.evidence.base import Base, log_bayes
 from sherkit.evidence.family import Family
 from sherkit.evidence.whitening import independent
@@ -116,3 +120,43 @@ def test_power_is_that_of_a_test() -> None:
     z = rng.normal(size=(4000, 2)) + np.array([3.0, 0.0])
     drawn = float((np.square(z).sum(axis=1) > -2.0 * np.log(0.01)).mean())
     assert base.power(block, 3.0, 0.01) == pytest.approx(drawn, abs=0.032)
+
+
+def _in_numpy(grams: np.ndarray, right: np.ndarray, least: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A second way: each block by itself, without columns of which nothing is left, by singular values."""
+    gain, rank = np.zeros(len(grams)), np.zeros(len(grams))
+    for b, (gram, own) in enumerate(zip(grams, right, strict=True)):
+        there = np.diag(gram) > least[b]
+        inside = gram[np.ix_(there, there)] + least[b] * np.eye(int(there.sum()))
+        gain[b], rank[b] = own[there] @ np.linalg.pinv(inside, hermitian=True) @ own[there], there.sum()
+    return gain, rank
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(0, 4), st.booleans())
+def test_the_core_asks_blocks_as_numpy_does(seed: int, width: int, new: int, copies: bool) -> None:
+    """Catches rounding that counts as a column, a pivot of nearly equal columns that is negative, a right side of
+    columns that are not there: random blocks, some of whose columns the model holds, or are copies of each other."""
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(40, 12))
+    if copies:
+        columns[:, 1] = columns[:, 0] + 1e-9 * columns[:, 1]
+    q = np.linalg.qr(np.concatenate([columns[:, 3:4], rng.normal(size=(40, 4))], axis=1))[0][:, :new]
+    columns /= np.linalg.norm(columns, axis=0)
+    left = columns - q @ (q.T @ columns)
+    at = np.stack([rng.permutation(12)[:width] for _ in range(5)])
+    grams = np.stack([left[:, one].T @ left[:, one] for one in at])
+    right, least = left.T @ rng.normal(size=40), np.array([1e-6, 4e-4, 1e-6, 0.1, 1e-3])
+    # as parts of larger ones, which do not lie in one piece
+    larger = np.pad(grams, ((0, 0), (0, 1), (1, 2)))[:, :-1, 1:-2]
+    gain, rank = _core.blocks_taken(larger, right[at], least)
+    expected = _in_numpy(grams, right[at], least)
+    np.testing.assert_array_equal(rank, expected[1])
+    np.testing.assert_allclose(gain, expected[0], rtol=1e-7, atol=1e-12)
+
+
+def test_the_core_refuses_blocks_of_another_shape() -> None:
+    """Catches a panic, or a traceback of another kind, for shapes that do not fit."""
+    grams = np.ones((2, 3, 3))
+    for inside, right, least in ((grams, (2, 2), 2), (grams, (2, 3), 3), (grams[:, :2], (2, 3), 2)):
+        with pytest.raises(SherkitError):
+            _core.blocks_taken(inside, np.ones(right), np.ones(least))

@@ -39,6 +39,7 @@ __all__ = [
     "bernstein_fit",
     "bernstein_fit_grid",
     "bernstein_held_out",
+    "blocks_taken",
     "largest_under_flips",
     "play",
     "register_most",
@@ -525,6 +526,10 @@ class PaperFilter(_ToolFilter):
         of_force: bool = False,
     ) -> PaperFilter: ...
     def copy(self) -> PaperFilter: ...
+
+def blocks_taken(grams: _Floats, right: _Floats, least: _Floats) -> tuple[_Floats, _Floats]:
+    """The sum of squares that each block (b, k, k) takes, and its rank, (b,) each: ``right`` (b, k) are products with
+    what is left of the readings; a column of whose square no more is left than ``least`` (b,) is none."""
 
 def register_most(
     points: _Floats, read: _Floats, *, mirrored: bool = False, fewest: int = 4

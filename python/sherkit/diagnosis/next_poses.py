@@ -1,8 +1,7 @@
 """What to measure next: the poses that tell tied models apart best, or what else would where no pose does.
 
-T-optimality (Atkinson and Fedorov, "The design of experiments for discriminating between two rival models", 1975):
-take the first model as fitted for true, and look for poses where the best refit of the rival still misses it most.
-Poses are chosen one after another. The new rows are measured after the run, so time goes on; that alone separates a
+The first model as fitted is taken for true, and poses are chosen where the best refit of its rivals still misses it
+most (:mod:`~sherkit.evidence.design`). The new rows are measured after the run, so time goes on; that alone separates a
 cause in time from one in space where the run had mixed them.
 """
 
@@ -13,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base import linalg
 from ..base.names import listed
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import bare
 from ..errors import SherkitError
+from ..evidence.design import Rival, telling
 from ..fit.identify import Fit
 from ..model.base import Reachable
 
@@ -57,43 +56,25 @@ def next_poses(true: Fit, rivals: Sequence[Fit], sigma: Floats, most: int = MOST
         return Proposal()
     try:
         trial = _Trial(true, reachable.rows, sigma, most)
-        problems = [_Problem(trial, rival) for rival in rivals]
-        chosen, told = _chosen(problems, most)
-        untold = {p.rival: float(np.sqrt(max(p.distance, 0.0))) for p in problems if p not in told}
-        if not untold:
-            return Proposal(_named(trial, reachable, chosen))
-        advice = _advice(true, reachable.rows, untold, sigma, most)
+        chosen, untold = _chosen(trial, rivals)
+        advice = _advice(true, reachable.rows, untold, sigma, most) if untold else ""
     except SherkitError:
         return Proposal()
     return Proposal(_named(trial, reachable, chosen), advice)
 
 
-def _chosen(problems: Sequence[_Problem], most: int) -> tuple[list[tuple[int, float]], list[_Problem]]:
-    """Poses with the separation reached with each, and the rivals that they tell: the nearest are given up one after
-    another until the others are told."""
-    left = list(problems)
+def _chosen(trial: _Trial, rivals: Sequence[Fit]) -> tuple[list[tuple[int, float]], dict[Fit, float]]:
+    """Poses with the separation reached with each, and that of rivals that they do not tell: the nearest are given up
+    one after another until the others are told."""
+    left, untold = {rival: trial.beside(rival) for rival in rivals}, dict[Fit, float]()
     while left:
-        poses = _greedy(left, most)
+        poses, reached = telling(list(left.values()), trial.most)
         if poses and poses[-1][1] >= TELLS_SIGMA:
-            return poses, left
-        left.remove(min(left, key=lambda p: p.distance))
-    return [], []
-
-
-def _greedy(problems: Sequence[_Problem], most: int) -> list[tuple[int, float]]:
-    for p in problems:
-        p.begin()
-    out: list[tuple[int, float]] = []
-    for k in range(most):
-        scores = np.min([p.scores(k) for p in problems], axis=0)
-        scores[[pose for pose, _ in out]] = -1.0
-        best = int(np.argmax(scores))
-        if not scores[best] > 0:
-            break
-        for p in problems:
-            p.add(best, k)
-        out.append((best, float(np.sqrt(max(min(p.distance for p in problems), 0.0)))))
-    return out
+            return poses, untold
+        least, nearest = min(zip(reached, left, strict=True), key=lambda pair: pair[0])
+        untold[nearest] = least
+        del left[nearest]
+    return [], untold
 
 
 def _named(trial: _Trial, reachable: Reachable, chosen: Sequence[tuple[int, float]]) -> tuple[dict[str, float], ...]:
@@ -140,8 +121,8 @@ def _told_by(true: Fit, rows: Measurements, rival: Fit, sigma: Floats, most: int
         other = rows.to_be_read(layout)
         of_new = sigma[: rows.coordinates] if same else _as_fine(true, rows, other, sigma)
         for zero_is_free, said in ((True, ""), (False, " and counted from a zero that is surveyed to the base")):
-            problem = _Problem(_Trial(true, other, sigma, most, of_new=of_new, zero_is_free=zero_is_free), rival)
-            if _chosen([problem], most)[1]:
+            trial = _Trial(true, other, sigma, most, of_new=of_new, zero_is_free=zero_is_free)
+            if _chosen(trial, [rival])[0]:
                 return f"readings of {listed([bare(name) for name in layout.coordinates])}, as fine as these{said},"
     return ""
 
@@ -159,96 +140,43 @@ def _as_fine(fit: Fit, rows: Measurements, other: Measurements, sigma: Floats) -
 
 
 class _Trial:
-    """The same poses at each later moment at which they could be read, and what the true model says of them.
+    """The same poses at each of ``most`` later moments at which they could be read, as the true model has them.
 
     ``of_new`` (c,) is the noise of the new readings where it is not that of the old ones; ``zero_is_free`` where their
     zero is not known and is identified besides.
     """
 
     def __init__(
-        self,
-        true: Fit,
-        rows: Measurements,
-        sigma: Floats,
-        most: int,
-        *,
-        of_new: Floats | None = None,
+        self, true: Fit, rows: Measurements, sigma: Floats, most: int, *, of_new: Floats | None = None,
         zero_is_free: bool = False,
-    ) -> None:
-        self.true, self.zero_is_free = true, zero_is_free
+    ) -> None:  # fmt: skip
+        self.true, self.most = true, most
         self.sigma = sigma[: true.data.coordinates]
         # each new pose is read as often as those of the run
         often = np.sqrt(len(true.data) / len(np.unique(true.data.groups)))
         self.of_new = (self.sigma if of_new is None else of_new) / often
+        self.zeros = len(self.of_new) if zero_is_free else 0
         self.later = [_at(rows, true, k) for k in range(most)]
         self.told = [true.model.predict(one, true.values)[:, : rows.coordinates] for one in self.later]
 
-
-class _Problem:
-    """One rival: its normal equations with the old rows, and what each new pose would add."""
-
-    def __init__(self, trial: _Trial, rival: Fit) -> None:
-        self.rival, self.distance = rival, 0.0
-        data, true, sigma = rival.data, trial.true, trial.sigma
+    def beside(self, rival: Fit) -> tuple[Rival, list[tuple[Floats, Floats]]]:
+        """A rival as the old rows leave it, and for each moment what each pose would add."""
+        model, values, data = rival.model, rival.values, rival.data
         count = data.coordinates
         used = data.used[:, :count]
-        old = rival.model.derivatives(data, rival.values)[:, :count]
-        old = np.where(used[:, :, None], old / sigma[:, None], 0.0)
-        scale = np.linalg.norm(old.reshape(-1, old.shape[2]), axis=0)
+        old = np.where(used[:, :, None], model.derivatives(data, values)[:, :count] / self.sigma[:, None], 0.0)
+        apart = (self.true.model.predict(data, self.true.values) - rival.predicted)[:, :count]
+        flat = old.reshape(-1, old.shape[2])
+        scale = np.linalg.norm(flat, axis=0)
         scale = np.where(scale > 0, scale, 1.0)
-        flat = old.reshape(-1, old.shape[2]) / scale
-        apart = (true.model.predict(data, true.values) - rival.predicted)[:, :count]
-        apart = np.where(used, apart / sigma, 0.0).reshape(-1)
-        zeros = len(trial.of_new) if trial.zero_is_free else 0
-        size = flat.shape[1] + zeros
-        self._gram, self._right = np.zeros((size, size)), np.zeros(size)
-        self._gram[: flat.shape[1], : flat.shape[1]] = flat.T @ flat
-        self._right[: flat.shape[1]] = flat.T @ apart
-        self._square = float(apart @ apart)
-        self.new = []
-        for rows, there in zip(trial.later, trial.told, strict=True):
-            made = rival.model.derivatives(rows, rival.values)[:, : rows.coordinates]
-            columns = made / trial.of_new[:, None] / scale
-            if zeros:
-                own = np.broadcast_to(np.eye(zeros), (len(rows), zeros, zeros))
-                columns = np.concatenate([columns, own], axis=2)
-            away = there - rival.model.predict(rows, rival.values)[:, : rows.coordinates]
-            self.new.append((columns, away / trial.of_new))
-        self.begin()
-
-    def begin(self) -> None:
-        """Nothing has been measured besides the run."""
-        self.gram, self.right, self.square = self._gram.copy(), self._right.copy(), self._square
-
-    def scores(self, k: int) -> Floats:
-        """Distance of the refitted rival from the true model once each pose is added as the k-th."""
-        columns, away = self.new[k]
-        value, vector = linalg.eigh(self.gram)
-        keep = value > 1e-10 * value[-1]
-        root = vector[:, keep] / np.sqrt(value[keep])
-        rest = vector[:, ~keep]
-        x = root @ (root.T @ self.right)
-        miss = away - columns @ x
-        # directions that the old rows do not observe must not count as separation: they are free to fit
-        free = columns @ rest
-        spread = columns @ root
-        covariance = (
-            np.eye(columns.shape[1]) + spread @ spread.transpose(0, 2, 1) + 1e8 * free @ free.transpose(0, 2, 1)
-        )
-        gained = np.einsum("na,na->n", miss, linalg.solve(covariance, miss[:, :, None])[:, :, 0])
-        return gained + self.square - float(self.right @ x)
-
-    def add(self, pose: int, k: int) -> None:
-        """Takes a pose into the data."""
-        columns, away = self.new[k][0][pose], self.new[k][1][pose]
-        self.gram += columns.T @ columns
-        self.right += columns.T @ away
-        self.square += float(away @ away)
-        value, vector = linalg.eigh(self.gram)
-        keep = value > 1e-10 * value[-1]
-        root = vector[:, keep] / np.sqrt(value[keep])
-        x = root @ (root.T @ self.right)
-        self.distance = self.square - float(self.right @ x)
+        flat = np.concatenate([flat / scale, np.zeros((len(flat), self.zeros))], axis=1)
+        new = []
+        for rows, there in zip(self.later, self.told, strict=True):
+            columns = model.derivatives(rows, values)[:, : rows.coordinates] / self.of_new[:, None] / scale
+            own = np.broadcast_to(np.eye(rows.coordinates, self.zeros), (len(rows), rows.coordinates, self.zeros))
+            away = (there - model.predict(rows, values)[:, : rows.coordinates]) / self.of_new
+            new.append((np.concatenate([columns, own], axis=2), away))
+        return Rival.of(flat, np.where(used, apart / self.sigma, 0.0).ravel()), new
 
 
 def _at(rows: Measurements, fit: Fit, k: int) -> Measurements:

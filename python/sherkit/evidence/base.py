@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.stats
+
+import sherkit._core as _core
 
 from ..base import linalg
 from ..base.types import Floats, Ints
 from .blocks import Block
+from .design import power
 from .family import Family
 from .run import Run
 from .thresholds import HELD_EFFECT, HELD_SHAPE, SCALES
@@ -122,14 +124,7 @@ class Base:
         """Sum of squares that each block would take (B,), and its rank beside what is in the model (B,)."""
         gain, rank = np.zeros(len(self.family)), np.zeros(len(self.family))
         for (which, at, _), gram in zip(self.family.groups, self.left, strict=True):
-            least = self.family.least[which][:, None]
-            there = np.einsum("bkk->bk", gram) > least
-            right = np.where(there, self.right[at], 0.0)
-            inside = (
-                np.where(there[:, :, None] & there[:, None, :], gram, 0.0) + np.eye(at.shape[1]) * least[:, :, None]
-            )
-            gain[which] = np.einsum("bk,bk->b", right, linalg.solve(inside, right[:, :, None])[:, :, 0])
-            rank[which] = there.sum(axis=1)
+            gain[which], rank[which] = _core.blocks_taken(gram, self.right[at], self.family.least[which])
         return np.minimum(gain, self.rss * _ALL), rank
 
     @cached_property
@@ -188,9 +183,7 @@ class Base:
     def power(self, block: int, size: float, level: float) -> float:
         """Chance that a test of this block at this ``level`` finds it where its columns, each of unit length, add up to
         ``size`` noises beside what is in the model: by the non-central χ² of its rank."""
-        rank = max(float(self.gains[1][block]), 1.0)
-        limit = scipy.stats.chi2.isf(level, rank)
-        return float(scipy.stats.ncx2.sf(limit, rank, max(size, 1e-12) ** 2))
+        return power(size**2, max(float(self.gains[1][block]), 1.0), level)
 
     def held_out(self, folds: Sequence[Ints]) -> Floats:
         """Squared errors (repetitions, N), in squared noises, of rows that a fit to the others predicts: ``folds``

@@ -113,6 +113,10 @@ class Part:
         r, m, k = x.shape
         if self.alone:
             carried = self.carriers[:, :, None] * x.reshape(r, 1, m * k)
+        elif self.functions.shape[1] == 1:
+            # one function is a weight of the rows: many carriers are one product of matrices
+            weighed = (x * self.functions[:, :, None]).reshape(r * m, k)
+            return np.asarray(self.carriers.reshape(r * m, -1).T @ weighed)
         else:
             carried = np.matmul(self.carriers.transpose(0, 2, 1), x)
         return np.asarray((self.functions.T @ carried.reshape(r, -1)).reshape(len(self), k))

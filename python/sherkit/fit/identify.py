@@ -251,7 +251,7 @@ def identify(
     """
     given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
     model = model_of(given, free)
-    model = extended_by(model, effects) if len(effects) else model
+    model = extended_by(model, effects) if effects else model
     data = model.as_declared(run_for(robot, data))
     model = model.for_run(data)
     if loss not in LOSSES:
@@ -294,8 +294,8 @@ def identify(
     judged, plain = weights, loss == "linear" and not known
     if plain and not linear:
         # the solver knows what is left
-        free = np.count_nonzero(weights) - result["rank"]
-        overall = ratio = float(np.sqrt(result["cost"] / free)) if free > 0 else 1.0
+        beyond_rank = np.count_nonzero(weights) - result["rank"]
+        overall = ratio = float(np.sqrt(result["cost"] / beyond_rank)) if beyond_rank > 0 else 1.0
     else:
         left = problem.residuals(values)
         judged = weights if loss == "linear" else weights / spread(left, weights)

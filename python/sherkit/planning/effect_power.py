@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy
 
 from ..base import linalg
 from ..base.names import nearest
 from ..base.types import Floats
 from ..data import Measurements
 from ..errors import EffectError, FitError
+from ..evidence.design import needed, power
+from ..evidence.whitening import independent
 from ..model.base import missing_columns
 from ..model.chain import ChainModel
 from ..model.effect import Effect, Parameter
@@ -32,7 +33,6 @@ POWER = 0.8
 _UNOBSERVED = 1e-7
 #: So much of an effect is in the fitted parameters that it counts as absorbed.
 _ABSORBED = 0.95
-_LARGEST_NC = 1e5
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Planning:
     @cached_property
     def _basis(self) -> Floats:
         """An orthonormal basis (readings, rank) of what the free parameters can move."""
-        return _orthonormal(self._columns(self.model)[:, : len(self.model.parameters)])
+        return independent(self._columns(self.model), _UNOBSERVED)
 
     def _columns(self, model: ChainModel) -> Floats:
         """Derivatives (readings, p) in units of the noise, by plausible sizes."""
@@ -145,13 +145,12 @@ class Planning:
 
     def _left(self, name: str, beside: Floats | None = None) -> Floats:
         """What the free parameters (and ``beside``, an orthonormal basis) leave of an effect's columns."""
-        columns = self._raw[name]
-        for basis in (self._basis, beside):
-            if basis is not None:
-                # twice: the first leaves some rounding
-                for _ in range(2):
-                    columns = columns - basis @ (basis.T @ columns)
-        return columns
+        raw = columns = self._raw[name]
+        # twice: the first leaves some rounding
+        for basis in 2 * [self._basis] + (2 * [beside] if beside is not None else []):
+            columns = columns - basis @ (basis.T @ columns)
+        kept = np.linalg.norm(columns, axis=0) > _UNOBSERVED * np.linalg.norm(raw, axis=0)
+        return np.asarray(columns * kept)
 
     def power(self, name: str, values: Mapping[str, float]) -> float:
         """The chance to find an effect with these parameters (those left out are zero). Raises as :meth:`effect`."""
@@ -161,7 +160,7 @@ class Planning:
         if unknown := [k for k in values if k not in own]:
             raise EffectError(f"'{name}' has no parameter '{unknown[0]}'{nearest(unknown[0], own)}")
         share = np.array([values.get(p.name, 0.0) / p.size for p in effect.parameters])
-        return self._found(float(((left @ share) ** 2).sum()), *self._freedom(left, name))
+        return power(float(((left @ share) ** 2).sum()), *self._test(left, name))
 
     def found_along(self, name: str, values: Mapping[str, float]) -> dict[str, float]:
         """The multiple of these parameters at which the effect is found in 80 of 100 cases; infinite where never."""
@@ -169,34 +168,15 @@ class Planning:
         left = self._left(name)
         share = np.array([values.get(p.name, 0.0) / p.size for p in effect.parameters])
         at, whole = (float(((columns @ share) ** 2).sum()) for columns in (left, self._raw[name]))
-        rank, free = self._freedom(left, name)
         # along a direction that the parameters take wholly, what is left is rounding
-        seen = at > _UNOBSERVED**2 * whole and rank > 0
-        times = float(np.sqrt(self._needed(rank, free) / at)) if seen else float("inf")
+        seen = at > _UNOBSERVED**2 * whole
+        times = float(np.sqrt(needed(POWER, *self._test(left, name)) / at)) if seen else float("inf")
         return {name: times * value for name, value in values.items()}
 
-    def _freedom(self, left: Floats, name: str, beside: int = 0) -> tuple[int, int]:
-        """Degrees of freedom of the test: of the effect, and of the noise."""
+    def _test(self, left: Floats, name: str, beside: int = 0) -> tuple[int, float, int]:
+        """Of the test the degrees of freedom of the effect, the level, and the degrees of freedom of the noise."""
         rank = _rank(left, self._raw[name])
-        return rank, self.readings - self._basis.shape[1] - beside - rank
-
-    def _found(self, noncentrality: float, rank: int, free: int) -> float:
-        if rank == 0 or free <= 0:
-            return 0.0
-        threshold = float(scipy.special.fdtri(rank, free, 1.0 - self.level))
-        if noncentrality > _LARGEST_NC:
-            return 1.0
-        below = float(scipy.special.ncfdtr(rank, free, noncentrality, threshold))
-        if not np.isfinite(below):
-            # the series did not converge; with as many degrees of freedom, F is χ² over its own
-            below = float(scipy.special.chndtr(rank * threshold, rank, noncentrality))
-        return 1.0 - below
-
-    def _needed(self, rank: int, free: int) -> float:
-        """The noncentrality with which the test succeeds in 80 of 100 cases."""
-        if rank == 0 or free <= 0:
-            return float("inf")
-        return float(scipy.optimize.brentq(lambda nc: self._found(nc, rank, free) - POWER, 1e-6, _LARGEST_NC))
+        return rank, self.level, self.readings - self._basis.shape[1] - beside - rank
 
     @cached_property
     def effect_powers(self) -> tuple[EffectPower, ...]:
@@ -210,19 +190,19 @@ class Planning:
             nan = float("nan")
             return EffectPower(name, effect.link, nan, nan, {}, nan, nan, (), missing)
         raw, left = self._raw[name], self._left(name)
-        rank, free = self._freedom(left, name)
-        at_size = float((left**2).sum()) if rank else 0.0
-        needed = self._needed(rank, free)
-        times = float(np.sqrt(needed / at_size)) if at_size > 0 else float("inf")
+        test = self._test(left, name)
+        at_size = float((left**2).sum()) if test[0] else 0.0
+        least = needed(POWER, *test)
+        times = float(np.sqrt(least / at_size)) if at_size > 0 else float("inf")
         whole = float((raw**2).sum())
         unit = self.rows.layout.per_unit * float(np.sqrt(np.mean(self.sigma**2)))
         return EffectPower(
             name=name,
             link=effect.link,
-            power=self._found(at_size, rank, free),
+            power=power(at_size, *test),
             times=times,
             values={p.name: times * p.size for p in effect.parameters},
-            left_um=unit * float(np.sqrt(needed / self.readings)),
+            left_um=unit * float(np.sqrt(least / self.readings)),
             absorbed=max(1.0 - at_size / whole, 0.0) if whole > 0 else 1.0,
             indistinguishable=self._ties(name) if times <= 1.0 else (),
             missing_columns=(),
@@ -236,10 +216,9 @@ class Planning:
             others = self._left(other)
             if _rank(others, self._raw[other]) == 0:
                 continue
-            basis = _orthonormal(others)
+            basis = independent(others, _UNOBSERVED)
             left = self._left(name, basis)
-            rank, free = self._freedom(left, name, basis.shape[1])
-            if self._found(float((left**2).sum()) if rank else 0.0, rank, free) < POWER:
+            if power(float((left**2).sum()), *self._test(left, name, basis.shape[1])) < POWER:
                 out.append(other)
         return tuple(out)
 
@@ -255,11 +234,6 @@ def planning_of(
             raise EffectError(f"'{name}' is not a known effect{nearest(name, known)}")
     inside = replace(model, effects=(*model.effects, *(known[name] for name in effects)))
     return Planning(inside, rows, np.asarray(sigma, dtype=float))
-
-
-def _orthonormal(columns: Floats) -> Floats:
-    left, singular, _ = linalg.svd(columns, full_matrices=False)
-    return left[:, singular > _UNOBSERVED * max(float(singular[0]), 1e-300)]
 
 
 def _rank(left: Floats, raw: Floats) -> int:

@@ -1,8 +1,7 @@
 """Which poses to measure: few that observe all parameters, chosen from many that the robot can reach.
 
-D-optimal designs (Fedorov, *Theory of Optimal Experiments*, 1972), found by exchange (Cook and Nachtsheim, "A
-comparison of algorithms for constructing exact D-optimal designs", Technometrics 1980). For a given number of poses
-this is also the best observability index O1 (Borm and Menq, 1989), the one that is used for robots. Poses are chosen
+D-optimal designs (:mod:`~sherkit.evidence.design`). For a given number of poses this is also the best observability
+index O1 (Borm and Menq, 1989), the one that is used for robots. Poses are chosen
 once each, since a pose that is measured twice shows noise and no other physics, and put into a random order, so that
 drift does not look like geometry.
 """
@@ -18,14 +17,12 @@ from ..base.arguments import Positive, Seed, as_annotated
 from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..errors import FitError, ShapeError
+from ..evidence.design import exchanged, showing
 from ..model.chain import ChainModel
 from ..model.effect import Parameter
 
 #: Singular values below this share of the largest are directions that no pose observes.
 _UNOBSERVED = 1e-9
-_MOST_ROUNDS = 50
-#: An exchange that gains less than this in the logarithm of the determinant is none.
-_LEAST_GAIN = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +66,9 @@ def choose_poses(
             f"be observed), got {count}"
         )
     rng = np.random.default_rng(seed)
-    chosen = _exchanged(whole, _grown(whole, count))
-    order = rng.permutation(np.array(chosen, dtype=np.int64))
+    # all poses together are a start that observes everything; it fades as poses are chosen
+    begun = showing(whole, 1e-6 * np.einsum("nar,nas->rs", whole, whole), (), count)
+    order = rng.permutation(np.array(exchanged(whole, begun), dtype=np.int64))
     std, o1 = _known(whole[order], size, basis)
     return PoseDesign(order, model.parameters, std, o1, rank)
 
@@ -110,49 +108,3 @@ def _known(rows: Floats, size: Floats, basis: Floats) -> tuple[Floats, float]:
     root = basis @ (right.T / singular)
     o1 = float(np.exp(np.mean(np.log(singular))) / np.sqrt(len(rows)))
     return np.sqrt((root**2).sum(axis=1)) * size, o1
-
-
-def _gains(rows: Floats, inverse: Floats) -> Floats:
-    """By how much the logarithm of the determinant grows with each of the poses."""
-    m = rows.shape[1]
-    spread = np.einsum("nar,rs,nbs->nab", rows, inverse, rows)
-    return np.linalg.slogdet(np.eye(m) + spread)[1]
-
-
-def _grown(rows: Floats, count: int) -> list[int]:
-    """A first choice: one after the other, each time the pose that adds most."""
-    # all poses together are a start that observes everything; it fades as poses are chosen
-    information = 1e-6 * np.einsum("nar,nas->rs", rows, rows)
-    chosen: list[int] = []
-    for _ in range(count):
-        gains = _gains(rows, linalg.inv(information))
-        gains[chosen] = -np.inf
-        best = int(np.argmax(gains))
-        chosen.append(best)
-        information += rows[best].T @ rows[best]
-    return chosen
-
-
-def _exchanged(rows: Floats, chosen: list[int]) -> list[int]:
-    """Exchanges each chosen pose for a better one, until none is."""
-    chosen = list(chosen)
-    information = np.einsum("nar,nas->rs", rows[chosen], rows[chosen])
-    for _ in range(_MOST_ROUNDS):
-        better = False
-        for k, old in enumerate(chosen):
-            rest = information - rows[old].T @ rows[old]
-            value, vector = linalg.eigh(rest)
-            if value[0] <= 1e-12 * value[-1]:
-                # without this pose a direction is lost
-                continue
-            gains = _gains(rows, (vector / value) @ vector.T)
-            kept = gains[old]
-            gains[chosen] = -np.inf
-            best = int(np.argmax(gains))
-            if gains[best] > kept + _LEAST_GAIN:
-                chosen[k] = best
-                information = rest + rows[best].T @ rows[best]
-                better = True
-        if not better:
-            break
-    return chosen

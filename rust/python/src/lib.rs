@@ -6,6 +6,7 @@ mod calibrated;
 mod camera;
 mod delta;
 mod errors;
+mod evidence;
 mod flips;
 mod lanes;
 mod maps;
@@ -48,6 +49,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(registration::register_points, m)?)?;
     m.add_function(wrap_pyfunction!(registration::register_most, m)?)?;
     m.add_function(wrap_pyfunction!(registration::rotation_vector, m)?)?;
+    m.add_function(wrap_pyfunction!(evidence::blocks_taken, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_basis, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_held_out, m)?)?;
