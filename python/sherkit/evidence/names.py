@@ -66,17 +66,21 @@ class Names:
 def names_of(sets: Sets) -> Names:
     """Searches a run's sets of effects and judges each effect of the leading one."""
     found = sets.found()
-    alone = sets.described(sets.base, MOST, _STARTS)
+    alone = sets.described(sets.base, MOST, 1)
     if not found:
         return Names(None, (), {}, (), alone, alone, sets.base)
     lead = sets.leading(found)
     beside = sets.described(lead.base, MOST, 1)
+    # where effects say far more than shapes no other beginning of these changes that
+    if lead.value + beside.evidence - alone.evidence < 2.0 * NEEDED:
+        alone = sets.described(sets.base, MOST, _STARTS)
     told = tuple(_told(sets, lead, beside, alone, k) for k in range(len(lead.blocks)))
-    names = Names(lead, told, {}, _ties(lead, found), beside, alone, sets.base)
-    refused = {one.name: why for one in told if (why := _refused(names, one))}
+    refused = {
+        one.name: why for one in told if (why := _refused(Names(lead, told, {}, (), beside, alone, sets.base), one))
+    }
     if any(one.absurd for one in told):
         refused = {one.name: "its size would be absurd" for one in told}
-    return Names(lead, told, refused, names.ties, beside, alone, sets.base)
+    return Names(lead, told, refused, _ties(lead, found), beside, alone, sets.base)
 
 
 def _told(sets: Sets, lead: EffectSet, beside: Described, alone: Described, k: int) -> Told:

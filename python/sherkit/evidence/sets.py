@@ -79,10 +79,13 @@ class Sets:
         for (which, _, _), grams in zip(family.groups, base.left, strict=True):
             left[which] = np.einsum("bkk->b", grams)
         family.without_twins(base.basis, left)
-        #: Effects alone: what shapes say of pairs is not asked.
-        self._of_effects = Base.of(Family(family.run, shapes=False), family.run)
         self._fitted: dict[tuple[tuple[str, float], ...], EffectSet | None] = {}
         self._described: dict[tuple[int, int, int], Described] = {}
+
+    @cached_property
+    def _of_effects(self) -> Base:
+        """The base of effects alone: what shapes say of pairs is not asked."""
+        return Base.of(Family(self.family.run, shapes=False), self.family.run)
 
     def fitted(self, blocks: Sequence[Block]) -> EffectSet | None:
         """The set in a full fit; None where it cannot be fitted."""
@@ -143,9 +146,11 @@ class Sets:
             return lead
         for block in lead.blocks:
             others = [one for one in lead.blocks if one is not block]
+            if block.effect is None or "time_s" not in block.effect.needs:
+                continue
             beside = self._of_effects.beside(*map(self._near, others))
             each = np.array([x if one.name == SLIP else -np.inf for x, one in _each(beside)])
-            if block.effect is None or "time_s" not in block.effect.needs or not np.isfinite(each).any():
+            if not np.isfinite(each).any():
                 continue
             step = beside.family.blocks[int(np.argmax(each))]
             assert step.effect is not None, "it is one"
