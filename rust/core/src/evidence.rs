@@ -27,21 +27,20 @@ pub fn taken(block: &[f64], right: &[f64], least: f64, room: &mut [f64]) -> Resu
         line.fill(0.0);
         solved[a] = 0.0;
         // a NaN is not above it
-        if !(values[a] > least) {
-            continue;
-        }
-        for (q, other) in done.chunks_exact(k).enumerate() {
-            // a column that is not there has no pivot
-            if other[q] > 0.0 {
-                line[q] = (values[q] - dot(&line[..q], &other[..q])) / other[q];
+        if values[a] > least {
+            for (q, other) in done.chunks_exact(k).enumerate() {
+                // a column that is not there has no pivot
+                if other[q] > 0.0 {
+                    line[q] = (values[q] - dot(&line[..q], &other[..q])) / other[q];
+                }
             }
+            // without rounding no pivot is smaller than what was added
+            let pivot = values[a] + least - dot(&line[..a], &line[..a]);
+            line[a] = sqrt(pivot.max(least));
+            solved[a] = (right[a] - dot(&line[..a], &solved[..a])) / line[a];
+            gain += solved[a] * solved[a];
+            rank += 1;
         }
-        // without rounding no pivot is smaller than what was added
-        let pivot = values[a] + least - dot(&line[..a], &line[..a]);
-        line[a] = sqrt(pivot.max(least));
-        solved[a] = (right[a] - dot(&line[..a], &solved[..a])) / line[a];
-        gain += solved[a] * solved[a];
-        rank += 1;
     }
     Ok((gain, rank))
 }
