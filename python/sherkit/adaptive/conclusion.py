@@ -10,13 +10,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ..base import linalg
 from ..base.names import listed
 from ..calibration import calibrate
 from ..data import Measurements
-from ..data.columns import unit_in
 from ..data.noise import noise_of
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.answers import Check
@@ -24,9 +22,10 @@ from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..errors import FitError, SherkitError
 from ..fit.identify import Fit, identify, residuals
 from . import rule
-from .choice import are_beyond, later
+from .choice import are_beyond
+from .known import PLACES
 from .look import FAR, Look
-from .rule import Unseen, is_silent, sentences
+from .rule import is_silent, outlook, sentences
 from .unread import mistaken
 from .vouching import structure_of, told_of
 
@@ -50,7 +49,6 @@ class Held:
     readings: int
     found: Look | None
     state: rule.State
-    seen: tuple[Unseen, ...]
     budget: int
     minutes: float | None
     span_min: float
@@ -103,30 +101,25 @@ def conclude(loop: Held) -> Conclusion:
 
     spent = _spent(loop)
     if found is None or loop.blind:
-        notes = [*loop.unread, *loop.against, *([loop.blind] if loop.blind else [])]
-        why = f"{spent}; {notes[0]}" if spent and notes else spent
-        return Conclusion(done=bool(spent), why=why, notes=tuple(notes), make=make)
+        said = (*loop.unread, *loop.against, *([loop.blind] if loop.blind else []))
+        return Conclusion(done=bool(spent), why="; ".join([spent, *said[:1]]) if spent else "", notes=said, make=make)
     verdict, done, why = state.verdict, state.done, state.why
     effects: tuple[str, ...] = state.named
     tied: tuple[tuple[str, ...], ...] = ()
     apart = told_of(found)
     first = [*([apart] if apart else []), *loop.unread, *loop.against]
-    notes = list(first)
-    notes += list(sentences(loop.seen, found.data.layout.unit, found.data.layout.per_unit, found.family.untestable))
-    notes += _unsure(found)
-    notes += [f"{name} is not in every row: nothing was made to depend on it" for name in loop.incomplete]
-    # a verdict of silence rests on what would have been seen; beside a name it is only told
+    notes: list[str] = []
     accuracy = None
     if not done and (spent or _is_beyond(loop, found, state)):
         verdict, effects, tied, why = _at_the_end(loop, found, spent)
         done = True
         if tied:
-            notes = [*_would_tell(found), *notes]
+            notes = _would_tell(found)
     if done and verdict == "unexplained":
-        looks_like = [name for name, _ in found.shapes[0][0] if found.family.by_name[name].is_shape]
+        looks_like = [name for name, _ in found.shapes[0][0] if name not in found.known.effects]
         why = f"{why}: what is left looks like {' & '.join(looks_like)}" if looks_like else why
         why = "; ".join((why, *loop.against))
-    if done and verdict != "adequate" and (mistakes := mistaken(found.family.model, found.data, found.fit.values)):
+    if done and verdict != "adequate" and (mistakes := mistaken(found.known.model, found.data, found.fit.values)):
         # what a wrong column leaves is no physics, and looks like much of it
         if verdict == "undecided":
             why = "; ".join((why, *mistakes))
@@ -152,6 +145,12 @@ def conclude(loop: Held) -> Conclusion:
                 notes.insert(0, f"{told} would not bring it")
     elif verdict == "adequate" and done:
         accuracy = accuracy_um(loop, found, (), found.fit)
+    if done:
+        # a verdict of silence rests on what would have been seen; beside a name it is only told
+        layout = found.data.layout
+        notes += [*first, *sentences(outlook(found, loop.level), layout.unit, layout.per_unit, found.known.untestable)]
+        notes += _unsure(found)
+        notes += [f"{name} is not in every row: nothing was made to depend on it" for name in loop.incomplete]
     best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.leading]
     return Conclusion(
         verdict, done, why if done else "", effects if done or state.named else (), tied,
@@ -164,7 +163,7 @@ def _louder(found: Look, verdict: str) -> str:
     declared = noise_of(found.data)
     if declared.origin != "declared":
         return ""
-    axes = list(found.family.axes)
+    axes = list(found.known.axes)
     each = declared.sigma[:, axes][found.data.used[:, axes]]
     told = float(np.exp(np.mean(np.log(each))))
     left = float((found.lead.fit if verdict == "explained" and found.lead else found.fit).scale)
@@ -208,7 +207,7 @@ def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ..
     if found.log_evidence < -np.log(loop.level):
         if loop.against:
             return "undecided", (), (), f"{why}; {loop.against[0]}"
-        if found.readings >= rule.FEWEST and is_silent(loop.seen):
+        if found.readings >= rule.FEWEST and is_silent(outlook(found, loop.level)):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
     ties = rule.ties(found)
@@ -264,7 +263,7 @@ def accuracy_um(loop: Held, found: Look, effects: tuple[str, ...], fit: Fit) -> 
     kind without one, or an effect that a calibration cannot hold, by the covariance of the fit. None where that is in
     no length.
     """
-    places = found.family.region.spread(PLACES, loop.seed + 1)
+    places = found.known.region.spread(PLACES, loop.seed + 1)
     try:
         made = calibrate(loop.robot, found.data, effects=effects, correction="none").calibration
         # the region is one of the drawing: where its poses are in the calibration's frame is the calibration's to say
@@ -274,7 +273,7 @@ def accuracy_um(loop: Held, found: Look, effects: tuple[str, ...], fit: Fit) -> 
             return float(1e3 * np.nanmax(promised))
     except SherkitError:
         pass
-    return accuracy_by_covariance_um(found, fit, loop.seed)
+    return found.known.accuracy_um(found.data, fit, loop.seed)
 
 
 def _agreeing(d: Diagnosis, said: Conclusion) -> Diagnosis:
@@ -296,10 +295,6 @@ def _agreeing(d: Diagnosis, said: Conclusion) -> Diagnosis:
 
 # -- while it goes on: how far off a model is at readings before it is fitted to them ---------------------------------
 
-#: Places at which the accuracy is asked, and the share of cases that it holds for.
-PLACES, SHARE = 60, 0.95
-
-
 @dataclass(frozen=True)
 class Progress:
     """Of the look at ``readings`` rows: root mean square of what the look before leaves at the rows since, by the
@@ -316,7 +311,7 @@ def progress(before: Look | None, now: Look, seed: int) -> Progress:
     """How far it is at a look, by what the one before it held."""
     fit = now.lead.fit if now.lead is not None else now.fit
     try:
-        accuracy = accuracy_by_covariance_um(now, fit, seed)
+        accuracy = now.known.accuracy_um(now.data, fit, seed)
     except SherkitError:  # a fit by which the robot reaches nothing
         accuracy = None
     if before is None:
@@ -328,7 +323,7 @@ def progress(before: Look | None, now: Look, seed: int) -> Progress:
 
 def _missed(fit: Fit, before: Look, now: Look) -> float:
     """Root mean square of what a fit leaves at the rows that were read after it."""
-    axes = list(now.family.axes)
+    axes = list(now.known.axes)
     new = slice(before.readings, now.readings)
     try:
         left = residuals(fit.model, now.data, fit.values)[new][:, axes]
@@ -336,18 +331,3 @@ def _missed(fit: Fit, before: Look, now: Look) -> float:
         return float("nan")
     left = left[now.data.used[new][:, axes] & np.isfinite(left)]
     return float(now.data.layout.per_unit * np.sqrt(np.mean(np.square(left)))) if len(left) else float("nan")
-
-
-@linalg.one_thread()
-def accuracy_by_covariance_um(found: Look, fit: Fit, seed: int) -> float | None:
-    """How far off the fitted model may be anywhere in the region, in 95 of 100 cases, µm: the largest over places, to
-    first order; None where readings are no lengths."""
-    axes = list(found.family.axes)
-    if not all(unit_in(fit.data.layout.readings[a]) == "mm" for a in axes):
-        return None
-    places = found.family.region.spread(PLACES, seed + 1)
-    rows = later(found.data, places, 0.0, np.random.default_rng(seed))
-    by = fit.model.derivatives(rows, fit.values)[:, axes]
-    each = np.einsum("nmp,pq,nkq->nmk", by, fit.covariance + fit.unobserved_covariance, by)
-    largest = float(linalg.eigvalsh(each)[:, -1].max())
-    return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(SHARE, len(axes)) * max(largest, 0.0)))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from os import PathLike
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -15,22 +14,20 @@ from ..base import linalg
 from ..base.arguments import Count, Level, NotNegative, Positive, Seed, as_annotated
 from ..data import Measurements
 from ..data.columns import POSE, REASON, REPEAT, TIME
-from ..data.files import write_whole
-from ..data.lock import FileLock
 from ..diagnosis import Diagnosis
-from ..errors import ArgumentError, MeasurementError, SherkitError
+from ..errors import SherkitError
 from ..fit.error import axes_of
-from ..model.kinds import kind_of, model_of, robot_from_tables
+from ..model.kinds import kind_of, model_of
 from ..model.kinds import required_um as stated_um
 from ..model.robot_file import RobotLike, load_robot
 from . import rule, told
 from .batch import Batches, next_pose
-from .conclusion import Conclusion, Held, Progress, accuracy_by_covariance_um, conclude, progress
-from .family import Family
-from .kept import asked_in, held_in, lock, text_of
+from .conclusion import Conclusion, Held, Progress, conclude, progress
+from .kept import Kept
+from .known import Known
 from .look import Look, look
 from .region import Region
-from .rule import State, Unseen, outlook
+from .rule import State
 from .unread import mistaken, unread_cells
 from .vouching import against, told_of
 
@@ -40,7 +37,7 @@ _START, _BEYOND = 12, 8
 BATCH, BUDGET = 4, 400
 
 
-class Adaptive:
+class Adaptive(Kept):
     """Chooses poses, is told what was read there, and ends when it is known what is missing.
 
     ``required_um`` is the accuracy that the robot is for (its file's, if left out), ``budget`` the most readings,
@@ -54,7 +51,7 @@ class Adaptive:
             loop.tell(measure(loop.ask()))
         print(loop.verdict, loop.effects)
 
-    The rule is in :mod:`~sherkit.adaptive.rule`, the evidence in :mod:`~sherkit.adaptive.evidence`. All that it holds
+    The rule is in :mod:`~sherkit.adaptive.rule`, the evidence in :mod:`~sherkit.evidence.reference`. All that it holds
     follows from the rows.
     """
 
@@ -85,8 +82,8 @@ class Adaptive:
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self._family: Family | None = None
-        self._looks: list[tuple[Look, State, tuple[Unseen, ...]]] = []
+        self._known: Known | None = None
+        self._looks: list[tuple[Look, State]] = []
         self._progress: list[Progress] = []
         self._asked: list[dict[str, Any]] = []
         self._asked_at = -1
@@ -122,7 +119,7 @@ class Adaptive:
     @property
     def looks(self) -> tuple[Look, ...]:
         """Every look so far."""
-        return tuple(found for found, _, _ in self._looks)
+        return tuple(found for found, _ in self._looks)
 
     @property
     def progress(self) -> tuple[Progress, ...]:
@@ -236,7 +233,7 @@ class Adaptive:
             # of the rows and not of this loop, which would then outlive who forgets it, and its lock with it
             data = partial(told.in_time, self._frame, self.robot, self.model, self.layout)
             held = Held(
-                self.robot, data, self.readings, self.last, self.state, self.seen, self.budget,
+                self.robot, data, self.readings, self.last, self.state, self.budget,
                 self.minutes, self.span_min, self.required_um, self.level, self.seed,
                 tuple(told.incomplete(self._frame, self.layout)), self._stuck, self._against, self._blind,
             )  # fmt: skip
@@ -300,8 +297,7 @@ class Adaptive:
             self._begin_anew()
         self._frame = whole
         self._advance()
-        if self._lock is not None and self.done:
-            self.close()
+        self._close_if_done()
 
     def _read(self, frame: pl.DataFrame) -> Measurements:
         return told.measurements(frame, self.robot, self.model, self.layout)
@@ -325,108 +321,13 @@ class Adaptive:
             self._looked = boundary
 
     def _look_at(self, some: Measurements) -> None:
-        if self._family is None:
+        if self._known is None:
             axes = axes_of(some)
-            self._family = Family.of(
+            self._known = Known.of(
                 self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0)
             )
-        found = look(self._family, some, self.last)
-        seen = outlook(found, self.level)
+        found = look(self._known, some, self.last)
         spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
-        accuracy = accuracy_by_covariance_um(found, found.fit, self.seed)
-        against_it = against(found, seen, self.required_um, accuracy, silent=found.log_evidence < -np.log(self.level))
-        state = rule.after(
-            self.state, found, seen, spanned=spanned, vouched=not against_it, level=self.level
-        )  # fmt: skip
-        self._against = against_it
-        self._looks.append((found, state, seen))
-
-    @property
-    def seen(self) -> tuple[Unseen, ...]:
-        """What the last look would have seen."""
-        return self._looks[-1][2] if self._looks else ()
-
-    # -- keeping -----------------------------------------------------------------------------------------
-
-    @as_annotated
-    def save(self, path: str | Path) -> None:
-        """Writes robot, settings, rows and the batch that was asked for as JSON, whole or not at all. Until the loop is
-        done, or its program ends, no other loop can have the file: raises :class:`~sherkit.errors.ExperimentError`
-        where one has it."""
-        where = Path(path)
-        if self._lock is None or not self._lock.is_of(where):
-            # what another loop has is not written over, and one that was held goes once this one is
-            self._lock = lock(where)
-        write_whole(where, text_of(self.robot, self._settings(), self._rows(), self._batch()))
-        if self.done:
-            self.close()
-
-    _lock: FileLock | None = None
-
-    def close(self) -> None:
-        """Gives back the file that it was loaded from or saved to; it does so by itself once it is done."""
-        if self._lock is not None:
-            self._lock.release()
-            self._lock = None
-
-    def _settings(self) -> dict[str, Any]:
-        return {
-            "required_um": self.required_um, "budget": self.budget, "span_min": self.span_min, "box": self.box,
-            "level": self.level, "batch": self.batch, "seed": self.seed, "minutes": self.minutes,
-        }  # fmt: skip
-
-    def _rows(self) -> dict[str, list[Any]]:
-        return {name: self._frame[name].to_list() for name in self._frame.columns}
-
-    def _batch(self) -> dict[str, Any]:
-        return {"rows": self._asked, "at": self._asked_at}
-
-    def _with(self, rows: Mapping[str, list[Any]], asked: Sequence[dict[str, Any]], at: int) -> Self:
-        """This loop with what another one held."""
-        if rows:
-            self.tell(rows)
-        self._asked, self._asked_at = list(asked), at
-        return self
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # all that it holds follows from the rows, and a lock has one owner
-        batch = self._batch()
-        return _made_again, (type(self), self.robot, self._settings(), self._rows(), batch["rows"], batch["at"])
-
-    @classmethod
-    @as_annotated
-    def load(cls, path: str | Path, robot: RobotLike | None = None) -> Self:
-        """The loop of a file, as it was; ``robot`` is only needed for a machine that is no file. Until it is done, no
-        other loop can have the file. Raises :class:`~sherkit.errors.ExperimentError` for what is no such file, and for
-        one that another loop has, and :class:`~sherkit.errors.MeasurementError` where what it holds cannot be used."""
-        where = Path(path)
-        # a file that is not there leaves no lock behind
-        held_in(where)
-        mine = lock(where)
-        try:
-            held = held_in(where)
-            if robot is None:
-                robot = robot_from_tables(held["robot"], f"{where}: robot")
-            try:
-                loop = cls(robot, **held["settings"])
-            except (ArgumentError, TypeError) as error:
-                raise MeasurementError(f"{where}: settings: {error}") from None
-            rows, at = asked_in(held, where, {POSE, REPEAT, *loop.layout.joints, *loop.region.targets})
-            try:
-                loop._with(held["rows"], rows, at)
-            except MeasurementError as error:
-                raise MeasurementError(f"{where}: rows: {error}") from None
-        except BaseException:
-            mine.release()
-            raise
-        loop._lock = mine
-        if loop.done:
-            loop.close()
-        return loop
-
-
-def _made_again(
-    cls: type[Adaptive], robot: Any, settings: dict[str, Any], rows: dict[str, list[Any]], asked: list[Any], at: int
-) -> Adaptive:
-    """A loop that was pickled."""
-    return cls(robot, **settings)._with(rows, asked, at)
+        self._against = against(found, self.required_um, self.level, self.seed)
+        state = rule.after(self.state, found, spanned=spanned, vouched=not self._against, level=self.level)
+        self._looks.append((found, state))

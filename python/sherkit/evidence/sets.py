@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base.types import Floats
 from ..errors import SherkitError
-from .base import Base, log_bayes, total
+from .base import Base, total
 from .blocks import Block
 from .described import Described, described
 from .family import Family
@@ -22,7 +22,7 @@ from .sizes import displaces, is_plausible
 from .thresholds import ALARM, TIED
 
 #: Prior odds of one more effect.
-_ONE_MORE = float(np.log(0.1))
+ONE_MORE = float(np.log(0.1))
 #: Single effects that are refitted, and those that take nearly as much as any does, whatever they say.
 _SINGLES, _TAKE, _NEARLY = 6, 9, 0.85
 #: By how much less, in nats and as a part, a single may say to first order than one that explains, to be refitted.
@@ -61,7 +61,7 @@ class EffectSet:
     @cached_property
     def rest(self) -> float:
         """By how much the readings favour that something is missing still."""
-        return total(self.each)
+        return float(np.logaddexp(total(self.each), self.base.family.log_missing))
 
     @property
     def explains(self) -> bool:
@@ -77,7 +77,8 @@ class Sets:
         left = np.zeros(len(family))
         for (which, _, _), grams in zip(family.groups, base.left, strict=True):
             left[which] = np.einsum("bkk->b", grams)
-        family.without_twins(base.basis, left)
+        if family.reference is None:
+            family.without_twins(base.basis, left)
         self._fitted: dict[tuple[tuple[str, float], ...], EffectSet | None] = {}
         self._described: dict[tuple[int, int, int], Described] = {}
 
@@ -156,12 +157,10 @@ class Sets:
                 base = Base.of(self.family, run)
             except (SherkitError, np.linalg.LinAlgError):
                 return None
-        rank = max(base.basis.shape[1] - self.base.basis.shape[1], 1)
-        part, numbers = 1.0 - base.rss / self.base.rss, len(self.base.residual)
-        bf = float(log_bayes(np.array([part]), np.array([rank]), self.base.free, numbers)[0])
+        bf = self.base.log_bf_of(base, run, blocks)
         weight = sum(float(self.family.log_weight[self.family.where(block)]) for block in blocks)
         sizes = all(is_plausible(fit, block.effect) for block in blocks if block.effect)
-        value = bf + weight + _ONE_MORE * (len(blocks) - 1)
+        value = bf + weight + ONE_MORE * (len(blocks) - 1)
         return EffectSet(blocks, run, base, bf, value, sizes and not displaces(fit.fit, before.fit))
 
     def _singles(self) -> list[EffectSet]:

@@ -11,7 +11,8 @@ import numpy as np
 from ..base.types import Floats
 from .base import Base
 from .blocks import Block
-from .effects import MOMENTS, stepped
+from .effects import stepped
+from .made import MOMENTS
 
 #: Moments that are tried about one that was found; lags by factors of a quarter of two; waves over the range.
 _MOMENTS, _LAGS, _WAVES = 90, 2.0 ** np.arange(-0.75, 0.76, 0.25), np.arange(-0.5, 0.51, 0.05)
