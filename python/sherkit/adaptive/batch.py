@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from ..data import Measurements
-from ..data.columns import POSE, REASON, REPEAT, Layout
+from ..data.columns import POSE, REASON, REPEAT
 from ..errors import SherkitError
 from .choice import choose, rivals
 from .look import Look
-from .region import Places, Region
+from .region import Places
 from .rule import State
+from .task import Task
 
 #: Readings over which the rest of the span is spread where nothing shows, and from which on.
 _SPREAD_TO, _SPREAD_FROM = 60, 24
@@ -35,23 +36,18 @@ def next_pose(taken: Taken) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Batches:
-    """Makes the rows of a batch for a robot that is judged over ``span_min`` minutes."""
+    """Makes the rows of a batch."""
 
-    robot: Any
-    layout: Layout
-    region: Region
-    batch: int
-    span_min: float
-    seed: int
+    task: Task
 
     def first(self, count: int, taken: Taken, rng: np.random.Generator) -> Rows:
         """So many rows all over the region, in any order."""
-        places, first = self.region.spread(count, self.seed), next_pose(taken)
+        places, first = self.task.region.spread(count, self.task.seed), next_pose(taken)
         return [self._row(places.pick([k]), "start", first + i) for i, k in enumerate(rng.permutation(count))]
 
     def anywhere(self, count: int, first: int, rng: np.random.Generator) -> Rows:
         """So many rows at random, whose poses are counted from ``first``."""
-        places = self.region.anywhere(count, rng)
+        places = self.task.region.anywhere(count, rng)
         return [self._row(places.pick([k]), "explore", first + k) for k in range(count)]
 
     def chosen(
@@ -77,9 +73,9 @@ class Batches:
 
     def _row(self, places: Places, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
         row: dict[str, Any] = {POSE: pose, REPEAT: repeat}
-        row |= dict(zip(self.layout.joints, places.joints[0].tolist(), strict=True))
-        row |= dict(zip(self.region.targets, places.targets[0].tolist(), strict=True))
-        row |= {name: 1 + pose % count for name, count in _apart(self.robot, self.layout.apart).items()}
+        row |= dict(zip(self.task.layout.joints, places.joints[0].tolist(), strict=True))
+        row |= dict(zip(self.task.region.targets, places.targets[0].tolist(), strict=True))
+        row |= {name: 1 + pose % count for name, count in _apart(self.task.robot, self.task.layout.apart).items()}
         return row | {REASON: reason, "not_before_s": 0.0}
 
     def _again(self, found: Look, taken: Taken, boundary: int, count: int, rng: np.random.Generator) -> Rows:
@@ -93,18 +89,18 @@ class Batches:
         wrong = [row for row in found.aside.tolist() if len(told[int(data.pose[row])]) == 1][: max(count // 2, 1)]
         more = min(int(_ONCE_MORE * boundary) - len(data) + len(poses), count - len(wrong))
         rows = [*wrong, *rng.permutation(np.setdiff1d(first[times == 1], found.aside))[: max(more, 0)].tolist()]
-        places = [Places(data.joints[[row]], self.region.reached_at(data.joints[[row]])) for row in rows]
+        places = [Places(data.joints[[row]], self.task.region.reached_at(data.joints[[row]])) for row in rows]
         return [self._row(at, "again", int(data.pose[row]), 2) for row, at in zip(rows, places, strict=True)]
 
     def _pace(self, found: Look, state: State) -> tuple[float, bool]:
         """Seconds between rows to come, and whether they are worth waiting for."""
-        time_s, span_s = found.data.time_s, 60.0 * self.span_min
+        time_s, span_s = found.data.time_s, 60.0 * self.task.span_min
         if time_s is None or len(time_s) < 2:
             return 0.0, False
         driven = float(np.ptp(time_s))
         own = driven / (len(time_s) - 1)
         if state.confirmed:
-            return max((span_s - driven) / self.batch, own), True
+            return max((span_s - driven) / self.task.batch, own), True
         if state.alarmed:
             near = rivals(found)
             effects = [keys for keys in near if not found.is_shape(keys)]
@@ -112,7 +108,7 @@ class Batches:
             pace = max(span_s, 1800.0) / _MOMENTS
             return (pace, True) if lives and pace > own else (own, False)
         if found.readings >= _SPREAD_FROM and driven < span_s:
-            pace = (span_s - driven) / max(_SPREAD_TO - self.batch - found.readings, self.batch)
+            pace = (span_s - driven) / max(_SPREAD_TO - self.task.batch - found.readings, self.task.batch)
             return (pace, True) if pace > own else (own, False)
         return own, False
 

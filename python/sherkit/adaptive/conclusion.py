@@ -6,23 +6,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
 
 import numpy as np
 
 from ..base import linalg
 from ..base.names import listed
 from ..calibration import calibrate
-from ..data import Measurements
 from ..data.noise import noise_of
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.answers import Check
 from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..errors import FitError, SherkitError
+from ..evidence.thresholds import SURE
 from ..fit.identify import Fit, identify, residuals
-from . import rule
+from . import rule, told
 from .choice import are_beyond
+from .held import Held
 from .known import PLACES
 from .look import FAR, Look
 from .rule import is_silent, outlook, sentences
@@ -38,30 +38,6 @@ _LOUDER = {"adequate": "unexplained", "explained": "partly explained"}
 _LATE = 0.6
 #: Readings from which it is asked at all.
 _EARLY = 48
-
-
-@dataclass(frozen=True, eq=False)
-class Held:
-    """What a loop was told and holds, and what it is to reach."""
-
-    robot: Any
-    data: Callable[[], Measurements]
-    readings: int
-    found: Look | None
-    state: rule.State
-    budget: int
-    minutes: float | None
-    span_min: float
-    required_um: float | None
-    level: float
-    seed: int
-    #: Columns that are not in every row; cells that were not read; what speaks against the rows as witnesses that
-    #: nothing is missing.
-    incomplete: tuple[str, ...] = ()
-    unread: tuple[str, ...] = ()
-    against: tuple[str, ...] = ()
-    #: Why nothing could be fitted at the last look; empty where it could.
-    blind: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,26 +64,28 @@ class Conclusion:
 
 def conclude(loop: Held) -> Conclusion:
     """What follows from the rows of a loop."""
-    found, state = loop.found, loop.state
+    found, state, robot, seed = loop.last, loop.state, loop.robot, loop.seed
     if loop.readings == 0:
         return Conclusion()
+    # of the rows and not of the loop, which would then outlive who forgets it, and its lock with it
+    rows = partial(told.in_time, loop.frame, robot, loop.model, loop.layout)
 
     def make() -> Diagnosis:
-        data = loop.data()
+        data = rows()
         aside = found.aside if found else np.zeros(0, dtype=np.int64)
         # a handful of repeats is no noise to hold a verdict against, and poses are numbered as they were driven
-        data = replace(data, pose=np.random.default_rng(loop.seed).permutation(len(data)) + 1, repeat=None)
-        return diagnose(identify(loop.robot, data.mark_outliers(aside) if len(aside) else data), seed=loop.seed)
+        data = replace(data, pose=np.random.default_rng(seed).permutation(len(data)) + 1, repeat=None)
+        return diagnose(identify(robot, data.mark_outliers(aside) if len(aside) else data), seed=seed)
 
     spent = _spent(loop)
     if found is None or loop.blind:
-        said = (*loop.unread, *loop.against, *([loop.blind] if loop.blind else []))
+        said = (*loop.stuck, *loop.against, *([loop.blind] if loop.blind else []))
         return Conclusion(done=bool(spent), why="; ".join([spent, *said[:1]]) if spent else "", notes=said, make=make)
     verdict, done, why = state.verdict, state.done, state.why
     effects: tuple[str, ...] = state.named
     tied: tuple[tuple[str, ...], ...] = ()
     apart = told_of(found)
-    first = [*([apart] if apart else []), *loop.unread, *loop.against]
+    first = [*([apart] if apart else []), *loop.stuck, *loop.against]
     notes: list[str] = []
     accuracy = None
     if not done and (spent or _is_beyond(loop, found, state)):
@@ -141,16 +119,18 @@ def conclude(loop: Held) -> Conclusion:
             if more <= loop.budget:
                 done, why = False, ""
             else:
-                told = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
-                notes.insert(0, f"{told} would not bring it")
+                short = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
+                notes.insert(0, f"{short} would not bring it")
     elif verdict == "adequate" and done:
         accuracy = accuracy_um(loop, found, (), found.fit)
     if done:
         # a verdict of silence rests on what would have been seen; beside a name it is only told
         layout = found.data.layout
-        notes += [*first, *sentences(outlook(found, loop.level), layout.unit, layout.per_unit, found.known.untestable)]
+        unseen = outlook(found, loop.level)
+        notes += [*first, *sentences(unseen, layout.unit, layout.per_unit, found.known.untestable)]
         notes += _unsure(found)
-        notes += [f"{name} is not in every row: nothing was made to depend on it" for name in loop.incomplete]
+        late = told.incomplete(loop.frame, loop.layout)
+        notes += [f"{name} is not in every row: nothing was made to depend on it" for name in late]
     best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.leading]
     return Conclusion(
         verdict, done, why if done else "", effects if done or state.named else (), tied,
@@ -165,21 +145,21 @@ def _louder(found: Look, verdict: str) -> str:
         return ""
     axes = list(found.known.axes)
     each = declared.sigma[:, axes][found.data.used[:, axes]]
-    told = float(np.exp(np.mean(np.log(each))))
+    said = float(np.exp(np.mean(np.log(each))))
     left = float((found.lead.fit if verdict == "explained" and found.lead else found.fit).scale)
     layout = found.data.layout
-    if left <= _QUIET_ENOUGH * told:
+    if left <= _QUIET_ENOUGH * said:
         return ""
     return (
         f"{layout.per_unit * left:.3g} {layout.unit} are left of each reading where its column declares "
-        f"{layout.per_unit * told:.3g}: more noise than is told, or physics without a pattern"
+        f"{layout.per_unit * said:.3g}: more noise than is told, or physics without a pattern"
     )
 
 
 def _spent(loop: Held) -> str:
     if loop.readings >= loop.budget:
         return f"the budget of {loop.budget} readings is spent"
-    data = loop.found.data if loop.found else None
+    data = loop.last.data if loop.last else None
     if loop.minutes and data is not None and data.time_s is not None and np.ptp(data.time_s) >= 60.0 * loop.minutes:
         return f"the budget of {loop.minutes:g} minutes is spent"
     return ""
@@ -215,17 +195,17 @@ def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ..
     lead = found.lead
     if lead is None or not ties:
         return "unexplained", (), (), why
-    if shape > found.value(lead.keys) + np.log(1e3) or lead.rest > np.log(1e4):
+    if shape > found.value(lead.keys) + SURE or lead.rest > FAR:
         return "unexplained", (), (), why
     names = tuple(" & ".join(sorted(name for name, _ in keys)) for keys in ties)
     effects = tuple(sorted(name for name, _ in ties[0]))
-    settled = shape < found.value(ties[0]) - np.log(1e3) and lead.rest < -np.log(loop.level)
+    settled = shape < found.value(ties[0]) - SURE and lead.rest < -np.log(loop.level)
     if not settled and len(ties[0]) > 1:
         # two effects imitate much that is in no catalogue: named is what stands in everything that is likely
         likely = [keys for keys, value in found.sets if value > found.value(ties[0]) - FAR]
         certain = set(effects).intersection(*({name for name, _ in keys} for keys in likely))
-        told = f"{why}; {' & '.join(effects)} would say much of it, and what is in no catalogue nearly as much"
-        return ("partly explained" if certain else "undecided"), tuple(sorted(certain)), (), told
+        why = f"{why}; {' & '.join(effects)} would say much of it, and what is in no catalogue nearly as much"
+        return ("partly explained" if certain else "undecided"), tuple(sorted(certain)), (), why
     if len(names) == 1:
         return ("explained" if settled else "partly explained"), effects, (), why
     if len(names) > _MOST_TIED:
@@ -243,8 +223,8 @@ def _would_tell(found: Look) -> list[str]:
     out = [proposed.advice] if proposed.advice else []
     for pose in proposed.poses[-1:]:
         place = ", ".join(f"{name} {value:.4g}" for name, value in pose.items() if name != SEPARATION)
-        told = f"by {pose[SEPARATION]:.2g} σ, read with those before it"
-        out.append(f"of {len(proposed.poses)} poses that would tell most, the last: {place} ({told})")
+        by = f"by {pose[SEPARATION]:.2g} σ, read with those before it"
+        out.append(f"of {len(proposed.poses)} poses that would tell most, the last: {place} ({by})")
     return out
 
 

@@ -6,16 +6,14 @@ import json
 from pathlib import Path
 from typing import Any, Self
 
-import polars as pl
-
 from ..base.arguments import as_annotated
-from ..data.columns import POSE, REPEAT, Layout
+from ..data.columns import POSE, REPEAT
 from ..data.files import write_whole
 from ..data.lock import FileLock
 from ..errors import ArgumentError, ExperimentError, MeasurementError
 from ..model.kinds import robot_from_tables
 from ..model.robot_file import RobotLike
-from .region import Region
+from .task import Task
 
 KIND = "sherkit adaptive loop"
 #: Settings, and those that may be left open.
@@ -23,14 +21,10 @@ _SETTINGS = ("required_um", "budget", "span_min", "box", "level", "batch", "seed
 _OPEN = {"required_um", "minutes", "box"}
 
 
-class Kept:
+class Kept(Task):
     """What a loop holds in a file, and in a pickle: all of it follows from robot, settings and rows, but for the batch
     that was asked for."""
 
-    robot: Any
-    layout: Layout
-    region: Region
-    _frame: pl.DataFrame
     #: The rows of the batch that was asked for, and at which look.
     _asked: list[dict[str, Any]]
     _asked_at: int
@@ -71,7 +65,7 @@ class Kept:
     def _held(self) -> dict[str, Any]:
         return {
             "settings": {name: getattr(self, name) for name in _SETTINGS},
-            "rows": {name: self._frame[name].to_list() for name in self._frame.columns},
+            "rows": {name: self.frame[name].to_list() for name in self.frame.columns},
             "asked": {"rows": self._asked, "at": self._asked_at},
         }
 
@@ -79,7 +73,7 @@ class Kept:
     def _of(cls, robot: Any, held: dict[str, Any], where: str) -> Self:
         """The loop with what another one held."""
         try:
-            loop = cls(robot, **held["settings"])  # type: ignore[call-arg]
+            loop = cls(robot, **held["settings"])
         except (ArgumentError, TypeError) as error:
             raise MeasurementError(f"{where}: settings: {error}") from None
         asked = held.get("asked") or {"rows": [], "at": -1}

@@ -281,7 +281,7 @@ def _looked(known: Known, data: Measurements, noise: Noise) -> Look:
         first = [one for one in values.ordered if not values.is_shape(one[0])]
         asked = [keys for keys, value in first[:_FULL] if value > first[0][1] - _NEAR]
         # to first order a pair may make up for what one of its two does beyond that
-        asked += [one for keys in asked[:2] if len(keys) > 1 for one in ((keys[0],), (keys[1],))]
+        asked += [values.of[frozenset([name])][0] for keys in asked[:2] if len(keys) > 1 for name, _ in keys]
         named = {frozenset(name for name, _ in keys): keys for keys in reversed(asked)}
         for names, keys in sorted(named.items(), key=lambda one: len(one[0])):
             # where one effect leaves nothing, a second is worth what it adds to that
@@ -294,8 +294,7 @@ def _looked(known: Known, data: Measurements, noise: Noise) -> Look:
                 fitted.append(Fitted(found[0], one, one.log_bf + found[1] - one.value, left))
     for done in fitted:
         if len(done.keys) == 1:
-            value = values.of[frozenset(done.names)][1]
-            values.put_beside(done.keys, value, done.of.each, anew=done.rest < LEFT)
+            values.put_beside(done.keys, done.of.value, done.of.each, anew=done.rest < LEFT)
     fitted.sort(key=lambda one: -values.of[frozenset(one.names)][1])
     # pairs may have found another setting likelier
     fitted = [replace(one, keys=values.of[frozenset(one.names)][0]) for one in fitted]
