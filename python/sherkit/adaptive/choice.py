@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base import linalg
-from ..base.types import Bools, Floats
+from ..base.types import Floats
 from ..errors import FitError
 from ..evidence.blocks import Block
+from ..evidence.design import showing
 from ..evidence.family import Family
 from .known import run_at
 from .look import FAR, Keys, Look
@@ -120,33 +121,6 @@ def _showing(there: _There, count: int, only: Sequence[Keys]) -> list[int]:
     return showing(there.own, _now(found, (), _EXPECTED)[1], parts, count)
 
 
-def showing(
-    x: Floats, base: Floats, parts: Sequence[tuple[Floats, Floats]], count: int, *, first: int = 0
-) -> list[int]:
-    """Rows (k,), one after another, each that adds most to what all ``parts`` show beside what is free.
-
-    ``x`` (n, m, p) are the columns of what is free and ``base`` (p, p) what is known of it; each part is what is known
-    of it and one thing more (q, q), and the columns (n, m, q) of these. What is free counts by itself for the ``first``
-    rows, and where there are no parts. Rows that what was fitted cannot reach (NaN) are never chosen.
-    """
-    reached: Bools = np.logical_and.reduce([np.isfinite(z).all(axis=(1, 2)) for z in (x, *(z for _, z in parts))])
-    x = np.where(reached[:, None, None], x, 0.0)
-    parts = [(info, np.where(reached[:, None, None], z, 0.0)) for info, z in parts]
-    infos, picked = [info for info, _ in parts], list[int]()
-    for k in range(min(count, int(reached.sum()))):
-        alone = log_gain(x, base)
-        gained = alone.copy() if k < first or not parts else np.zeros(len(x))
-        for info, (_, z) in zip(infos, parts, strict=True):
-            gained += log_gain(z, info) - alone
-        gained[picked] = -np.inf
-        gained[~reached] = -np.inf
-        best = int(np.argmax(gained))
-        picked.append(best)
-        base = base + x[best].T @ x[best]
-        infos = [info + z[best].T @ z[best] for info, (_, z) in zip(infos, parts, strict=True)]
-    return picked
-
-
 def _telling(there: _There, against: Sequence[Keys], count: int) -> list[int]:
     """The places at which what the rivals predict lies farthest apart."""
     sets: list[Keys] = list(against)
@@ -195,9 +169,3 @@ def _information(columns: Floats, ridge: float) -> Floats:
     info = columns.T @ columns
     diagonal = np.diag(info)
     return np.asarray(info + np.diag(ridge * diagonal + 1e-300 + ridge * diagonal.max(initial=0.0) * 1e-6))
-
-
-def log_gain(rows: Floats, information: Floats) -> Floats:
-    """By how much the logarithm of the determinant grows with each of the rows (n, m, p)."""
-    spread = np.einsum("nar,rs,nbs->nab", rows, linalg.inv(information), rows, optimize=True)
-    return np.asarray(np.linalg.slogdet(np.eye(rows.shape[1]) + spread)[1])

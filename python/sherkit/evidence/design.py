@@ -1,0 +1,182 @@
+"""Before rows are read: what a test of them would find, and which of the poses that could be measured tell most.
+
+A pose is its columns (m, p) by what is free, over the noise of its readings. Three things are asked of poses, chosen
+one after another: how well all that is free becomes known (D-optimal designs: Fedorov, *Theory of Optimal Experiments*,
+1972, found by exchange: Cook and Nachtsheim, Technometrics 1980), how much of one thing more they show beside it
+(D_s-optimal: Atkinson, Donev and Tobias, 2007), and how far a rival that is fitted anew stays from what is true
+(T-optimal: Atkinson and Fedorov, "The design of experiments for discriminating between two rival models", 1975).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from ..base import linalg
+from ..base.types import Bools, Floats
+
+#: What is so much larger than noise is found.
+_LARGEST = 1e5
+#: Rounds of exchanges; one that gains less than this in the logarithm of the determinant is none.
+_ROUNDS, _LEAST_GAIN = 50, 1e-9
+#: Part of the largest eigenvalue of an information below which a direction is not observed, and its variance then.
+_UNSEEN, _FREE = 1e-10, 1e8
+
+
+def power(square: float, rank: float, level: float, free: float = np.inf) -> float:
+    """Chance that a test at this ``level`` finds what changes the readings by this ``square``, in squared noises, along
+    ``rank`` directions: the tail of the non-central χ², or F where ``free`` readings besides tell the noise."""
+    if rank <= 0 or free <= 0:
+        return 0.0
+    if square > _LARGEST:
+        return 1.0
+    if np.isfinite(free):
+        limit = float(scipy.special.fdtri(rank, free, 1.0 - level))
+        below = float(scipy.special.ncfdtr(rank, free, square, limit))
+        if np.isfinite(below):
+            return 1.0 - below
+    # without those, and where the series does not converge since there are so many
+    limit = float(scipy.special.chdtri(rank, level))
+    return 1.0 - float(scipy.special.chndtr(limit, rank, square))
+
+
+def needed(wanted: float, rank: float, level: float, free: float = np.inf) -> float:
+    """The square with which the chance of :func:`power` is so much; infinite where nothing can be found."""
+    if rank <= 0 or free <= 0:
+        return np.inf
+    return float(scipy.optimize.brentq(lambda square: power(square, rank, level, free) - wanted, 1e-6, _LARGEST))
+
+
+# -- How well all is known, and how much shows besides ---------------------------------------------------------------
+
+
+def log_gain(rows: Floats, information: Floats) -> Floats:
+    """By how much the logarithm of the determinant of what is known (p, p) grows with each of the rows (n, m, p)."""
+    spread = np.einsum("nar,rs,nbs->nab", rows, linalg.inv(information), rows, optimize=True)
+    return np.asarray(np.linalg.slogdet(np.eye(rows.shape[1]) + spread)[1])
+
+
+def showing(
+    x: Floats, base: Floats, parts: Sequence[tuple[Floats, Floats]], count: int, *, first: int = 0
+) -> list[int]:
+    """Rows (k,), one after another, each that adds most to what all ``parts`` show beside what is free.
+
+    ``x`` (n, m, p) are the columns of what is free and ``base`` (p, p) what is known of it; each part is what is known
+    of it and one thing more (q, q), and the columns (n, m, q) of these. What is free counts by itself for the ``first``
+    rows, and where there are no parts. Rows that what was fitted cannot reach (NaN) are never chosen.
+    """
+    reached: Bools = np.logical_and.reduce([np.isfinite(z).all(axis=(1, 2)) for z in (x, *(z for _, z in parts))])
+    x = np.where(reached[:, None, None], x, 0.0)
+    parts = [(info, np.where(reached[:, None, None], z, 0.0)) for info, z in parts]
+    infos, picked = [info for info, _ in parts], list[int]()
+    for k in range(min(count, int(reached.sum()))):
+        alone = log_gain(x, base)
+        gained = alone.copy() if k < first or not parts else np.zeros(len(x))
+        for info, (_, z) in zip(infos, parts, strict=True):
+            gained += log_gain(z, info) - alone
+        gained[picked] = -np.inf
+        gained[~reached] = -np.inf
+        best = int(np.argmax(gained))
+        picked.append(best)
+        base = base + x[best].T @ x[best]
+        infos = [info + z[best].T @ z[best] for info, (_, z) in zip(infos, parts, strict=True)]
+    return picked
+
+
+def exchanged(rows: Floats, chosen: Sequence[int]) -> list[int]:
+    """Exchanges each of the chosen rows (n, m, p) for a better one, until none is."""
+    out = list(chosen)
+    information = np.einsum("nar,nas->rs", rows[out], rows[out])
+    for _ in range(_ROUNDS):
+        before = list(out)
+        for k, old in enumerate(before):
+            rest = information - rows[old].T @ rows[old]
+            value = linalg.eigvalsh(rest)
+            if value[0] <= 1e-12 * value[-1]:
+                # without this pose a direction is lost
+                continue
+            gains = log_gain(rows, rest)
+            kept = gains[old]
+            gains[out] = -np.inf
+            best = int(np.argmax(gains))
+            if gains[best] > kept + _LEAST_GAIN:
+                out[k] = best
+                information = rest + rows[best].T @ rows[best]
+        if out == before:
+            break
+    return out
+
+
+# -- How far a rival stays from what is true -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A model fitted to rows that follow another one: ``gram`` (p, p) of its columns, ``right`` (p,) with what lies
+    between the two, and the ``square`` of that."""
+
+    gram: Floats
+    right: Floats
+    square: float
+
+    @classmethod
+    def of(cls, columns: Floats, apart: Floats) -> Rival:
+        """By its columns (N, p) and by how much the other is apart (N,), both over the noise."""
+        return cls(columns.T @ columns, columns.T @ apart, float(apart @ apart))
+
+    def joined(self, columns: Floats, apart: Floats) -> Rival:
+        """With more rows."""
+        more = Rival.of(columns, apart)
+        return Rival(self.gram + more.gram, self.right + more.right, self.square + more.square)
+
+    @property
+    def separation(self) -> float:
+        """How far it still is from the other once it is fitted anew, in standard deviations."""
+        return float(np.sqrt(max(self._left, 0.0)))
+
+    def separations(self, columns: Floats, apart: Floats) -> Floats:
+        """The square of that, (n,), were each of these read (n, m, p), (n, m)."""
+        root, unseen, x = self._fitted
+        miss = apart - columns @ x
+        # directions that no row observes must not count as separation: they are free to fit
+        free, spread = columns @ unseen, columns @ root
+        covariance = (
+            np.eye(columns.shape[1]) + spread @ spread.transpose(0, 2, 1) + _FREE * free @ free.transpose(0, 2, 1)
+        )
+        return np.einsum("na,na->n", miss, linalg.solve(covariance, miss[:, :, None])[:, :, 0]) + self._left
+
+    @property
+    def _left(self) -> float:
+        return self.square - float(self.right @ self._fitted[2])
+
+    @cached_property
+    def _fitted(self) -> tuple[Floats, Floats, Floats]:
+        """The root of the inverse of its gram, directions that no row observes, and the fit."""
+        value, vector = linalg.eigh(self.gram)
+        keep = value > _UNSEEN * value[-1]
+        root = vector[:, keep] / np.sqrt(value[keep])
+        return root, vector[:, ~keep], root @ (root.T @ self.right)
+
+
+#: Columns (n, m, p) and what lies between (n, m) of each pose that could be measured, for each moment of a plan.
+Later = Sequence[tuple[Floats, Floats]]
+
+
+def telling(rivals: Sequence[tuple[Rival, Later]], most: int) -> tuple[list[tuple[int, float]], list[float]]:
+    """Up to ``most`` poses, each of them once, that put most between the truth and the nearest of its rivals, with the
+    separation reached with each; and that of each rival in the end."""
+    now, out = [rival for rival, _ in rivals], list[tuple[int, float]]()
+    for k in range(most):
+        there = [later[k] for _, later in rivals]
+        squares = np.min([rival.separations(*new) for rival, new in zip(now, there, strict=True)], axis=0)
+        squares[[pose for pose, _ in out]] = -1.0
+        best = int(np.argmax(squares))
+        if not squares[best] > 0:
+            break
+        now = [rival.joined(c[best], a[best]) for rival, (c, a) in zip(now, there, strict=True)]
+        out.append((best, min(rival.separation for rival in now)))
+    return out, [rival.separation for rival in now]
