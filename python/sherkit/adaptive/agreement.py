@@ -59,3 +59,8 @@ def agreement_of(base: Base) -> Agreement:
     m = base.family.run.axes
     each = base.family.run.poses[:, None] * m + np.arange(m)
     return Agreement.of(base.residual, each.ravel(), base.free)
+
+
+def rough_of(base: Base) -> float:
+    """The logarithm of weight times Bayes factor of another error at each pose."""
+    return agreement_of(base).log_bf + ROUGH_WEIGHT

@@ -10,29 +10,24 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ..base import linalg
 from ..base.names import listed
-from ..calibration import calibrate
-from ..data.noise import noise_of
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.answers import Check
 from ..diagnosis.next_poses import SEPARATION, next_poses
-from ..errors import FitError, SherkitError
+from ..errors import FitError
 from ..evidence.thresholds import SURE
-from ..fit.identify import Fit, identify, residuals
+from ..fit.identify import identify
 from . import rule, told
 from .choice import are_beyond
 from .held import Held
-from .known import PLACES
 from .look import FAR, Look
-from .rule import is_silent, outlook, sentences
+from .progress import accuracy_um
 from .unread import mistaken
-from .vouching import structure_of, told_of
+from .vouching import louder_than_told, structure_of, told_of
 
 #: Sets that are still a tie; more are no answer.
 _MOST_TIED = 6
-#: What is left may be so many times the noise that is declared; and what a verdict is where it is more.
-_QUIET_ENOUGH = 1.3
+#: What a verdict is where more is left than noise.
 _LOUDER = {"adequate": "unexplained", "explained": "partly explained"}
 #: Part of the budget after which it is asked whether the rest would tell more.
 _LATE = 0.6
@@ -106,7 +101,7 @@ def conclude(loop: Held) -> Conclusion:
     if (
         done
         and verdict in _LOUDER
-        and (louder := structure_of(found, loop.seed) or "; ".join(loop.against) or _louder(found, verdict))
+        and (louder := structure_of(found, loop.seed) or "; ".join(loop.against) or louder_than_told(found, verdict))
     ):
         verdict, why = _LOUDER[verdict], louder
     if verdict == "explained" and (done or state.done):
@@ -126,8 +121,8 @@ def conclude(loop: Held) -> Conclusion:
     if done:
         # a verdict of silence rests on what would have been seen; beside a name it is only told
         layout = found.data.layout
-        unseen = outlook(found, loop.level)
-        notes += [*first, *sentences(unseen, layout.unit, layout.per_unit, found.known.untestable)]
+        unseen = rule.outlook(found, loop.level)
+        notes += [*first, *rule.sentences(unseen, layout.unit, layout.per_unit, found.known.untestable)]
         notes += _unsure(found)
         late = told.incomplete(loop.frame, loop.layout)
         notes += [f"{name} is not in every row: nothing was made to depend on it" for name in late]
@@ -136,24 +131,6 @@ def conclude(loop: Held) -> Conclusion:
         verdict, done, why if done else "", effects if done or state.named else (), tied,
         tuple(notes) if done else tuple(first), tuple(best), accuracy, make,
     )  # fmt: skip
-
-
-def _louder(found: Look, verdict: str) -> str:
-    """That more is left than the noise that the columns of the readings declare; empty where it is not."""
-    declared = noise_of(found.data)
-    if declared.origin != "declared":
-        return ""
-    axes = list(found.known.axes)
-    each = declared.sigma[:, axes][found.data.used[:, axes]]
-    said = float(np.exp(np.mean(np.log(each))))
-    left = float((found.lead.fit if verdict == "explained" and found.lead else found.fit).scale)
-    layout = found.data.layout
-    if left <= _QUIET_ENOUGH * said:
-        return ""
-    return (
-        f"{layout.per_unit * left:.3g} {layout.unit} are left of each reading where its column declares "
-        f"{layout.per_unit * said:.3g}: more noise than is told, or physics without a pattern"
-    )
 
 
 def _spent(loop: Held) -> str:
@@ -187,7 +164,7 @@ def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ..
     if found.log_evidence < -np.log(loop.level):
         if loop.against:
             return "undecided", (), (), f"{why}; {loop.against[0]}"
-        if found.readings >= rule.FEWEST and is_silent(outlook(found, loop.level)):
+        if found.readings >= rule.FEWEST and rule.is_silent(rule.outlook(found, loop.level)):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
     ties = rule.ties(found)
@@ -235,27 +212,6 @@ def _unsure(found: Look) -> list[str]:
     return [f"the first reading is set aside: from which side it was approached is not told ({columns})"]
 
 
-@linalg.one_thread()
-def accuracy_um(loop: Held, found: Look, effects: tuple[str, ...], fit: Fit) -> float | None:
-    """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
-
-    As a calibration of these rows promises it (:class:`~sherkit.robots.accuracy.PredictedAccuracy`); of a
-    kind without one, or an effect that a calibration cannot hold, by the covariance of the fit. None where that is in
-    no length.
-    """
-    places = found.known.region.spread(PLACES, loop.seed + 1)
-    try:
-        made = calibrate(loop.robot, found.data, effects=effects, correction="none").calibration
-        # the region is one of the drawing: where its poses are in the calibration's frame is the calibration's to say
-        there = made.forward_batch(places.joints)
-        promised = made.predicted_accuracies(there.values[there.reached]).radius_mm
-        if np.isfinite(promised).any():
-            return float(1e3 * np.nanmax(promised))
-    except SherkitError:
-        pass
-    return found.known.accuracy_um(found.data, fit, loop.seed)
-
-
 def _agreeing(d: Diagnosis, said: Conclusion) -> Diagnosis:
     """A diagnosis with the verdict of the loop, which counts every look; where both agree, as it is."""
     if d.verdict == said.verdict and set(d.effects) == set(said.effects):
@@ -271,43 +227,3 @@ def _agreeing(d: Diagnosis, said: Conclusion) -> Diagnosis:
         d, verdict=said.verdict, effects=said.effects, indistinguishable=said.indistinguishable,
         checks=(check, *others), notes=(*d.notes, *said.notes),
     )  # fmt: skip
-
-
-# -- while it goes on: how far off a model is at readings before it is fitted to them ---------------------------------
-
-@dataclass(frozen=True)
-class Progress:
-    """Of the look at ``readings`` rows: root mean square of what the look before leaves at the rows since, by the
-    geometry alone and by what leads, in the unit of people (µm, pixels …; not finite where nothing can be said), and
-    how far off a robot calibrated by it may be anywhere in 95 of 100 cases, µm, as the covariance of the fit has it."""
-
-    readings: int
-    by_geometry: float
-    by_lead: float
-    accuracy_um: float | None
-
-
-def progress(before: Look | None, now: Look, seed: int) -> Progress:
-    """How far it is at a look, by what the one before it held."""
-    fit = now.lead.fit if now.lead is not None else now.fit
-    try:
-        accuracy = now.known.accuracy_um(now.data, fit, seed)
-    except SherkitError:  # a fit by which the robot reaches nothing
-        accuracy = None
-    if before is None:
-        return Progress(now.readings, float("nan"), float("nan"), accuracy)
-    geometry = _missed(before.fit, before, now)
-    lead = geometry if before.lead is None else _missed(before.lead.fit, before, now)
-    return Progress(now.readings, geometry, lead, accuracy)
-
-
-def _missed(fit: Fit, before: Look, now: Look) -> float:
-    """Root mean square of what a fit leaves at the rows that were read after it."""
-    axes = list(now.known.axes)
-    new = slice(before.readings, now.readings)
-    try:
-        left = residuals(fit.model, now.data, fit.values)[new][:, axes]
-    except SherkitError:  # a fit by which the robot reaches less than it was seen to
-        return float("nan")
-    left = left[now.data.used[new][:, axes] & np.isfinite(left)]
-    return float(now.data.layout.per_unit * np.sqrt(np.mean(np.square(left)))) if len(left) else float("nan")

@@ -8,7 +8,6 @@ fitted in full: what an effect leaves to first order about the drawing is no jud
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,19 +15,17 @@ import numpy as np
 
 from ..base.types import Floats, Ints
 from ..data import Measurements
-from ..errors import SherkitError
+from ..evidence import thresholds
 from ..evidence.base import Base
 from ..evidence.blocks import Block
 from ..evidence.family import Family
 from ..evidence.run import Run
 from ..evidence.sets import ONE_MORE, EffectSet, Sets
 from ..evidence.settings import refined
-from ..evidence.thresholds import SURE, TIED
-from ..evidence.whitening import orthonormal
 from ..fit.identify import Fit
-from .agreement import ROUGH, ROUGH_WEIGHT, agreement_of
+from .agreement import ROUGH, rough_of
 from .known import Known
-from .noise import Noise, left_by, run_of_rows
+from .noise import Noise, expected, left_by, run_of_rows
 
 _ROUNDS = 3
 #: Sets that are fitted in full: at most so many, within this of the best (a logarithm).
@@ -41,7 +38,7 @@ _WORTH = np.log(5.0)
 _HOLDS = 0.98
 #: By how much one set must be likelier than another to be far better, and what may be left beside one that leaves
 #: nothing (logarithms).
-FAR, LEFT = TIED, float(np.log(20.0))
+FAR, LEFT = thresholds.TIED, float(np.log(20.0))
 
 #: A cause by name, at what it is set to; of a set all of them.
 Key = tuple[str, float | None]
@@ -139,14 +136,14 @@ class Look:
             if value <= best[1]:
                 break
             if not any(one <= {name for name, _ in keys} for one in names):
-                lower = value - SURE if explaining and self.holds(keys, explaining[0]) else value
+                lower = value - thresholds.SURE if explaining and self.holds(keys, explaining[0]) else value
                 best = max(best, (keys, lower), key=lambda one: one[1])
         return best
 
     def holds(self, wider: Keys, keys: Keys) -> bool:
         """Whether what a set takes of the readings could be taken by another one as well, whatever it takes."""
-        taken, beside = (orthonormal(self.left(*self.of(some))) for some in (keys, wider))
-        told = taken @ (taken.T @ self.base.residual)
+        narrow, wide = (self.base.beside(*self.of(some)) for some in (keys, wider))
+        told, beside = self.base.residual - narrow.residual, wide.basis[:, self.base.basis.shape[1] :]
         return float(np.square(beside.T @ told).sum()) > _HOLDS * float(told @ told)
 
     def left(self, *blocks: Block) -> Floats:
@@ -196,11 +193,9 @@ def look(known: Known, data: Measurements, before: Look | None = None) -> Look:
     unsure = np.flatnonzero((data.direction == 0.0).all(axis=1)) if moved(data) else np.zeros(0, dtype=np.int64)
     now = Noise(unsure, np.ones(len(known.axes)), 0.0)
     if before is not None:
-        now = before.noise
         # what explained best explains the new rows, as a rule
         best = before.run.of if before.best is None else before.best.run.of
-        with suppress(SherkitError):
-            now = left_by(run_of_rows(known, data, now, best.fit), now, unsure)
+        now = expected(known, data, before.noise, unsure, best.fit)
     for _ in range(_ROUNDS):
         found = _looked(known, data, now)
         then = left_by(found.run if found.best is None else found.best.run, now, unsure)
@@ -265,7 +260,7 @@ def called(block: Block) -> str:
 def _looked(known: Known, data: Measurements, noise: Noise) -> Look:
     family = Family(run_of_rows(known, data, noise), known.reference)
     base = Base.of(family, family.run)
-    values, sets, rough = _Values(family), Sets(family, base), agreement_of(base).log_bf + ROUGH_WEIGHT
+    values, sets, rough = _Values(family), Sets(family, base), rough_of(base)
     for key, value in values.causes(base.each).items():
         values.put((key,), value)
     values.put(((ROUGH, None),), rough)
@@ -289,7 +284,7 @@ def _looked(known: Known, data: Measurements, noise: Noise) -> Look:
                 continue
             if one := sets.fitted(_settled(base, [values.blocks[key] for key in keys])):
                 values.put(keys, one.value)
-                left = float(np.logaddexp(one.rest, agreement_of(one.base).log_bf + ROUGH_WEIGHT))
+                left = float(np.logaddexp(one.rest, rough_of(one.base)))
                 found = values.of[frozenset(one.names)]
                 fitted.append(Fitted(found[0], one, one.log_bf + found[1] - one.value, left))
     for done in fitted:

@@ -10,8 +10,9 @@ from ..data.columns import POSE, REPEAT
 from ..diagnosis import Diagnosis
 from . import told
 from .batch import Batches, next_pose
-from .conclusion import Conclusion, Progress, conclude, progress
+from .conclusion import Conclusion, conclude
 from .held import Held
+from .progress import Progress, progress
 from .vouching import told_of
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD, noise_of
 from ..data.noise import Noise as Weights
+from ..errors import SherkitError
 from ..evidence.fitted_run import FittedRun
 from ..evidence.run import Run, in_time, one_after_another
 from ..evidence.whitening import Whitening, correlation_in_time, orthonormal
@@ -84,3 +86,10 @@ def left_by(run: Run, now: Noise, unsure: Ints) -> Noise:
     told = run.view.time is not None and len(left) >= _ENOUGH
     rho = correlation_in_time(run.view.residual, basis, run.white.back) if told else 0.0
     return Noise(wrong, np.sqrt(drawn / np.exp(np.mean(np.log(drawn)))), rho)
+
+
+def expected(known: Known, data: Measurements, before: Noise, unsure: Ints, best: Fit) -> Noise:
+    """The noise of rows by what explained those before ``best``: as a rule it explains the new ones."""
+    with suppress(SherkitError):
+        return left_by(run_of_rows(known, data, before, best), before, unsure)
+    return before

@@ -17,6 +17,7 @@ from ..base.names import listed, spans
 from ..base.types import Floats, Ints
 from ..data.doubts import doubts
 from ..data.doubts.repeats import copied
+from ..data.noise import noise_of
 from ..diagnosis.gathered import WRONG, gathered, said
 from .look import Look, moved
 from .noise import GROSS
@@ -26,6 +27,8 @@ from .rule import POWER, Unseen, outlook
 TIMES = 3.0
 #: Readings beyond the parameters, at places that differ: joints by more than this part of half their range.
 _BEYOND, _SAME_PLACE = 8, 1e-4
+#: What is left may be so many times the noise that is declared.
+_QUIET_ENOUGH = 1.3
 #: A joint moves where it goes over this part of its range.
 _MOVES = 0.05
 
@@ -159,3 +162,21 @@ def _off(found: Look) -> Floats:
     """What the best explanation leaves of each row (n, m) on the axes."""
     fit = found.lead.fit if found.lead is not None else found.fit
     return np.nan_to_num(fit.residuals[:, list(found.known.axes)])
+
+
+def louder_than_told(found: Look, verdict: str) -> str:
+    """That more is left than the noise that the columns of the readings declare; empty where it is not."""
+    declared = noise_of(found.data)
+    if declared.origin != "declared":
+        return ""
+    axes = list(found.known.axes)
+    each = declared.sigma[:, axes][found.data.used[:, axes]]
+    said = float(np.exp(np.mean(np.log(each))))
+    left = float((found.lead.fit if verdict == "explained" and found.lead else found.fit).scale)
+    layout = found.data.layout
+    if left <= _QUIET_ENOUGH * said:
+        return ""
+    return (
+        f"{layout.per_unit * left:.3g} {layout.unit} are left of each reading where its column declares "
+        f"{layout.per_unit * said:.3g}: more noise than is told, or physics without a pattern"
+    )

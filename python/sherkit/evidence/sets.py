@@ -55,7 +55,8 @@ class EffectSet:
     @cached_property
     def each(self) -> Floats:
         """What each other block says beside the set (B,)."""
-        mine = np.array([block.name in self.names for block in self.base.family.blocks], dtype=bool)
+        names = set(self.names)
+        mine = np.array([block.name in names for block in self.base.family.blocks], dtype=bool)
         return np.where(mine, -np.inf, self.base.each)
 
     @cached_property
