@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,12 @@ from scipy import integrate, stats
 
 import sherkit as sk
 from driven_worlds import DrivenArm, DrivenDelta, DrivenSpherical, World
-from sherkit.adaptive.evidence import SIZES, log_bayes
+from sherkit.adaptive import told
+from sherkit.adaptive.known import Known, run_at
 from sherkit.errors import ArgumentError, ExperimentError, FitError, MeasurementError
+from sherkit.evidence.base import log_bayes_of
+from sherkit.evidence.family import Family
+from sherkit.evidence.thresholds import SCALES
 
 Floats = np.ndarray
 
@@ -62,8 +67,8 @@ def test_a_bayes_factor_is_the_ratio_of_two_integrals() -> None:
     rng = np.random.default_rng(3)
     x = rng.normal(size=8)
     y = 0.6 * x + rng.normal(size=8)
-    found = log_bayes((x @ x).reshape(1, 1, 1), np.array([[x @ y]]), float(y @ y), len(y))[0]
-    assert np.exp(found) == pytest.approx(np.mean([by_integration(x, y, size) for size in SIZES]), rel=2e-3)
+    found = log_bayes_of((x @ x).reshape(1, 1, 1), np.array([[x @ y]]), float(y @ y), len(y))[0]
+    assert np.exp(found) == pytest.approx(np.mean([by_integration(x, y, size) for size in SCALES]), rel=2e-3)
 
 
 def test_the_mean_of_bayes_factors_never_rises_where_nothing_is_missing() -> None:
@@ -77,11 +82,44 @@ def test_the_mean_of_bayes_factors_never_rises_where_nothing_is_missing() -> Non
         for n in range(12, 61, 4):
             q, _ = np.linalg.qr(own[:n])
             x, r = column[:n] - q @ (q.T @ column[:n]), y[:n] - q @ (q.T @ y[:n])
-            seen.append(float(np.exp(log_bayes((x.T @ x)[None], (x.T @ r)[None], float(r @ r), n - 3)[0])))
+            seen.append(float(np.exp(log_bayes_of((x.T @ x)[None], (x.T @ r)[None], float(r @ r), n - 3)[0])))
         alarms += max(seen) >= 20.0
         last.append(seen[-1])
     assert alarms <= stats.binom.ppf(1.0 - 1e-3, 400, 1 / 20)
     assert np.mean(last) < 1.0 + 4.0 * np.std(last) / np.sqrt(len(last))
+
+
+def test_what_is_tried_does_not_hang_on_the_rows_read_so_far() -> None:
+    """Catches a scale, a setting or a weight that moves with each look: the columns of every effect and shape, on the
+    scale of their prior, are those of the rows before, once more rows are there; then no mean of them is an e-process.
+    Shapes that an effect is, are none."""
+    world = DrivenDelta(3)
+    loop = sk.Adaptive(world.robot)
+    places = loop.region.anywhere(24, np.random.default_rng(0)).joints
+    rows = [
+        {"pose": k + 1, "repeat": 1, **dict(zip(world.joints, q.tolist(), strict=True))} for k, q in enumerate(places)
+    ]
+    data = told.in_time(pl.DataFrame(world.read(rows)), loop.robot, loop.model, loop.layout)
+    known = Known.of(loop.model.for_run(data), loop.region, data.select(np.arange(12)), (0, 1, 2), 1800.0)
+    fit = sk.identify(known.model, data)
+    early, late = (
+        Family(run_at(replace(fit, data=data.select(np.arange(n))), np.ones(len(data.layout.names))), known.reference)
+        for n in (16, 24)
+    )
+    assert {"rail_lean", "backlash", "drift", "slip"} <= set(known.effects)
+    assert 400 < len(early) <= len(late)
+    for block, weight in zip(early.blocks, early.log_weight, strict=True):
+        same = late.where(block)
+        then = late.blocks[same]
+        assert (then.setting, then.period, late.log_weight[same]) == (block.setting, block.period, weight)
+        before, after = (f.columns.of(b.at) * f.prior(b) for f, b in ((early, block), (late, then)))
+        assert after[: 16 * 3] == pytest.approx(before, rel=1e-6, abs=1e-6)
+    assert np.exp(late.log_weight).sum() + np.exp(late.log_missing) == pytest.approx(1.0)
+    for name, block in {block.name: block for block in late.blocks if block.name}.items():
+        # a coefficient of one leaves a root mean square of one over the reference
+        squares = known.reference.squares[known.reference.sort_of(block)]
+        assert name in known.effects
+        assert np.trace(squares) == pytest.approx(1.0)
 
 
 # -- loops ----------------------------------------------------------------------------------------------------------

@@ -10,9 +10,10 @@ from scipy import stats
 
 import sherkit as sk
 from driven_worlds import DrivenDelta
-from sherkit.adaptive.evidence import SIZES, Agreement
+from sherkit.adaptive.agreement import Agreement
 from sherkit.data.rows import directions
 from sherkit.errors import MeasurementError
+from sherkit.evidence.thresholds import SCALES
 
 
 def drive(world: DrivenDelta, change: Any = lambda row: row, **settings: Any) -> sk.Adaptive:
@@ -39,7 +40,7 @@ def test_a_disagreement_of_poses_is_weighed_as_the_densities_say() -> None:
         between = stats.chi2.pdf(found.between / (v * grown), 11) / (v * grown)
         return float(np.trapezoid(within * between, log_sigma))
 
-    by_densities = np.mean([likelihood(1.0 + 2.0 * size**2) for size in SIZES]) / likelihood(1.0)
+    by_densities = np.mean([likelihood(1.0 + 2.0 * size**2) for size in SCALES]) / likelihood(1.0)
     assert np.exp(found.log_bf) == pytest.approx(by_densities, rel=1e-3)
 
 

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from ..data import Measurements
-from ..data.columns import POSE, REASON, REPEAT, Layout
+from ..data.columns import POSE, REASON, REPEAT
 from ..errors import SherkitError
 from .choice import choose, rivals
 from .look import Look
-from .region import Places, Region
+from .region import Places
 from .rule import State
+from .task import Task
 
 #: Readings over which the rest of the span is spread where nothing shows, and from which on.
 _SPREAD_TO, _SPREAD_FROM = 60, 24
@@ -35,23 +36,18 @@ def next_pose(taken: Taken) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Batches:
-    """Makes the rows of a batch for a robot that is judged over ``span_min`` minutes."""
+    """Makes the rows of a batch."""
 
-    robot: Any
-    layout: Layout
-    region: Region
-    batch: int
-    span_min: float
-    seed: int
+    task: Task
 
     def first(self, count: int, taken: Taken, rng: np.random.Generator) -> Rows:
         """So many rows all over the region, in any order."""
-        places, first = self.region.spread(count, self.seed), next_pose(taken)
+        places, first = self.task.region.spread(count, self.task.seed), next_pose(taken)
         return [self._row(places.pick([k]), "start", first + i) for i, k in enumerate(rng.permutation(count))]
 
     def anywhere(self, count: int, first: int, rng: np.random.Generator) -> Rows:
         """So many rows at random, whose poses are counted from ``first``."""
-        places = self.region.anywhere(count, rng)
+        places = self.task.region.anywhere(count, rng)
         return [self._row(places.pick([k]), "explore", first + k) for k in range(count)]
 
     def chosen(
@@ -59,8 +55,7 @@ class Batches:
         rng: np.random.Generator,
     ) -> Rows:  # fmt: skip
         """So many rows up to the look at ``boundary``, as the last one tells them."""
-        rows = self._again(found, taken)[: max(count // 2, 1)]
-        rows += self._once_more(found, boundary, count - len(rows), rng)
+        rows = self._again(found, taken, boundary, count, rng)
         pace_s, waits = self._pace(found, state)
         first = next_pose(taken)
         try:
@@ -68,8 +63,8 @@ class Batches:
         except SherkitError:
             # a fit to readings that are none predicts none
             return [*rows, *self.anywhere(count - len(rows), first, rng)]
-        rows += [self._row(one.places, "time" if waits and one.reason in ("all", "confirm") else one.reason, first + i)
-                 for i, one in enumerate(chosen)]  # fmt: skip
+        rows += [self._row(places, "time" if waits and why in ("all", "confirm") else why, first + i)
+                 for i, (places, why) in enumerate(chosen)]  # fmt: skip
         if waits and data.time_s is not None:
             clock = float(data.time_s.max())
             for i, row in enumerate(rows):
@@ -78,57 +73,42 @@ class Batches:
 
     def _row(self, places: Places, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
         row: dict[str, Any] = {POSE: pose, REPEAT: repeat}
-        row |= dict(zip(self.layout.joints, places.joints[0].tolist(), strict=True))
-        row |= dict(zip(self.region.targets, places.targets[0].tolist(), strict=True))
-        row |= {name: 1 + pose % count for name, count in _apart(self.robot, self.layout.apart).items()}
+        row |= dict(zip(self.task.layout.joints, places.joints[0].tolist(), strict=True))
+        row |= dict(zip(self.task.region.targets, places.targets[0].tolist(), strict=True))
+        row |= {name: 1 + pose % count for name, count in _apart(self.task.robot, self.task.layout.apart).items()}
         return row | {REASON: reason, "not_before_s": 0.0}
 
-    def _again(self, found: Look, taken: Taken) -> list[dict[str, Any]]:
-        """Rows that were set aside, driven once more each."""
-        data, out = found.data, []
+    def _again(self, found: Look, taken: Taken, boundary: int, count: int, rng: np.random.Generator) -> Rows:
+        """Rows that were set aside, driven once more each, and poses that were read once, so that these are their share
+        of all: what differs then is noise, and nothing else tells it from physics that is finer than the poses."""
+        data = found.data
         if data.pose is None or data.repeat is None:
             return []
-        for row in found.aside.tolist():
-            pose = int(data.pose[row])
-            repeats = [r for p, r in taken if p == pose]
-            if len(repeats) == 1:
-                places = Places(data.joints[[row]], self.region.reached_at(data.joints[[row]]))
-                out.append(self._row(places, "again", pose, max(repeats) + 1))
-        return out
-
-    def _once_more(self, found: Look, boundary: int, most: int, rng: np.random.Generator) -> list[dict[str, Any]]:
-        """Poses that were read once, driven once more so that they are their share of all: what differs then is noise,
-        and nothing else tells it from physics that is finer than the poses."""
-        if found.data.pose is None:
-            return []
-        count = min(int(_ONCE_MORE * boundary) - len(found.data) + len(np.unique(found.data.pose)), most)
-        _, first, times = np.unique(found.data.pose, return_index=True, return_counts=True)
-        once = np.setdiff1d(first[times == 1], found.aside)
-        out = []
-        for row in rng.permutation(once)[: max(count, 0)].tolist():
-            joints = found.data.joints[[row]]
-            pose = int(found.data.pose[row])
-            out.append(self._row(Places(joints, self.region.reached_at(joints)), "again", pose, 2))
-        return out
+        poses, first, times = np.unique(data.pose, return_index=True, return_counts=True)
+        told = {pose: [r for p, r in taken if p == pose] for pose in data.pose[found.aside].tolist()}
+        wrong = [row for row in found.aside.tolist() if len(told[int(data.pose[row])]) == 1][: max(count // 2, 1)]
+        more = min(int(_ONCE_MORE * boundary) - len(data) + len(poses), count - len(wrong))
+        rows = [*wrong, *rng.permutation(np.setdiff1d(first[times == 1], found.aside))[: max(more, 0)].tolist()]
+        places = [Places(data.joints[[row]], self.task.region.reached_at(data.joints[[row]])) for row in rows]
+        return [self._row(at, "again", int(data.pose[row]), 2) for row, at in zip(rows, places, strict=True)]
 
     def _pace(self, found: Look, state: State) -> tuple[float, bool]:
         """Seconds between rows to come, and whether they are worth waiting for."""
-        time_s, span_s = found.data.time_s, 60.0 * self.span_min
+        time_s, span_s = found.data.time_s, 60.0 * self.task.span_min
         if time_s is None or len(time_s) < 2:
             return 0.0, False
         driven = float(np.ptp(time_s))
         own = driven / (len(time_s) - 1)
         if state.confirmed:
-            return max((span_s - driven) / self.batch, own), True
+            return max((span_s - driven) / self.task.batch, own), True
         if state.alarmed:
-            by_name = found.family.by_name
             near = rivals(found)
             effects = [keys for keys in near if not found.is_shape(keys)]
-            lives = any(by_name[name].in_time for keys in effects[:3] for name, _ in keys)
+            lives = any(name in found.known.in_time for keys in effects[:3] for name, _ in keys)
             pace = max(span_s, 1800.0) / _MOMENTS
             return (pace, True) if lives and pace > own else (own, False)
         if found.readings >= _SPREAD_FROM and driven < span_s:
-            pace = (span_s - driven) / max(_SPREAD_TO - self.batch - found.readings, self.batch)
+            pace = (span_s - driven) / max(_SPREAD_TO - self.task.batch - found.readings, self.task.batch)
             return (pace, True) if pace > own else (own, False)
         return own, False
 

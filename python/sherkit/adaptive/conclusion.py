@@ -6,64 +6,33 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
 
 import numpy as np
-import scipy
 
-from ..base import linalg
 from ..base.names import listed
-from ..calibration import calibrate
-from ..data import Measurements
-from ..data.columns import unit_in
-from ..data.noise import noise_of
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.answers import Check
 from ..diagnosis.next_poses import SEPARATION, next_poses
-from ..errors import FitError, SherkitError
-from ..fit.identify import Fit, identify, residuals
-from . import rule
-from .choice import are_beyond, later
+from ..errors import FitError
+from ..evidence.thresholds import SURE
+from ..fit.identify import identify
+from . import rule, told
+from .choice import are_beyond
+from .held import Held
 from .look import FAR, Look
-from .rule import Unseen, is_silent, sentences
+from .progress import accuracy_um
 from .unread import mistaken
-from .vouching import structure_of, told_of
+from .vouching import louder_than_told, structure_of, told_of
 
 #: Sets that are still a tie; more are no answer.
 _MOST_TIED = 6
-#: What is left may be so many times the noise that is declared; and what a verdict is where it is more.
-_QUIET_ENOUGH = 1.3
+#: What a verdict is where more is left than noise.
 _LOUDER = {"adequate": "unexplained", "explained": "partly explained"}
 #: Part of the budget after which it is asked whether the rest would tell more.
 _LATE = 0.6
 #: Readings from which it is asked at all.
 _EARLY = 48
-
-
-@dataclass(frozen=True, eq=False)
-class Held:
-    """What a loop was told and holds, and what it is to reach."""
-
-    robot: Any
-    data: Callable[[], Measurements]
-    readings: int
-    found: Look | None
-    state: rule.State
-    seen: tuple[Unseen, ...]
-    budget: int
-    minutes: float | None
-    span_min: float
-    required_um: float | None
-    level: float
-    seed: int
-    #: Columns that are not in every row; cells that were not read; what speaks against the rows as witnesses that
-    #: nothing is missing.
-    incomplete: tuple[str, ...] = ()
-    unread: tuple[str, ...] = ()
-    against: tuple[str, ...] = ()
-    #: Why nothing could be fitted at the last look; empty where it could.
-    blind: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,43 +59,40 @@ class Conclusion:
 
 def conclude(loop: Held) -> Conclusion:
     """What follows from the rows of a loop."""
-    found, state = loop.found, loop.state
+    found, state, robot, seed = loop.last, loop.state, loop.robot, loop.seed
     if loop.readings == 0:
         return Conclusion()
+    # of the rows and not of the loop, which would then outlive who forgets it, and its lock with it
+    rows = partial(told.in_time, loop.frame, robot, loop.model, loop.layout)
 
     def make() -> Diagnosis:
-        data = loop.data()
+        data = rows()
         aside = found.aside if found else np.zeros(0, dtype=np.int64)
         # a handful of repeats is no noise to hold a verdict against, and poses are numbered as they were driven
-        data = replace(data, pose=np.random.default_rng(loop.seed).permutation(len(data)) + 1, repeat=None)
-        return diagnose(identify(loop.robot, data.mark_outliers(aside) if len(aside) else data), seed=loop.seed)
+        data = replace(data, pose=np.random.default_rng(seed).permutation(len(data)) + 1, repeat=None)
+        return diagnose(identify(robot, data.mark_outliers(aside) if len(aside) else data), seed=seed)
 
     spent = _spent(loop)
     if found is None or loop.blind:
-        notes = [*loop.unread, *loop.against, *([loop.blind] if loop.blind else [])]
-        why = f"{spent}; {notes[0]}" if spent and notes else spent
-        return Conclusion(done=bool(spent), why=why, notes=tuple(notes), make=make)
+        said = (*loop.stuck, *loop.against, *([loop.blind] if loop.blind else []))
+        return Conclusion(done=bool(spent), why="; ".join([spent, *said[:1]]) if spent else "", notes=said, make=make)
     verdict, done, why = state.verdict, state.done, state.why
     effects: tuple[str, ...] = state.named
     tied: tuple[tuple[str, ...], ...] = ()
     apart = told_of(found)
-    first = [*([apart] if apart else []), *loop.unread, *loop.against]
-    notes = list(first)
-    notes += list(sentences(loop.seen, found.data.layout.unit, found.data.layout.per_unit, found.family.untestable))
-    notes += _unsure(found)
-    notes += [f"{name} is not in every row: nothing was made to depend on it" for name in loop.incomplete]
-    # a verdict of silence rests on what would have been seen; beside a name it is only told
+    first = [*([apart] if apart else []), *loop.stuck, *loop.against]
+    notes: list[str] = []
     accuracy = None
     if not done and (spent or _is_beyond(loop, found, state)):
         verdict, effects, tied, why = _at_the_end(loop, found, spent)
         done = True
         if tied:
-            notes = [*_would_tell(found), *notes]
+            notes = _would_tell(found)
     if done and verdict == "unexplained":
-        looks_like = [name for name, _ in found.shapes[0][0] if found.family.by_name[name].is_shape]
+        looks_like = [name for name, _ in found.shapes[0][0] if name not in found.known.effects]
         why = f"{why}: what is left looks like {' & '.join(looks_like)}" if looks_like else why
         why = "; ".join((why, *loop.against))
-    if done and verdict != "adequate" and (mistakes := mistaken(found.family.model, found.data, found.fit.values)):
+    if done and verdict != "adequate" and (mistakes := mistaken(found.known.model, found.data, found.fit.values)):
         # what a wrong column leaves is no physics, and looks like much of it
         if verdict == "undecided":
             why = "; ".join((why, *mistakes))
@@ -135,7 +101,7 @@ def conclude(loop: Held) -> Conclusion:
     if (
         done
         and verdict in _LOUDER
-        and (louder := structure_of(found, loop.seed) or "; ".join(loop.against) or _louder(found, verdict))
+        and (louder := structure_of(found, loop.seed) or "; ".join(loop.against) or louder_than_told(found, verdict))
     ):
         verdict, why = _LOUDER[verdict], louder
     if verdict == "explained" and (done or state.done):
@@ -148,10 +114,18 @@ def conclude(loop: Held) -> Conclusion:
             if more <= loop.budget:
                 done, why = False, ""
             else:
-                told = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
-                notes.insert(0, f"{told} would not bring it")
+                short = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
+                notes.insert(0, f"{short} would not bring it")
     elif verdict == "adequate" and done:
         accuracy = accuracy_um(loop, found, (), found.fit)
+    if done:
+        # a verdict of silence rests on what would have been seen; beside a name it is only told
+        layout = found.data.layout
+        unseen = rule.outlook(found, loop.level)
+        notes += [*first, *rule.sentences(unseen, layout.unit, layout.per_unit, found.known.untestable)]
+        notes += _unsure(found)
+        late = told.incomplete(loop.frame, loop.layout)
+        notes += [f"{name} is not in every row: nothing was made to depend on it" for name in late]
     best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.leading]
     return Conclusion(
         verdict, done, why if done else "", effects if done or state.named else (), tied,
@@ -159,28 +133,10 @@ def conclude(loop: Held) -> Conclusion:
     )  # fmt: skip
 
 
-def _louder(found: Look, verdict: str) -> str:
-    """That more is left than the noise that the columns of the readings declare; empty where it is not."""
-    declared = noise_of(found.data)
-    if declared.origin != "declared":
-        return ""
-    axes = list(found.family.axes)
-    each = declared.sigma[:, axes][found.data.used[:, axes]]
-    told = float(np.exp(np.mean(np.log(each))))
-    left = float((found.lead.fit if verdict == "explained" and found.lead else found.fit).scale)
-    layout = found.data.layout
-    if left <= _QUIET_ENOUGH * told:
-        return ""
-    return (
-        f"{layout.per_unit * left:.3g} {layout.unit} are left of each reading where its column declares "
-        f"{layout.per_unit * told:.3g}: more noise than is told, or physics without a pattern"
-    )
-
-
 def _spent(loop: Held) -> str:
     if loop.readings >= loop.budget:
         return f"the budget of {loop.budget} readings is spent"
-    data = loop.found.data if loop.found else None
+    data = loop.last.data if loop.last else None
     if loop.minutes and data is not None and data.time_s is not None and np.ptp(data.time_s) >= 60.0 * loop.minutes:
         return f"the budget of {loop.minutes:g} minutes is spent"
     return ""
@@ -208,7 +164,7 @@ def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ..
     if found.log_evidence < -np.log(loop.level):
         if loop.against:
             return "undecided", (), (), f"{why}; {loop.against[0]}"
-        if found.readings >= rule.FEWEST and is_silent(loop.seen):
+        if found.readings >= rule.FEWEST and rule.is_silent(rule.outlook(found, loop.level)):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
     ties = rule.ties(found)
@@ -216,17 +172,17 @@ def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ..
     lead = found.lead
     if lead is None or not ties:
         return "unexplained", (), (), why
-    if shape > found.value(lead.keys) + np.log(1e3) or lead.rest > np.log(1e4):
+    if shape > found.value(lead.keys) + SURE or lead.rest > FAR:
         return "unexplained", (), (), why
     names = tuple(" & ".join(sorted(name for name, _ in keys)) for keys in ties)
     effects = tuple(sorted(name for name, _ in ties[0]))
-    settled = shape < found.value(ties[0]) - np.log(1e3) and lead.rest < -np.log(loop.level)
+    settled = shape < found.value(ties[0]) - SURE and lead.rest < -np.log(loop.level)
     if not settled and len(ties[0]) > 1:
         # two effects imitate much that is in no catalogue: named is what stands in everything that is likely
         likely = [keys for keys, value in found.sets if value > found.value(ties[0]) - FAR]
         certain = set(effects).intersection(*({name for name, _ in keys} for keys in likely))
-        told = f"{why}; {' & '.join(effects)} would say much of it, and what is in no catalogue nearly as much"
-        return ("partly explained" if certain else "undecided"), tuple(sorted(certain)), (), told
+        why = f"{why}; {' & '.join(effects)} would say much of it, and what is in no catalogue nearly as much"
+        return ("partly explained" if certain else "undecided"), tuple(sorted(certain)), (), why
     if len(names) == 1:
         return ("explained" if settled else "partly explained"), effects, (), why
     if len(names) > _MOST_TIED:
@@ -244,8 +200,8 @@ def _would_tell(found: Look) -> list[str]:
     out = [proposed.advice] if proposed.advice else []
     for pose in proposed.poses[-1:]:
         place = ", ".join(f"{name} {value:.4g}" for name, value in pose.items() if name != SEPARATION)
-        told = f"by {pose[SEPARATION]:.2g} σ, read with those before it"
-        out.append(f"of {len(proposed.poses)} poses that would tell most, the last: {place} ({told})")
+        by = f"by {pose[SEPARATION]:.2g} σ, read with those before it"
+        out.append(f"of {len(proposed.poses)} poses that would tell most, the last: {place} ({by})")
     return out
 
 
@@ -254,27 +210,6 @@ def _unsure(found: Look) -> list[str]:
         return []
     columns = f"{found.data.layout.directions[0]} …"
     return [f"the first reading is set aside: from which side it was approached is not told ({columns})"]
-
-
-@linalg.one_thread()
-def accuracy_um(loop: Held, found: Look, effects: tuple[str, ...], fit: Fit) -> float | None:
-    """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
-
-    As a calibration of these rows promises it (:class:`~sherkit.robots.accuracy.PredictedAccuracy`); of a
-    kind without one, or an effect that a calibration cannot hold, by the covariance of the fit. None where that is in
-    no length.
-    """
-    places = found.family.region.spread(PLACES, loop.seed + 1)
-    try:
-        made = calibrate(loop.robot, found.data, effects=effects, correction="none").calibration
-        # the region is one of the drawing: where its poses are in the calibration's frame is the calibration's to say
-        there = made.forward_batch(places.joints)
-        promised = made.predicted_accuracies(there.values[there.reached]).radius_mm
-        if np.isfinite(promised).any():
-            return float(1e3 * np.nanmax(promised))
-    except SherkitError:
-        pass
-    return accuracy_by_covariance_um(found, fit, loop.seed)
 
 
 def _agreeing(d: Diagnosis, said: Conclusion) -> Diagnosis:
@@ -292,62 +227,3 @@ def _agreeing(d: Diagnosis, said: Conclusion) -> Diagnosis:
         d, verdict=said.verdict, effects=said.effects, indistinguishable=said.indistinguishable,
         checks=(check, *others), notes=(*d.notes, *said.notes),
     )  # fmt: skip
-
-
-# -- while it goes on: how far off a model is at readings before it is fitted to them ---------------------------------
-
-#: Places at which the accuracy is asked, and the share of cases that it holds for.
-PLACES, SHARE = 60, 0.95
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Of the look at ``readings`` rows: root mean square of what the look before leaves at the rows since, by the
-    geometry alone and by what leads, in the unit of people (µm, pixels …; not finite where nothing can be said), and
-    how far off a robot calibrated by it may be anywhere in 95 of 100 cases, µm, as the covariance of the fit has it."""
-
-    readings: int
-    by_geometry: float
-    by_lead: float
-    accuracy_um: float | None
-
-
-def progress(before: Look | None, now: Look, seed: int) -> Progress:
-    """How far it is at a look, by what the one before it held."""
-    fit = now.lead.fit if now.lead is not None else now.fit
-    try:
-        accuracy = accuracy_by_covariance_um(now, fit, seed)
-    except SherkitError:  # a fit by which the robot reaches nothing
-        accuracy = None
-    if before is None:
-        return Progress(now.readings, float("nan"), float("nan"), accuracy)
-    geometry = _missed(before.fit, before, now)
-    lead = geometry if before.lead is None else _missed(before.lead.fit, before, now)
-    return Progress(now.readings, geometry, lead, accuracy)
-
-
-def _missed(fit: Fit, before: Look, now: Look) -> float:
-    """Root mean square of what a fit leaves at the rows that were read after it."""
-    axes = list(now.family.axes)
-    new = slice(before.readings, now.readings)
-    try:
-        left = residuals(fit.model, now.data, fit.values)[new][:, axes]
-    except SherkitError:  # a fit by which the robot reaches less than it was seen to
-        return float("nan")
-    left = left[now.data.used[new][:, axes] & np.isfinite(left)]
-    return float(now.data.layout.per_unit * np.sqrt(np.mean(np.square(left)))) if len(left) else float("nan")
-
-
-@linalg.one_thread()
-def accuracy_by_covariance_um(found: Look, fit: Fit, seed: int) -> float | None:
-    """How far off the fitted model may be anywhere in the region, in 95 of 100 cases, µm: the largest over places, to
-    first order; None where readings are no lengths."""
-    axes = list(found.family.axes)
-    if not all(unit_in(fit.data.layout.readings[a]) == "mm" for a in axes):
-        return None
-    places = found.family.region.spread(PLACES, seed + 1)
-    rows = later(found.data, places, 0.0, np.random.default_rng(seed))
-    by = fit.model.derivatives(rows, fit.values)[:, axes]
-    each = np.einsum("nmp,pq,nkq->nmk", by, fit.covariance + fit.unobserved_covariance, by)
-    largest = float(linalg.eigvalsh(each)[:, -1].max())
-    return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(SHARE, len(axes)) * max(largest, 0.0)))

@@ -2,45 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property, partial
-from os import PathLike
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-import polars as pl
 
-from ..base import linalg
-from ..base.arguments import Count, Level, NotNegative, Positive, Seed, as_annotated
-from ..data import Measurements
-from ..data.columns import POSE, REASON, REPEAT, TIME
-from ..data.files import write_whole
-from ..data.lock import FileLock
+from ..data.columns import POSE, REPEAT
 from ..diagnosis import Diagnosis
-from ..errors import ArgumentError, MeasurementError, SherkitError
-from ..fit.error import axes_of
-from ..model.kinds import kind_of, model_of, robot_from_tables
-from ..model.kinds import required_um as stated_um
-from ..model.robot_file import RobotLike, load_robot
-from . import rule, told
+from . import told
 from .batch import Batches, next_pose
-from .conclusion import Conclusion, Held, Progress, accuracy_by_covariance_um, conclude, progress
-from .family import Family
-from .kept import asked_in, held_in, lock, text_of
-from .look import Look, look
-from .region import Region
-from .rule import State, Unseen, outlook
-from .unread import mistaken, unread_cells
-from .vouching import against, told_of
-
-#: Readings to begin with at least, and those beyond the parameters.
-_START, _BEYOND = 12, 8
-#: Readings in a batch and in all, unless it is said.
-BATCH, BUDGET = 4, 400
+from .conclusion import Conclusion, conclude
+from .held import Held
+from .progress import Progress, progress
+from .vouching import told_of
 
 
-class Adaptive:
+class Adaptive(Held):
     """Chooses poses, is told what was read there, and ends when it is known what is missing.
 
     ``required_um`` is the accuracy that the robot is for (its file's, if left out), ``budget`` the most readings,
@@ -54,75 +30,16 @@ class Adaptive:
             loop.tell(measure(loop.ask()))
         print(loop.verdict, loop.effects)
 
-    The rule is in :mod:`~sherkit.adaptive.rule`, the evidence in :mod:`~sherkit.adaptive.evidence`. All that it holds
+    The rule is in :mod:`~sherkit.adaptive.rule`, the evidence in :mod:`~sherkit.evidence.reference`. All that it holds
     follows from the rows.
     """
 
-    @as_annotated
-    def __init__(
-        self,
-        robot: RobotLike,
-        *,
-        required_um: Positive | None = None,
-        budget: Count = BUDGET,
-        span_min: NotNegative = 0.0,
-        box: Mapping[str, Sequence[float]] | None = None,
-        level: Level = 0.01,
-        batch: Count = BATCH,
-        seed: Seed = 0,
-        minutes: Positive | None = None,
-    ) -> None:
-        self.robot = load_robot(robot) if isinstance(robot, str | PathLike) else robot
-        self.model = model_of(self.robot)
-        self.layout = kind_of(self.robot).layout
-        self.required_um = required_um if required_um is not None else stated_um(self.robot)
-        self.budget, self.span_min, self.level, self.batch, self.seed = budget, span_min, level, batch, seed
-        self.minutes = minutes
-        self.box = {name: [float(end) for end in ends] for name, ends in (box or {}).items()}
-        self.region = Region.of(self.model, self.layout, self.box)
-        self._batches = Batches(self.robot, self.layout, self.region, self.batch, self.span_min, self.seed)
-        self._frame = pl.DataFrame()
-        self._begin_anew()
-
     def _begin_anew(self) -> None:
-        self._family: Family | None = None
-        self._looks: list[tuple[Look, State, tuple[Unseen, ...]]] = []
+        super()._begin_anew()
         self._progress: list[Progress] = []
-        self._asked: list[dict[str, Any]] = []
-        self._asked_at = -1
-        self._looked = 0
-        self._blind = ""
-        self._against: tuple[str, ...] = ()
-        self._stuck: tuple[str, ...] = ()
         self._concluded: tuple[int, Conclusion] | None = None
 
     # -- what it holds -----------------------------------------------------------------------------------
-
-    @cached_property
-    def start(self) -> int:
-        """Readings before the first look: as many as tell the parameters, and a few more."""
-        axes = max(len(self.layout.coordinates), 1)
-        return min(max(_START, -(-(len(self.model.parameters) + _BEYOND) // axes)), self.budget)
-
-    @property
-    def readings(self) -> int:
-        """Rows that were told."""
-        return self._frame.height
-
-    @property
-    def data(self) -> Measurements:
-        """What was told, in the order of time. Raises :class:`~sherkit.errors.MeasurementError` before that."""
-        return told.in_time(self._frame, self.robot, self.model, self.layout)
-
-    @property
-    def last(self) -> Look | None:
-        """The last look."""
-        return self._looks[-1][0] if self._looks else None
-
-    @property
-    def looks(self) -> tuple[Look, ...]:
-        """Every look so far."""
-        return tuple(found for found, _, _ in self._looks)
 
     @property
     def progress(self) -> tuple[Progress, ...]:
@@ -131,20 +48,6 @@ class Adaptive:
         for k in range(len(self._progress), len(looks)):
             self._progress.append(progress(looks[k - 1] if k else None, looks[k], self.seed))
         return tuple(self._progress)
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why each of the rows was driven, in the order of time; empty where that was not told."""
-        if REASON not in self._frame.columns:
-            return ()
-        why = [one or "" for one in self._frame[REASON].to_list()]
-        order = np.argsort(self._read(self._frame).order, kind="stable")
-        return tuple(why[k] for k in order)
-
-    @property
-    def state(self) -> State:
-        """What is held after the last look."""
-        return self._looks[-1][1] if self._looks else State()
 
     @property
     def done(self) -> bool:
@@ -214,7 +117,7 @@ class Adaptive:
     def _first(self) -> tuple[str, ...]:
         """What is to be looked at, said before all else."""
         apart = told_of(self.last) if self.last is not None else ""
-        return tuple(one for one in (*self._stuck, *self._against[:1], self._blind, apart) if one)
+        return tuple(one for one in (*self.stuck, *self.against[:1], self.blind, apart) if one)
 
     def told(self) -> tuple[str, ...]:
         """What it found, in sentences for people."""
@@ -233,14 +136,7 @@ class Adaptive:
     def conclusion(self) -> Conclusion:
         """All of the above, made once for the rows that there are."""
         if self._concluded is None or self._concluded[0] != self.readings:
-            # of the rows and not of this loop, which would then outlive who forgets it, and its lock with it
-            data = partial(told.in_time, self._frame, self.robot, self.model, self.layout)
-            held = Held(
-                self.robot, data, self.readings, self.last, self.state, self.seen, self.budget,
-                self.minutes, self.span_min, self.required_um, self.level, self.seed,
-                tuple(told.incomplete(self._frame, self.layout)), self._stuck, self._against, self._blind,
-            )  # fmt: skip
-            self._concluded = (self.readings, conclude(held))
+            self._concluded = (self.readings, conclude(self))
         return self._concluded[1]
 
     # -- asking ------------------------------------------------------------------------------------------
@@ -254,179 +150,24 @@ class Adaptive:
         boundary = self._boundary
         if self._asked_at != boundary:
             self._asked, self._asked_at = self._planned(boundary), boundary
-        known = set(told.poses(self._frame))
+        known = set(told.poses(self.frame))
         missing = boundary - self.readings
         left = [one for one in self._asked if (one[POSE], one[REPEAT]) not in known]
         return left[:missing] if len(left) >= missing else [*left, *self._more(missing - len(left), boundary)]
 
-    @property
-    def _boundary(self) -> int:
-        """How many rows there are at the next look."""
-        return min(self._looked + self.batch if self._looked else self.start, self.budget)
-
     def _planned(self, boundary: int) -> list[dict[str, Any]]:
         rng = np.random.default_rng([self.seed, boundary])
-        taken = told.poses(self._frame)
+        taken = told.poses(self.frame)
         if not self._looked:
-            return self._batches.first(boundary, taken, rng)
+            return Batches(self).first(boundary, taken, rng)
         count = boundary - self._looked
-        if self.last is None or self._blind:
+        if self.last is None or self.blind:
             # nothing is known that could choose: what was read may come right again
-            return self._batches.anywhere(count, next_pose(taken), rng)
-        return self._batches.chosen(self.last, self.state, count, boundary, taken, self.data, rng)
+            return Batches(self).anywhere(count, next_pose(taken), rng)
+        return Batches(self).chosen(self.last, self.state, count, boundary, taken, self.data, rng)
 
     def _more(self, count: int, boundary: int) -> list[dict[str, Any]]:
         """Rows anywhere in place of those that came back as others than were asked."""
         rng = np.random.default_rng([self.seed, boundary, self.readings])
-        first = max([next_pose(told.poses(self._frame)) - 1, *(one[POSE] for one in self._asked)]) + 1
-        return self._batches.anywhere(count, first, rng)
-
-    # -- telling -----------------------------------------------------------------------------------------
-
-    def tell(self, rows: Any) -> None:
-        """Takes what was read: rows as they were asked, with readings and any other column, as a list of dicts, a
-        frame, columns by name, measurements or a file.
-
-        Rows may be fewer, more, later or elsewhere than asked; those that were told before are known. Raises
-        :class:`~sherkit.errors.MeasurementError` for what are no rows of this robot, and nothing is taken then.
-        """
-        frame = told.frame_of(rows)
-        if not frame.height:
-            return
-        whole = told.added(self._frame, told.taken(frame, self._asked, self.region.targets, self.layout), self.layout)
-        data = self._read(whole)
-        late = self._frame.height and TIME in whole.columns and self._looks and data.time_s is not None
-        if late and (data.time_s[self._frame.height :] < data.time_s[: self._frame.height].max()).any():  # type: ignore[index]
-            self._begin_anew()
-        self._frame = whole
-        self._advance()
-        if self._lock is not None and self.done:
-            self.close()
-
-    def _read(self, frame: pl.DataFrame) -> Measurements:
-        return told.measurements(frame, self.robot, self.model, self.layout)
-
-    @linalg.one_thread()
-    def _advance(self) -> None:
-        """Looks wherever a batch is whole."""
-        while self.readings >= self._boundary > self._looked:
-            boundary = self._boundary
-            some = self.data.select(np.arange(boundary))
-            stuck = unread_cells(self.model, self.region, some)
-            self._stuck, self._blind, self._against = stuck.sentences, "", ()
-            if stuck.too_many(self.batch):
-                self._blind = "what is left of these readings tells nothing"
-            else:
-                try:
-                    self._look_at(stuck.without(some))
-                except SherkitError as error:
-                    self._against = mistaken(self.model, some)
-                    self._blind = f"{boundary} readings cannot be fitted: {error}"
-            self._looked = boundary
-
-    def _look_at(self, some: Measurements) -> None:
-        if self._family is None:
-            axes = axes_of(some)
-            self._family = Family.of(
-                self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0)
-            )
-        found = look(self._family, some, self.last)
-        seen = outlook(found, self.level)
-        spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
-        accuracy = accuracy_by_covariance_um(found, found.fit, self.seed)
-        against_it = against(found, seen, self.required_um, accuracy, silent=found.log_evidence < -np.log(self.level))
-        state = rule.after(
-            self.state, found, seen, spanned=spanned, vouched=not against_it, level=self.level
-        )  # fmt: skip
-        self._against = against_it
-        self._looks.append((found, state, seen))
-
-    @property
-    def seen(self) -> tuple[Unseen, ...]:
-        """What the last look would have seen."""
-        return self._looks[-1][2] if self._looks else ()
-
-    # -- keeping -----------------------------------------------------------------------------------------
-
-    @as_annotated
-    def save(self, path: str | Path) -> None:
-        """Writes robot, settings, rows and the batch that was asked for as JSON, whole or not at all. Until the loop is
-        done, or its program ends, no other loop can have the file: raises :class:`~sherkit.errors.ExperimentError`
-        where one has it."""
-        where = Path(path)
-        if self._lock is None or not self._lock.is_of(where):
-            # what another loop has is not written over, and one that was held goes once this one is
-            self._lock = lock(where)
-        write_whole(where, text_of(self.robot, self._settings(), self._rows(), self._batch()))
-        if self.done:
-            self.close()
-
-    _lock: FileLock | None = None
-
-    def close(self) -> None:
-        """Gives back the file that it was loaded from or saved to; it does so by itself once it is done."""
-        if self._lock is not None:
-            self._lock.release()
-            self._lock = None
-
-    def _settings(self) -> dict[str, Any]:
-        return {
-            "required_um": self.required_um, "budget": self.budget, "span_min": self.span_min, "box": self.box,
-            "level": self.level, "batch": self.batch, "seed": self.seed, "minutes": self.minutes,
-        }  # fmt: skip
-
-    def _rows(self) -> dict[str, list[Any]]:
-        return {name: self._frame[name].to_list() for name in self._frame.columns}
-
-    def _batch(self) -> dict[str, Any]:
-        return {"rows": self._asked, "at": self._asked_at}
-
-    def _with(self, rows: Mapping[str, list[Any]], asked: Sequence[dict[str, Any]], at: int) -> Self:
-        """This loop with what another one held."""
-        if rows:
-            self.tell(rows)
-        self._asked, self._asked_at = list(asked), at
-        return self
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # all that it holds follows from the rows, and a lock has one owner
-        batch = self._batch()
-        return _made_again, (type(self), self.robot, self._settings(), self._rows(), batch["rows"], batch["at"])
-
-    @classmethod
-    @as_annotated
-    def load(cls, path: str | Path, robot: RobotLike | None = None) -> Self:
-        """The loop of a file, as it was; ``robot`` is only needed for a machine that is no file. Until it is done, no
-        other loop can have the file. Raises :class:`~sherkit.errors.ExperimentError` for what is no such file, and for
-        one that another loop has, and :class:`~sherkit.errors.MeasurementError` where what it holds cannot be used."""
-        where = Path(path)
-        # a file that is not there leaves no lock behind
-        held_in(where)
-        mine = lock(where)
-        try:
-            held = held_in(where)
-            if robot is None:
-                robot = robot_from_tables(held["robot"], f"{where}: robot")
-            try:
-                loop = cls(robot, **held["settings"])
-            except (ArgumentError, TypeError) as error:
-                raise MeasurementError(f"{where}: settings: {error}") from None
-            rows, at = asked_in(held, where, {POSE, REPEAT, *loop.layout.joints, *loop.region.targets})
-            try:
-                loop._with(held["rows"], rows, at)
-            except MeasurementError as error:
-                raise MeasurementError(f"{where}: rows: {error}") from None
-        except BaseException:
-            mine.release()
-            raise
-        loop._lock = mine
-        if loop.done:
-            loop.close()
-        return loop
-
-
-def _made_again(
-    cls: type[Adaptive], robot: Any, settings: dict[str, Any], rows: dict[str, list[Any]], asked: list[Any], at: int
-) -> Adaptive:
-    """A loop that was pickled."""
-    return cls(robot, **settings)._with(rows, asked, at)
+        first = max([next_pose(told.poses(self.frame)) - 1, *(one[POSE] for one in self._asked)]) + 1
+        return Batches(self).anywhere(count, first, rng)

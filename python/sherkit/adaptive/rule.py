@@ -10,20 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import scipy
 
 from ..evidence.sizes import PLAUSIBLE
-from .evidence import ROUGH, SIZES, Agreement
-from .hypotheses import Hypothesis
-from .look import FAR, Fitted, Keys, Look
+from ..evidence.thresholds import SCALES, SURE
+from .agreement import ROUGH, ROUGH_WEIGHT, agreement_of
+from .look import FAR, LEFT, Fitted, Keys, Look
 
 # -- silence: which effects would have been seen by now, and from which size the others would -------------------------
 
 #: The power with which an effect must have been seen.
 POWER = 0.95
-_DIRECTIONS = 48
+_DIRECTIONS = 16
 
 
 @dataclass(frozen=True)
@@ -41,38 +42,30 @@ class Unseen:
     most_rms: float = float("inf")
 
 
+@lru_cache(maxsize=2)
 def outlook(found: Look, level: float) -> tuple[Unseen, ...]:
     """For every effect of the catalogue that can be tried; an alarm is evidence of one over the ``level``."""
-    noise = noise_of_look(found, level)
-    return (*(_outlook(found, h, noise, level) for h in found.family.effects), _outlook_rough(found, noise, level))
+    # the noise of one reading, in its unit, as the best explanation leaves it
+    noise = float((found.fit if found.best is None else found.best.run.of.fit).scale)
+    return (*(_outlook(found, name, noise, level) for name in found.known.effects), _outlook_rough(found, noise, level))
 
 
-def noise_of_look(found: Look, level: float) -> float:
-    """The noise of one reading, in its unit, as the best explanation leaves it."""
-    alarmed = found.lead is not None and found.log_evidence > -np.log(level)
-    return float((found.lead.fit if alarmed and found.lead else found.fit).scale)
-
-
-def _outlook(found: Look, h: Hypothesis, noise: float, level: float) -> Unseen:
-    family, evidence = found.family, found.evidence
-    key = (h.name, h.settings[len(h.settings) // 2])
+def _outlook(found: Look, name: str, noise: float, level: float) -> Unseen:
+    reference, block, in_time = found.known.reference, found.by_effect.get(name), name in found.known.in_time
+    if block is None:
+        return Unseen(name, 0.0, float("inf"), in_time, True)
+    sort = reference.sort_of(block)
     # three plausible sizes at most
-    most = PLAUSIBLE / family.scales[h.name]
-    visible = most >= noise
-    if h.name not in evidence.place:
-        return Unseen(h.name, 0.0, float("inf"), h.in_time, visible, most)
-    columns = evidence.left(key)
+    most = PLAUSIBLE / reference.scale[sort]
+    columns = found.left(block)
     squares = columns.T @ columns
-    reference = family.reference[h.name]
     rng = np.random.default_rng(0)
     u = rng.normal(size=(_DIRECTIONS, len(squares)))
-    u = u / np.sqrt(np.einsum("di,ij,dj->d", u, reference, u).clip(1e-300))[:, None]
+    u = u / np.sqrt(np.einsum("di,ij,dj->d", u, reference.squares[sort], u).clip(1e-300))[:, None]
     shown = np.einsum("di,ij,dj->d", u, squares, u)
-    weight = h.weight / len(h.settings)
-    grown = [float(np.linalg.slogdet(np.eye(len(squares)) + s**2 * squares)[1]) for s in SIZES]
-    least = min(2.0 * np.log(len(SIZES) / (level * weight)) + one for one in grown)
-
-    sizes = np.geomspace(0.1, 1e3, 41)
+    grown = [float(np.linalg.slogdet(np.eye(len(squares)) + s**2 * squares)[1]) for s in SCALES]
+    least = min(2.0 * (np.log(len(SCALES) / level) - reference.log_weight[sort]) + one for one in grown)
+    sizes = np.geomspace(0.1, 1e3, 31)
     powers = scipy.stats.ncx2.sf(least, len(squares), np.square(sizes)[:, None] * shown.clip(1e-12)).mean(axis=1)
     at_noise = float(np.interp(0.0, np.log(sizes), powers))
     enough = powers >= POWER
@@ -80,15 +73,12 @@ def _outlook(found: Look, h: Hypothesis, noise: float, level: float) -> Unseen:
     times = float(
         np.exp(np.interp(POWER, powers[max(first - 1, 0) : first + 1], np.log(sizes[max(first - 1, 0) : first + 1])))
     )
-    return Unseen(h.name, at_noise, times * noise if enough.any() else float("inf"), h.in_time, visible, most)
+    return Unseen(name, at_noise, times * noise if enough.any() else float("inf"), in_time, most >= noise, most)
 
 
 def _outlook_rough(found: Look, noise: float, level: float) -> Unseen:
     """From which size on an error would have been seen that is another one at each pose."""
-    evidence = found.evidence
-    assert evidence.pose is not None, "a look numbers its poses"
-    now = Agreement.of(evidence.residual, evidence.pose, evidence.free)
-    needed = -float(np.log(level * found.family.by_name[ROUGH].weight))
+    now, needed = agreement_of(found.base), -float(np.log(level)) - ROUGH_WEIGHT
     quantiles = scipy.stats.chi2.ppf((np.arange(40) + 0.5) / 40, max(now.within_free, 1))
 
     def power(size: float) -> float:
@@ -121,14 +111,10 @@ def sentences(seen: tuple[Unseen, ...], unit: str, per_unit: float, untestable: 
 
 # -- the rule ---------------------------------------------------------------------------------------------------------
 
-#: By how much a leader must be likelier than shapes (than rivals by FAR), and what it may leave at most (evidence).
-_SHAPES, _LEFT = np.log(1e3), np.log(20.0)
 #: Readings before a verdict, readings after naming that confirm, and by how much the leader's Bayes factor must grow.
-FEWEST, _AFTER, _GROWN = 24, 12, np.log(20.0)
-#: What is left of every leader, or is told better by a shape, is unknown (evidence).
-_UNKNOWN = np.log(1e4)
+FEWEST, _AFTER, _GROWN = 24, 12, LEFT
+#: Looks running at which what is left of every leader, or is told better by a shape, is FAR: then it is unknown.
 _LOOKS = 2
-_QUIET = np.log(20.0)
 
 
 @dataclass(frozen=True)
@@ -148,14 +134,14 @@ class State:
     confirmed: bool = False
 
 
-def after(state: State, found: Look, seen: tuple[Unseen, ...], *, spanned: bool, vouched: bool, level: float) -> State:
+def after(state: State, found: Look, *, spanned: bool, vouched: bool, level: float) -> State:
     """The state once this look is taken; ``spanned`` whether the run is as long as it is to be judged over, ``vouched``
     whether nothing speaks against its rows as witnesses, one over the ``level`` the evidence that is an alarm."""
     lead, n = found.lead, found.readings
     alarm = found.log_evidence >= -np.log(level)
     if not alarm:
-        quiet = found.log_evidence < min(_QUIET, -np.log(level)) and n >= FEWEST and spanned and is_silent(seen)
-        quiet = quiet and vouched
+        quiet = found.log_evidence < min(LEFT, -np.log(level)) and n >= FEWEST and spanned and vouched
+        quiet = quiet and is_silent(outlook(found, level))
         why = "nothing is missing that these rows would have shown" if quiet else ""
         return State("adequate" if quiet else "undecided", quiet, why)
     stands = lead is not None and _stands(found, lead)
@@ -200,8 +186,8 @@ def _stands(found: Look, lead: Fitted) -> bool:
     """Whether the leader is far ahead of all else and leaves nothing."""
     own, mine = found.value(lead.keys), set(lead.names)
     # two effects imitate more than one does
-    margin = _SHAPES if len(lead.keys) == 1 else FAR
-    if lead.rest >= _LEFT or own - found.shape_beside([lead.keys])[1] < margin:
+    margin = SURE if len(lead.keys) == 1 else FAR
+    if lead.rest >= LEFT or own - found.shape_beside([lead.keys])[1] < margin:
         return False
     return not any(own - value < FAR and not mine <= {name for name, _ in keys} for keys, value in found.effects)
 
@@ -210,4 +196,4 @@ def _is_unknown(found: Look) -> bool:
     """Whether a shape tells far more than every effect, or every effect that leads leaves much."""
     shape = found.shapes[0][1] if found.shapes else -np.inf
     effect = found.effects[0][1] if found.effects else -np.inf
-    return bool(shape - effect > _UNKNOWN or (found.fitted and all(one.rest > _UNKNOWN for one in found.fitted)))
+    return bool(shape - effect > FAR or (found.fitted and all(one.rest > FAR for one in found.fitted)))

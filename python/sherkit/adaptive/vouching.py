@@ -17,37 +17,37 @@ from ..base.names import listed, spans
 from ..base.types import Floats, Ints
 from ..data.doubts import doubts
 from ..data.doubts.repeats import copied
+from ..data.noise import noise_of
 from ..diagnosis.gathered import WRONG, gathered, said
-from .look import GROSS, Look, moved
-from .rule import POWER, Unseen
+from .look import Look, moved
+from .noise import GROSS
+from .rule import POWER, Unseen, outlook
 
 #: An error of so many times what is required must have been seen.
 TIMES = 3.0
 #: Readings beyond the parameters, at places that differ: joints by more than this part of half their range.
 _BEYOND, _SAME_PLACE = 8, 1e-4
+#: What is left may be so many times the noise that is declared.
+_QUIET_ENOUGH = 1.3
 #: A joint moves where it goes over this part of its range.
 _MOVES = 0.05
 
 
-def against(
-    found: Look, seen: Sequence[Unseen], required_um: float | None, accuracy_um: float | None,
-    *, silent: bool,
-) -> tuple[str, ...]:  # fmt: skip
-    """Why these rows cannot say that nothing is missing, in sentences; empty where they can.
-
-    ``accuracy_um`` is how far off the calibrated robot may be anywhere, in 95 of 100 cases. Where they are
-    not ``silent`` it is not asked what they would have shown.
-    """
+def against(found: Look, required_um: float | None, level: float, seed: int) -> tuple[str, ...]:
+    """Why these rows cannot say that nothing is missing, in sentences; empty where they can. Where there is an alarm it
+    is not asked what they would have shown."""
     out = [*_few_places(found)]
     # rows that are told again are no witnesses, whatever time is given to them
     told = (*doubts(found.data), *copied(replace(found.data, time_s=None)))
     out += dict.fromkeys(one.sentence for one in told if not one.poses)
-    return (*out, *(_unseen(found, seen, required_um, accuracy_um) if silent else ()))
+    if required_um is not None and found.log_evidence < -np.log(level):
+        out += _unseen(found, outlook(found, level), required_um, found.known.accuracy_um(found.data, found.fit, seed))
+    return tuple(out)
 
 
 def _few_places(found: Look) -> Iterator[str]:
-    region, data = found.family.region, found.data
-    rows = data.used[:, list(found.family.axes)].any(axis=1)
+    region, data = found.known.region, found.data
+    rows = data.used[:, list(found.known.axes)].any(axis=1)
     joints = data.joints[rows]
     still = [
         name for name, way, half in zip(data.layout.joints, np.ptp(joints, axis=0), region.joint_half, strict=True)
@@ -60,17 +60,15 @@ def _few_places(found: Look) -> Iterator[str]:
         )
     places = len(np.unique(np.round(joints / (_SAME_PLACE * np.maximum(region.joint_half, 1e-300))), axis=0))
     needed = len(found.fit.values) + _BEYOND
-    if places * len(found.family.axes) < needed:
+    if places * len(found.known.axes) < needed:
         yield (
             f"{places} place{'s' if places > 1 else ''} in {len(joints)} rows for {len(found.fit.values)} parameters: "
-            f"read at {-(-needed // len(found.family.axes))} at least"
+            f"read at {-(-needed // len(found.known.axes))} at least"
         )
 
 
-def _unseen(found: Look, seen: Sequence[Unseen], required_um: float | None, accuracy_um: float | None) -> Iterator[str]:
+def _unseen(found: Look, seen: Sequence[Unseen], required_um: float, accuracy_um: float | None) -> Iterator[str]:
     layout = found.data.layout
-    if required_um is None:
-        return
     must = TIMES * required_um
     if layout.unit == "µm":
         hidden = {
@@ -95,7 +93,7 @@ def _scattering(found: Look) -> str:
     """What a fit leaves of each channel, and in how many rows."""
     data, layout = found.data, found.data.layout
     each = []
-    for k in found.family.axes:
+    for k in found.known.axes:
         left = found.fit.residuals[data.used[:, k], k]
         if len(left):
             each.append(f"{layout.readings[k]} {number(layout.per_unit * float(np.sqrt(np.mean(left**2))))}")
@@ -140,7 +138,7 @@ def structure_of(found: Look, seed: int) -> str:
             f"{'are' if many else 'is'} off by the same again: no accident, look at what is there"
         )
     joints = {name: data.joints[:, k] for k, name in enumerate(data.layout.joints)}
-    places = joints | found.fit.model.place(data, _predicted(found), found.fit.values)
+    places = joints | found.fit.model.place(data, found.fit.predicted, found.fit.values)
     one = gathered(data.mark_outliers(rows), rows, places, seed=seed)
     return said(one, data) if one is not None else ""
 
@@ -149,7 +147,7 @@ def _wrong_again(found: Look, rows: Ints) -> list[int]:
     """Numbers of poses that were read twice or more, each time off by the same."""
     if found.data.pose is None:
         return []
-    off, noise = _off(found), float(found.fit.scale) * found.sigma / np.exp(np.mean(np.log(found.sigma)))
+    off, noise = _off(found), float(found.fit.scale) * found.noise.sigma / np.exp(np.mean(np.log(found.noise.sigma)))
     of_pose = found.data.pose
     out = []
     for pose in np.unique(of_pose[rows]).tolist():
@@ -163,8 +161,22 @@ def _wrong_again(found: Look, rows: Ints) -> list[int]:
 def _off(found: Look) -> Floats:
     """What the best explanation leaves of each row (n, m) on the axes."""
     fit = found.lead.fit if found.lead is not None else found.fit
-    return np.nan_to_num(fit.residuals[:, list(found.family.axes)])
+    return np.nan_to_num(fit.residuals[:, list(found.known.axes)])
 
 
-def _predicted(found: Look) -> Floats:
-    return np.asarray(found.fit.predicted)
+def louder_than_told(found: Look, verdict: str) -> str:
+    """That more is left than the noise that the columns of the readings declare; empty where it is not."""
+    declared = noise_of(found.data)
+    if declared.origin != "declared":
+        return ""
+    axes = list(found.known.axes)
+    each = declared.sigma[:, axes][found.data.used[:, axes]]
+    said = float(np.exp(np.mean(np.log(each))))
+    left = float((found.lead.fit if verdict == "explained" and found.lead else found.fit).scale)
+    layout = found.data.layout
+    if left <= _QUIET_ENOUGH * said:
+        return ""
+    return (
+        f"{layout.per_unit * left:.3g} {layout.unit} are left of each reading where its column declares "
+        f"{layout.per_unit * said:.3g}: more noise than is told, or physics without a pattern"
+    )

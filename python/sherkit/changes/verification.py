@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..adaptive.choice import showing
 from ..adaptive.evidence import SIZES, Evidence
 from ..adaptive.gate import Power, Silent, power_of, silence, still
 from ..adaptive.hypotheses import Hypotheses, Hypothesis, weighted
@@ -30,6 +29,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
 from ..errors import FitError, SherkitError
+from ..evidence.design import showing
 from ..evidence.whitening import orthonormal
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, required_um

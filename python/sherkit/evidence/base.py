@@ -14,10 +14,11 @@ from ..base import linalg
 from ..base.types import Floats, Ints
 from .blocks import Block
 from .design import power
-from .family import Family
+from .family import Family, log_weights
+from .reference import Reference, Sort, sorts_of
 from .run import Run
 from .thresholds import HELD_EFFECT, HELD_SHAPE, SCALES
-from .whitening import orthonormal
+from .whitening import independent, orthonormal
 
 #: What an error of its own at each pose may be, in noises of a reading, and degrees of freedom that tell it.
 _OWN, _FREE = np.array([0.35, 0.7, 2.0, 6.0]), 10
@@ -25,6 +26,8 @@ _OWN, _FREE = np.array([0.35, 0.7, 2.0, 6.0]), 10
 _SMALLEST_P = 1e-300
 #: No more of a sum of squares is taken than all of it.
 _ALL = 1.0 - 1e-12
+#: Part of a column's square, over a reference, that is rounding.
+_ROUNDING = 1e-8
 
 
 def log_bayes(part: Floats, rank: Floats, free: int, count: int, scales: Floats = SCALES) -> Floats:
@@ -38,6 +41,30 @@ def log_bayes(part: Floats, rank: Floats, free: int, count: int, scales: Floats 
     g = np.square(scales)[:, None] * count / np.maximum(k, 1.0)
     each = -0.5 * k * np.log1p(g) - 0.5 * free * np.log1p(-np.clip(part, 0.0, _ALL) * g / (1.0 + g))
     return np.where(k < 1, -np.inf, np.logaddexp.reduce(each, axis=0) - np.log(len(scales)))
+
+
+def log_bayes_of(squares: Floats, right: Floats, rss: float, free: int, scales: Floats = SCALES) -> Floats:
+    """The same (…) of columns whose coefficients are normal about zero with so many noises, whatever the rows: of their
+    products with each other (…, k, k) and with what is left (…, k), whose square is ``rss``."""
+    value, turn = _turned(squares)
+    g = np.square(scales)[:, None] * value.clip(0.0)[..., None, :]
+    along = np.square(np.einsum("...jk,...j->...k", turn, right))[..., None, :]
+    taken = (along * np.square(scales)[:, None] / (1.0 + g)).sum(axis=-1) / rss
+    each = -0.5 * np.log1p(g).sum(axis=-1) - 0.5 * free * np.log1p(-np.clip(taken, 0.0, _ALL))
+    return np.asarray(np.logaddexp.reduce(each, axis=-1) - np.log(len(scales)))
+
+
+def _turned(squares: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues and vectors as :func:`~.base.linalg.eigh` gives them, of one or two columns by their formula."""
+    if squares.shape[-1] > 2:
+        return linalg.eigh(squares)
+    if squares.shape[-1] == 1:
+        return squares[..., 0], np.ones(squares.shape)
+    a, b, c = squares[..., 0, 0], squares[..., 0, 1], squares[..., 1, 1]
+    middle, off, angle = 0.5 * (a + c), 0.5 * np.hypot(a - c, 2.0 * b), 0.5 * np.arctan2(2.0 * b, a - c)
+    x, y = np.cos(angle), np.sin(angle)
+    turn = np.stack([np.stack([x, -y], axis=-1), np.stack([y, x], axis=-1)], axis=-2)
+    return np.stack([middle + off, middle - off], axis=-1), turn
 
 
 def total(logs: Floats) -> float:
@@ -130,6 +157,15 @@ class Base:
     @cached_property
     def log_bf(self) -> Floats:
         """Logarithm of the Bayes factor of each block (B,) against none."""
+        family = self.family
+        if family.reference is not None:
+            out = np.zeros(len(family))
+            # what is no more than the digits of a reading tells nothing
+            if self.free > 0 and self.rss > family.run.rounding:
+                for (which, at, _), left, prior in zip(family.groups, self.left, family.priors, strict=True):
+                    squares = left * prior[:, :, None] * prior[:, None, :]
+                    out[which] = log_bayes_of(squares, self.right[at] * prior, self.rss, self.free)
+            return out
         gain, rank = self.gains
         return log_bayes(gain / max(self.rss, 1e-300), rank, self.free, len(self.residual))
 
@@ -146,7 +182,30 @@ class Base:
     @property
     def evidence(self) -> float:
         """By how much the readings favour that something is missing: the weighted mean of all Bayes factors."""
-        return total(self.each)
+        return float(np.logaddexp(total(self.each), self.family.log_missing))
+
+    def log_bf_of(self, after: Base, run: Run, blocks: Sequence[Block]) -> float:
+        """Logarithm of the Bayes factor of effects that were fitted in full, in a ``run`` as that fit sees it, which
+        leave the base ``after``."""
+        family = self.family
+        if family.reference is None:
+            rank = max(after.basis.shape[1] - self.basis.shape[1], 1)
+            part = np.array([1.0 - after.rss / self.rss])
+            return float(log_bayes(part, np.array([rank]), self.free, len(self.residual))[0])
+        owns = [run.of.owns(block.effect) for block in blocks if block.effect is not None]
+        at = np.concatenate([np.arange(own.start, own.stop) for own in owns])
+        scale = np.concatenate([np.full(own.stop - own.start, family.scale_of(block))
+                                for own, block in zip(owns, blocks, strict=True)])  # fmt: skip
+        scale = scale * [run.of.fit.parameters[k].size for k in at]
+        own = run.flat(run.view.fitted(run.view.whole))
+        q = independent(np.delete(own, at, axis=1))
+        mine = own[:, at] * scale
+        mine = mine - q @ (q.T @ mine)
+        # the readings as they are to first order about this fit, without what the rest of the model takes
+        told = run.residual - q @ (q.T @ run.residual) + mine @ (run.of.fit.values[at] / scale)
+        whole = float(told @ told)
+        found = log_bayes_of(mine.T @ mine, mine.T @ told, whole, self.free)
+        return float(found) - 0.5 * self.free * float(np.log(whole / self.rss))
 
     def takes(self, columns: Floats) -> float:
         """Sum of squares that these columns (N, k) would take."""
@@ -218,3 +277,31 @@ def _down(family: Family, grams: Sequence[Floats], products: Floats) -> tuple[Fl
         inside = products[at]
         out.append(gram - inside @ inside.transpose(0, 2, 1))
     return tuple(out)
+
+
+def reference_of(run: Run, cuts: Ints) -> Reference:
+    """What rows over all of a region and a span fix for those that will be read there; a step is tried from the rows
+    ``cuts`` (c,) on. What the model fits anyway is not in it, nor are shapes that an effect is."""
+    family = Family(run, Reference(run.view, cuts))
+    base, n = Base.of(family, run), len(run) * run.axes
+    there, left = np.zeros(len(family)), np.zeros(len(family))
+    squares: dict[int, Floats] = {}
+    for (which, _, _), grams, prior in zip(family.groups, base.left, family.priors, strict=True):
+        inside = grams * prior[:, :, None] * prior[:, None, :]
+        left[which], there[which] = np.einsum("bkk->b", grams), np.einsum("bkk->b", inside)
+        there[which] *= there[which] > _ROUNDING * np.square(prior).sum(axis=1)
+        squares |= dict(zip(which.tolist(), inside, strict=True))
+    family.without_twins(base.basis, left)
+    kept = np.flatnonzero((there > 0) & np.isfinite(family.log_weight))
+    weights = log_weights([family.blocks[i] for i in kept], family.is_effect[kept])
+    sorts: dict[Sort, list[int]] = {}
+    for k, i in enumerate(kept.tolist()):
+        for sort in sorts_of(family.blocks[i]):
+            sorts.setdefault(sort, []).append(k)
+    # of several settings the middle one stands for all
+    middle = {sort: some[len(some) // 2] for sort, some in sorts.items()}
+    scale = {sort: float(np.sqrt(n / there[kept[k]])) for sort, k in middle.items()}
+    return Reference(
+        run.view, cuts, scale, {sort: float(weights[k]) for sort, k in middle.items()},
+        {sort: scale[sort] ** 2 * squares[kept[k]] / n for sort, k in middle.items()},
+    )  # fmt: skip

@@ -161,11 +161,15 @@ class Columns:
         """Columns (N, k) by number (k,)."""
         n, m = len(self.run), self.run.axes
         out = np.zeros((n, m, len(numbers)))
-        for k, number in enumerate(numbers.tolist()):
-            part, local = self._where(number)
-            values = self._white(part, part.values(local))[:, :, 0]
-            axis = int(part.split(local)[2][0])
-            out[:, slice(axis, axis + 1) if part.alone else slice(None), k] = values
+        of = np.searchsorted(self.starts, numbers, side="right") - 1
+        for p in np.unique(of):
+            part, at = self.parts[p], np.flatnonzero(of == p)
+            local = numbers[at] - self.starts[p]
+            values = self._white(part, part.values(local))
+            if part.alone:
+                out[:, part.split(local)[2], at] = values[:, 0]
+            else:
+                out[:, :, at] = values
         return out.reshape(n * m, -1) * self._per_length[numbers]
 
     def grams(self, numbers: Ints) -> Floats:
@@ -174,9 +178,11 @@ class Columns:
         out = np.empty((blocks, k, k))
         of = np.searchsorted(self.starts, numbers, side="right") - 1
         mixed = (of != of[:, :1]).any(axis=1)
-        for block in np.flatnonzero(mixed):
-            columns = self.of(numbers[block])
-            out[block] = columns.T @ columns
+        every = np.flatnonzero(mixed)
+        whole = len(self.run) * self.run.axes * k
+        for few in np.array_split(every, max(-(-len(every) * whole // _TOGETHER), 1)) if len(every) else ():
+            columns = self.of(numbers[few].ravel()).reshape(-1, len(few), k).transpose(1, 2, 0)
+            out[few] = columns @ columns.transpose(0, 2, 1)
         for p in np.unique(of[~mixed, 0]) if k else ():
             part, some = self.parts[p], np.flatnonzero(~mixed & (of[:, 0] == p))
             rows = (self._rows(part)) * (1 if part.alone else part.axes)
@@ -194,10 +200,6 @@ class Columns:
     @property
     def _per_length(self) -> Floats:
         return np.where(self.length > 0, 1.0 / np.where(self.length > 0, self.length, 1.0), 0.0)
-
-    def _where(self, number: int) -> tuple[Part, Ints]:
-        p = int(np.searchsorted(self.starts, number, side="right")) - 1
-        return self.parts[p], np.array([number - self.starts[p]])
 
     def _rows(self, part: Part) -> int:
         return len(self.visits) if part.posed and self.run.white.rho == 0.0 else len(self.run)

@@ -7,10 +7,8 @@ import numpy as np
 from ..base.types import Floats
 from .linearised import Linearised
 from .made import Maker, Piece
-from .waves import table_of, waves_along
+from .waves import waves_along
 
-#: Moments at which a step is tried, evenly of the rows.
-MOMENTS = 24
 #: Time constants that are tried, each half of the one before, and the fewest readings in one of them.
 _LAGS, _READINGS_BEHIND = 8, 4.0
 
@@ -21,9 +19,8 @@ def blocks_of_effects(made: Maker) -> None:
     every = view.effects_in(view.whole)
     for effect, at in view.effects:
         made.add("effect", (), [made.whole(every[:, :, at])], effect=effect)
-    moments = moments_of(view)
-    rows = np.arange(len(view))[:, None]
-    after = (rows >= np.array([cut for cut, _ in moments])).astype(float) if moments else np.zeros((len(view), 0))
+    moments = made.moments
+    after = np.stack([made.since(moment) for moment in moments], axis=1) if moments else np.zeros((len(view), 0))
     for effect, place in view.in_time:
         if not moments:
             continue
@@ -31,37 +28,28 @@ def blocks_of_effects(made: Maker) -> None:
         carriers = np.ones((len(view), 1)) if place is None else every[:, :, place]
         wide = view.axes if place is None else carriers.shape[-1]
         part = made.part(after, carriers)
-        for k, (_, moment) in enumerate(moments):
+        for k, moment in enumerate(moments):
             made.add("effect", (), [(part, k * wide + np.arange(wide))], effect=effect, setting=moment)
     for effect, behind in view.lagging:
-        for lag in lags_of(view):
+        for lag in lags_of(made.like):
             made.add("effect", (), [made.whole(behind(lag)(view.whole))], effect=effect, setting=lag)
     # a period that the robot file declares may be wrong
     searched = [effect for effect, _ in view.periodic]
     if not searched:
         return
     names = view.waving
-    reach = max(float(np.ptp(view.inputs[name])) for name in names)
+    reach = max(float(np.ptp(made.like.inputs[name])) for name in names)
     if not reach > 0:
         return
-    counts = max((waves_along(view.inputs[name]) for name in names), key=len)
+    counts = max((waves_along(made.like.inputs[name]) for name in names), key=len)
     parts = [
-        made.part(table_of(2.0 * np.pi * view.inputs[name] / reach, counts), view.patterns[name][:, :, None])
+        made.part(made.table(2.0 * np.pi * view.inputs[name] / reach, counts), view.patterns[name][:, :, None])
         for name in names
     ]
     for effect in searched:
         for k, count in enumerate(counts.tolist()):
             pieces: list[Piece] = [(part, np.array([k, len(counts) + k])) for part in parts]
             made.add("effect", (), pieces, effect=effect, setting=reach / count)
-
-
-def moments_of(view: Linearised) -> list[tuple[int, float]]:
-    """Rows from which on a step is tried, with the moment before each: none where rows have no time."""
-    time = view.time
-    if time is None:
-        return []
-    cuts = [k * len(view) // MOMENTS for k in range(1, MOMENTS)]
-    return [(c, float(0.5 * (time[c] + time[c - 1]))) for c in cuts if c > 0 and time[c] > time[c - 1]]
 
 
 def lags_of(view: Linearised) -> list[float]:

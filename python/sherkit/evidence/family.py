@@ -12,6 +12,7 @@ from ..base.types import Bools, Floats, Ints
 from .blocks import Block, Columns, Visits
 from .effects import blocks_of_effects
 from .made import Maker
+from .reference import Reference, sizes_of
 from .run import Run
 from .shapes import blocks_of_shapes
 from .thresholds import HELD_EFFECT, HELD_SHAPE, TWIN
@@ -29,11 +30,13 @@ class Family:
     ``blocks`` (B,) are those that are something in these rows; ``columns`` are theirs, by number. ``log_weight`` (B,)
     is the logarithm of the prior weight of each: half of it is of effects, half of shapes, each cause has as much as
     any other, and its settings and axes share it. A weight of nothing (-inf) is that of a shape which an effect is.
-    Effects are alone where no ``shapes`` are asked for.
+    Effects are alone where no ``shapes`` are asked for. A ``reference`` fixes all of these, and the scale of the prior,
+    before the rows are read.
     """
 
-    def __init__(self, run: Run, *, shapes: bool = True) -> None:
-        made = Maker(run, Visits.of(run))
+    def __init__(self, run: Run, reference: Reference | None = None, *, shapes: bool = True) -> None:
+        made = Maker(run, Visits.of(run), reference)
+        self.reference = reference
         blocks_of_effects(made)
         if shapes:
             blocks_of_shapes(made)
@@ -41,12 +44,22 @@ class Family:
         self.run = run
         self.columns = Columns(run, made.visits, parts)
         there = self.columns.length > 0
-        every = [replace(block, at=block.at[there[block.at]]) for block in blocks]
-        self.blocks: tuple[Block, ...] = tuple(block for block in every if len(block.at))
+        if reference is None:
+            every = [b if there[b.at].all() else replace(b, at=b.at[there[b.at]]) for b in blocks]
+            self.blocks: tuple[Block, ...] = tuple(block for block in every if len(block.at))
+        else:
+            # as wide as in the reference: a column that is nothing yet tells nothing
+            known = [(block, reference.sort_of(block)) for block in blocks]
+            known = [one for one in known if one[1] is not None or not reference.scale]
+            self.blocks = tuple(block for block, _ in known)
+            self._scale = np.array([reference.scale.get(sort, 1.0) for _, sort in known])
         self.is_effect: Bools = np.array([block.effect is not None for block in self.blocks], dtype=bool)
         #: Part of a column's square below which what is in the model holds it.
         self.least: Floats = np.where(self.is_effect, HELD_EFFECT, HELD_SHAPE)
-        self.log_weight: Floats = _log_weights(self.blocks, self.is_effect)
+        self.log_weight: Floats = (
+            log_weights(self.blocks, self.is_effect) if reference is None or not reference.scale
+            else np.array([reference.log_weight[sort] for _, sort in known])
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.blocks)
@@ -62,16 +75,49 @@ class Family:
             out.append((which, at, self.columns.grams(at)))
         return tuple(out)
 
-    def where(self, block: Block) -> int:
-        """The number of the block of the same cause whose setting is nearest. Raises ``KeyError`` for none."""
-        same = self._of_cause[block.cause]
-        return min(same, key=lambda i: abs((self.blocks[i].setting or 0.0) - (block.setting or 0.0)))
+    def prior(self, block: Block) -> Floats:
+        """By what its columns (k,), of unit length, are multiplied so that a coefficient of one leaves a root mean
+        square of one over the reference."""
+        return np.asarray(self.columns.length[block.at] * sizes_of(block) * self.scale_of(block))
+
+    def scale_of(self, block: Block) -> float:
+        """The same of plausible sizes."""
+        assert self.reference is not None, "of a run by itself the prior is that of unit information"
+        return self.reference.scale.get(self.reference.sort_of(block), 1.0)
 
     @cached_property
-    def _of_cause(self) -> dict[tuple[object, ...], list[int]]:
+    def priors(self) -> tuple[Floats, ...]:
+        """The same of all blocks, as :attr:`groups` has them (b, k)."""
+        out = []
+        for which, at, _ in self.groups:
+            prior = self.columns.length[at] * self._scale[which][:, None]
+            for k in np.flatnonzero(self.is_effect[which]):
+                prior[k] *= sizes_of(self.blocks[which[k]])
+            out.append(prior)
+        return tuple(out)
+
+    @cached_property
+    def log_missing(self) -> float:
+        """Logarithm of the weight of what a reference has and these rows do not: they say nothing of it."""
+        if self.reference is None:
+            return -np.inf
+        return float(np.log(max(1.0 - np.exp(self.log_weight).sum(), 1e-300)))
+
+    def where(self, block: Block) -> int:
+        """The number of the block that says the same at the nearest setting. Raises ``KeyError`` for none."""
+
+        def off(i: int) -> tuple[int, float]:
+            mine, setting, period = self.blocks[i], block.setting or 0.0, block.period or 0.0
+            apart = abs((mine.setting or 0.0) - setting) + abs((mine.period or 0.0) - period)
+            return abs(len(mine.at) - len(block.at)), apart
+
+        return min(self._alike[_sort_of(block)], key=off)
+
+    @cached_property
+    def _alike(self) -> dict[tuple[object, ...], list[int]]:
         out: dict[tuple[object, ...], list[int]] = {}
         for i, block in enumerate(self.blocks):
-            out.setdefault(block.cause, []).append(i)
+            out.setdefault(_sort_of(block), []).append(i)
         return out
 
     def without_twins(self, basis: Floats, left: Floats) -> None:
@@ -96,7 +142,8 @@ class Family:
         self.log_weight[twin & ~self.is_effect] = -np.inf
 
 
-def _log_weights(blocks: Sequence[Block], is_effect: Bools) -> Floats:
+def log_weights(blocks: Sequence[Block], is_effect: Bools) -> Floats:
+    """Logarithms of prior weights (B,), as :class:`Family` has them."""
     out = np.zeros(len(blocks))
     for which, share in ((is_effect, _EFFECTS), (~is_effect, 1.0 - _EFFECTS)):
         some = np.flatnonzero(which).tolist()
@@ -106,3 +153,7 @@ def _log_weights(blocks: Sequence[Block], is_effect: Bools) -> Floats:
         for i in some:
             out[i] = np.log(share / (len(count) * count[blocks[i].cause]))
     return out
+
+
+def _sort_of(block: Block) -> tuple[object, ...]:
+    return block.cause, block.axis, block.pattern, block.order

@@ -157,7 +157,7 @@ class FittedRun(Saved):
         before = (self, frozenset(effect.name for effect, _ in added)) if self._is_minimum else None
         known = dict(zip((p.name for p in self.model.parameters), self.fit.values.tolist(), strict=True))
         start = np.array([known.get(p.name, 0.0) for p in model.parameters])
-        fit = identify(model, self.data, noise=self.fit.noise, start=start)
+        fit = identify(model, self.data, noise=self.fit.noise, start=start, priors=self.fit.priors)
         made = self._refits[tuple(added)] = FittedRun(fit, before)
         return made
 

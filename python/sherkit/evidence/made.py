@@ -2,35 +2,66 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..base.types import Floats, Ints
 from .blocks import Block, Part, Visits
+from .reference import Reference
 from .run import Run
+from .waves import table_of
 
 #: Columns to be: the part they will stand in, and their numbers (k,) there.
 Piece = tuple[int, Ints]
 
 _FUNCTIONS, _WHOLE = (0, 1), (2, 3)
+#: Moments at which a step is tried, evenly of the rows.
+MOMENTS = 24
 
 
 class Maker:
-    """Gathers blocks of a ``run`` whose poses were seen in these ``visits``."""
+    """Gathers blocks of a ``run`` whose poses were seen in these ``visits``.
 
-    def __init__(self, run: Run, visits: Visits) -> None:
-        self.run, self.view, self.visits = run, run.view, visits
-        self._blocks: list[tuple[Block, list[Piece]]] = []
+    What functions are of is brought to the range ``like`` that it has in the run itself, or in a ``reference``;
+    ``moments`` are those from which on a step is tried, each with its row.
+    """
+
+    def __init__(self, run: Run, visits: Visits, reference: Reference | None = None) -> None:
+        self.run, self.view, self.visits, self.reference = run, run.view, visits, reference
+        self.like = run.view if reference is None else reference.view
+        n = len(run)
+        cuts = [k * n // MOMENTS for k in range(1, MOMENTS)] if reference is None else reference.cuts
+        time = run.view.time
+        self.moments: list[float] = [] if time is None else [
+            float(0.5 * (time[c] + time[c - 1])) for c in cuts if 0 < c < n and time[c] > time[c - 1]
+        ]  # fmt: skip
+        self._blocks: list[tuple[dict[str, Any], list[Piece]]] = []
         # functions on axes and whole columns, each by row and by pose
         self._gathered: tuple[list[Floats], ...] = ([], [], [], [])
         self._parts: list[Part] = []
 
+    def since(self, moment: float) -> Floats:
+        """One (n,) from a moment on, zero before."""
+        assert self.view.time is not None, "a step has a moment"
+        return (self.view.time > moment).astype(float)
+
+    def unit(self, name: str) -> Floats:
+        """A variable (n,), its range brought to -1 … 1."""
+        values, like = self.view.variables[name], self.like.variables[name]
+        if self.reference is not None and name == "time_s":
+            # counted from the begin of each
+            values, like = values - self.run.of.data.begins_s, like - like[0]
+        return np.asarray(2.0 * (values - like.min()) / max(float(np.ptp(like)), 1e-300) - 1.0)
+
+    def table(self, angle: Floats, counts: Floats) -> Floats:
+        """As :func:`~.waves.table_of`, with their means where a reference says what is tried."""
+        return table_of(angle, counts, centred=self.reference is None)
+
     def function(self, values: Floats) -> Piece:
-        """A function (n,) of the row on every axis alone, without its mean: m columns."""
+        """A function (n,) of the row on every axis alone, without its mean unless there is a reference: m columns."""
         posed = self.visits.same(values)
-        centred = values - values.mean()
+        centred = self._centred(values)
         mine = self._gathered[_FUNCTIONS[posed]]
         mine.append(centred[self.visits.first] if posed else centred)
         m = self.view.axes
@@ -45,8 +76,11 @@ class Maker:
         return _WHOLE[posed], first + np.arange(columns.shape[2])
 
     def along(self, joint: str, values: Floats) -> Piece:
-        """A function (n,) of the row, without its mean, as an error of this joint arrives at the readings."""
-        return self.whole(self.view.patterns[joint][:, :, None] * (values - values.mean())[:, None, None])
+        """The same as an error of this joint arrives at the readings."""
+        return self.whole(self.view.patterns[joint][:, :, None] * self._centred(values)[:, None, None])
+
+    def _centred(self, values: Floats) -> Floats:
+        return values - values.mean() if self.reference is None else values
 
     def part(self, functions: Floats, carriers: Floats) -> int:
         """All products of ``functions`` (n, f) and ``carriers`` (n, c) or (n, m, c): the number of their part."""
@@ -59,7 +93,7 @@ class Maker:
 
     def add(self, shape: str, depends_on: tuple[str, ...], pieces: list[Piece], **about: Any) -> None:
         """A block of these columns; ``about`` as :class:`~.blocks.Block` has it."""
-        self._blocks.append((Block(shape, depends_on, **about), pieces))
+        self._blocks.append(({"shape": shape, "depends_on": depends_on, **about}, pieces))
 
     def on_axes(
         self, shape: str, depends_on: tuple[str, ...], functions: list[Piece], *, each: bool = True, **about: Any
@@ -86,7 +120,7 @@ class Maker:
         parts += self._parts
         starts = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64)
         blocks = [
-            replace(block, at=np.concatenate([starts[part] + at for part, at in pieces]))
-            for block, pieces in self._blocks
+            Block(at=np.concatenate(at) if len(at) > 1 else at[0], **about)
+            for about, at in ((about, [starts[part] + at for part, at in pieces]) for about, pieces in self._blocks)
         ]
         return parts, blocks

@@ -68,6 +68,12 @@ class Run:
         """The pose (n,) at which each row was read."""
         return self.view.group
 
+    @property
+    def rounding(self) -> float:
+        """Sum of squares that is no more than the digits of the readings."""
+        axes = list(self.of.axes)
+        return len(self) * float(np.square(self.of.digits[axes] / self.sigma[axes]).sum())
+
     def flat(self, columns: Floats) -> Floats:
         """Values (n, m) or columns (n, m, k) under the filter, as (N,) or (N, k)."""
         n, m = columns.shape[:2]

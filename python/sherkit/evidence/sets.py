@@ -12,7 +12,7 @@ import numpy as np
 from ..base.types import Floats
 from ..errors import SherkitError
 from ..model.sensor_pose import SLIP
-from .base import Base, log_bayes, total
+from .base import Base, total
 from .blocks import Block
 from .described import Described, described
 from .family import Family
@@ -23,7 +23,7 @@ from .sizes import displaces, is_plausible
 from .thresholds import ALARM, TIED
 
 #: Prior odds of one more effect.
-_ONE_MORE = float(np.log(0.1))
+ONE_MORE = float(np.log(0.1))
 #: Single effects that are refitted, and those that take nearly as much as any does, whatever they say.
 _SINGLES, _TAKE, _NEARLY = 6, 9, 0.85
 #: By how much less, in nats and as a part, a single may say to first order than one that explains, to be refitted.
@@ -56,13 +56,14 @@ class EffectSet:
     @cached_property
     def each(self) -> Floats:
         """What each other block says beside the set (B,)."""
-        mine = np.array([block.name in self.names for block in self.base.family.blocks], dtype=bool)
+        names = set(self.names)
+        mine = np.array([block.name in names for block in self.base.family.blocks], dtype=bool)
         return np.where(mine, -np.inf, self.base.each)
 
     @cached_property
     def rest(self) -> float:
         """By how much the readings favour that something is missing still."""
-        return total(self.each)
+        return float(np.logaddexp(total(self.each), self.base.family.log_missing))
 
     @property
     def explains(self) -> bool:
@@ -78,14 +79,15 @@ class Sets:
         left = np.zeros(len(family))
         for (which, _, _), grams in zip(family.groups, base.left, strict=True):
             left[which] = np.einsum("bkk->b", grams)
-        family.without_twins(base.basis, left)
+        if family.reference is None:
+            family.without_twins(base.basis, left)
         self._fitted: dict[tuple[tuple[str, float], ...], EffectSet | None] = {}
         self._described: dict[tuple[int, int, int], Described] = {}
 
     @cached_property
     def _of_effects(self) -> Base:
         """The base of effects alone: what shapes say of pairs is not asked."""
-        return Base.of(Family(self.family.run, shapes=False), self.family.run)
+        return Base.of(Family(self.family.run, self.family.reference, shapes=False), self.family.run)
 
     def fitted(self, blocks: Sequence[Block]) -> EffectSet | None:
         """The set in a full fit; None where it cannot be fitted."""
@@ -172,14 +174,16 @@ class Sets:
                 base = Base.of(self.family, run)
             except (SherkitError, np.linalg.LinAlgError):
                 return None
-        # of several each has a size of its own: one is judged beside the others, where these have been fitted
-        names = {block.name for block in blocks}
-        less = [one for one in self._fitted.values() if one and len(one.blocks) + 1 == len(blocks)]
-        ways = [one.log_bf + _favours(one.base, base) for one in less if names.issuperset(one.names)]
-        bf = max([_favours(self.base, base), *ways])
+        bf = self.base.log_bf_of(base, run, blocks)
+        if self.family.reference is None:
+            # of several each has a size of its own: one is judged beside the others, where these have been fitted
+            names = {block.name for block in blocks}
+            less = [one for one in self._fitted.values() if one and len(one.blocks) + 1 == len(blocks)]
+            less = [one for one in less if names.issuperset(one.names)]
+            bf = max([bf, *(one.log_bf + one.base.log_bf_of(base, run, ()) for one in less)])
         weight = sum(float(self.family.log_weight[self.family.where(block)]) for block in blocks)
         sizes = all(is_plausible(fit, block.effect) for block in blocks if block.effect)
-        value = bf + weight + _ONE_MORE * (len(blocks) - 1)
+        value = bf + weight + ONE_MORE * (len(blocks) - 1)
         return EffectSet(blocks, run, base, bf, value, sizes and not displaces(fit.fit, before.fit))
 
     def _singles(self) -> list[EffectSet]:
@@ -244,13 +248,6 @@ def _each(base: Base) -> Iterator[tuple[float, Block]]:
 
 def _key(blocks: Sequence[Block]) -> tuple[tuple[str, float], ...]:
     return tuple(sorted((block.name, block.setting or 0.0) for block in blocks))
-
-
-def _favours(less: Base, more: Base) -> float:
-    """Logarithm of the Bayes factor of what a model has more than another."""
-    rank = max(more.basis.shape[1] - less.basis.shape[1], 1)
-    part = 1.0 - more.rss / less.rss
-    return float(log_bayes(np.array([part]), np.array([rank]), less.free, len(less.residual))[0])
 
 
 def _likeliest(family: Family, each: Floats, most: int, without: Collection[str] = ()) -> list[Block]:

@@ -10,8 +10,9 @@ from ..base.types import Floats
 from ..model.effect import Effect
 from .base import Base
 from .blocks import Block
-from .effects import MOMENTS, stepped
+from .effects import stepped
 from .linearised import Linearised
+from .made import MOMENTS
 from .run import Run
 from .waves import TURN
 

@@ -13,11 +13,10 @@ import numpy as np
 
 from .._core import play
 from ..base.types import Floats
-from .effects import moments_of
 from .linearised import Linearised
 from .made import Maker, Piece
 from .run import unit
-from .waves import table_of, told, waves_along, waves_in_time, waves_over_place
+from .waves import told, waves_along, waves_in_time, waves_over_place
 
 #: Order of polynomials, and the fewest different values of a variable that has a shape, or waves.
 _ORDERS, _FEWEST, _FEWEST_FOR_WAVES, _FEWEST_ALONG = 3, 2, 5, 9
@@ -31,8 +30,8 @@ def blocks_of_shapes(made: Maker) -> None:
     """Adds slopes, curves, waves, products, play and steps of every variable of the rows, which
     :attr:`~.linearised.Linearised.variables` has."""
     view = made.view
-    count = {name: len(np.unique(values)) for name, values in view.variables.items()}
-    u = {name: unit(values) for name, values in view.variables.items() if count[name] >= _FEWEST}
+    count = {name: len(np.unique(made.like.variables[name])) for name in view.variables if name in made.like.variables}
+    u = {name: made.unit(name) for name in count if count[name] >= _FEWEST}
     joints = [name for name in u if name in view.pattern_of] if view.patterns else []
     poses = [name for name in u if name in joints or name in view.place]
     for name, t in u.items():
@@ -48,10 +47,11 @@ def blocks_of_shapes(made: Maker) -> None:
     _products(made, u, joints, poses)
     for name in joints:
         _play(made, name)
-    for name, values in view.way.items():
-        made.on_axes("smooth", (name,), [made.function(unit(values))], order=1)
-    for k, moment in moments_of(view):
-        step = made.function((np.arange(len(view)) >= k).astype(float))
+    if made.reference is None:
+        for name, values in view.way.items():
+            made.on_axes("smooth", (name,), [made.function(unit(values))], order=1)
+    for moment in made.moments:
+        step = made.function(made.since(moment))
         made.on_axes("step", ("time_s",), [step], each=False, setting=moment)
 
 
@@ -68,13 +68,15 @@ def _smooth(made: Maker, name: str, t: Floats, orders: int, *, along: bool) -> N
 def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
     """What dies away, and waves, by themselves and in proportion to the place."""
     view, t = made.view, u["time_s"]
-    length = float(np.ptp(view.variables["time_s"]))
+    length = float(np.ptp(made.like.variables["time_s"]))
     for part in _DYING:
         dying = made.function(np.exp(-0.5 * (t + 1) / part))
         made.on_axes("smooth", ("time_s",), [dying], each=False, setting=part * length)
-    counts = waves_in_time()
-    places = [u[name] for name in view.place if name in u]
-    part = made.part(table_of(np.pi * (t + 1), counts), np.stack([np.ones(len(t)), *places], axis=1))
+    counts, places = waves_in_time(), [u[name] for name in view.place if name in u]
+    if made.reference is not None:
+        # a run that chooses its poses goes on: what is quicker is told by place
+        counts, places = counts[counts <= _ON_ONE_AXIS], []
+    part = made.part(made.table(np.pi * (t + 1), counts), np.stack([np.ones(len(t)), *places], axis=1))
     wide, m = 1 + len(places), view.axes
     for k, count in enumerate(counts.tolist()):
         both = np.array([k, len(counts) + k])
@@ -87,17 +89,18 @@ def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
 
 def _along(made: Maker, name: str, t: Floats) -> None:
     """Waves of a joint, as an error of it arrives at the readings."""
-    counts, reach = waves_along(made.view.variables[name]), float(np.ptp(made.view.variables[name]))
-    part = made.part(table_of(np.pi * (t + 1), counts), made.view.patterns[name][:, :, None])
+    counts, reach = waves_along(made.like.variables[name]), float(np.ptp(made.like.variables[name]))
+    part = made.part(made.table(np.pi * (t + 1), counts), made.view.patterns[name][:, :, None])
     for k, count in enumerate(counts.tolist()):
         at = np.array([k, len(counts) + k])
         made.add("periodic", (name,), [(part, at)], pattern=name, period=reach / count)
 
 
 def _over_place(made: Maker, name: str, t: Floats) -> None:
-    reach, counts = float(np.ptp(made.view.variables[name])), waves_over_place()
-    counts = counts[told(made.view.variables[name], counts)]
-    table = table_of(np.pi * (t + 1), counts)
+    reach, counts = float(np.ptp(made.like.variables[name])), waves_over_place()
+    if made.reference is None:
+        counts = counts[told(made.view.variables[name], counts)]
+    table = made.table(np.pi * (t + 1), counts)
     for k, count in enumerate(counts.tolist()):
         both = [made.function(table[:, one]) for one in (k, len(counts) + k)]
         made.on_axes("periodic", (name,), both, each=False, period=reach / count)
@@ -128,8 +131,8 @@ def _play(made: Maker, name: str) -> None:
     made.add("hysteretic", (name,), [made.along(name, came)], pattern=name, setting=0.0)
     for width in _PLAY:
         behind = play_operator(q, width) - q
-        if reach := float(np.ptp(behind)):
-            made.add("hysteretic", (name,), [made.along(name, behind / reach)], pattern=name, setting=width)
+        if np.ptp(behind):
+            made.add("hysteretic", (name,), [made.along(name, behind)], pattern=name, setting=width)
 
 
 def play_operator(q: Floats, width: float) -> Floats:

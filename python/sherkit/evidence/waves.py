@@ -38,11 +38,11 @@ def waves_over_place() -> Floats:
     return np.arange(*_PLACE, 0.5)
 
 
-def table_of(angle: Floats, counts: Floats) -> Floats:
-    """Sines, then cosines (n, 2 w) of so many times the ``angle`` (n,) each, without their means."""
+def table_of(angle: Floats, counts: Floats, *, centred: bool = True) -> Floats:
+    """Sines, then cosines (n, 2 w) of so many times the ``angle`` (n,) each, without their means where ``centred``."""
     turns = np.multiply.outer(angle, counts)
     out = np.concatenate([np.sin(turns), np.cos(turns)], axis=1)
-    return np.asarray(out - out.mean(axis=0))
+    return np.asarray(out - out.mean(axis=0) if centred else out)
 
 
 def told(values: Floats, counts: Floats) -> Bools:

@@ -13,7 +13,7 @@ import numpy as np
 import tomli_w
 
 from ...adaptive import Adaptive
-from ...adaptive.loop import BATCH, BUDGET
+from ...adaptive.task import BATCH, BUDGET
 from ...base.names import listed
 from ...base.types import Floats
 from ...data import Measurements

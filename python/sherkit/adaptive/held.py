@@ -1,0 +1,137 @@
+"""What a loop was told, and what it holds by each look at it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from ..base import linalg
+from ..data import Measurements
+from ..data.columns import REASON, TIME
+from ..errors import SherkitError
+from ..fit.error import axes_of
+from . import rule, told
+from .kept import Kept
+from .known import Known
+from .look import Look, look
+from .unread import mistaken, unread_cells
+from .vouching import against
+
+#: Readings to begin with at least, and those beyond the parameters.
+_START, _BEYOND = 12, 8
+
+
+class Held(Kept):
+    """Looks wherever a batch is whole."""
+
+    def _begin_anew(self) -> None:
+        self._known: Known | None = None
+        self._looks: list[tuple[Look, rule.State]] = []
+        self._asked = []
+        self._asked_at = -1
+        self._looked = 0
+        #: Why nothing could be fitted at the last look; what speaks against the rows as witnesses that nothing is
+        #: missing; cells that were not read.
+        self.blind = ""
+        self.against: tuple[str, ...] = ()
+        self.stuck: tuple[str, ...] = ()
+
+    @cached_property
+    def start(self) -> int:
+        """Readings before the first look: as many as tell the parameters, and a few more."""
+        axes = max(len(self.layout.coordinates), 1)
+        return min(max(_START, -(-(len(self.model.parameters) + _BEYOND) // axes)), self.budget)
+
+    @property
+    def readings(self) -> int:
+        """Rows that were told."""
+        return self.frame.height
+
+    @property
+    def data(self) -> Measurements:
+        """What was told, in the order of time. Raises :class:`~sherkit.errors.MeasurementError` before that."""
+        return told.in_time(self.frame, self.robot, self.model, self.layout)
+
+    @property
+    def last(self) -> Look | None:
+        """The last look."""
+        return self._looks[-1][0] if self._looks else None
+
+    @property
+    def looks(self) -> tuple[Look, ...]:
+        """Every look so far."""
+        return tuple(found for found, _ in self._looks)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why each of the rows was driven, in the order of time; empty where that was not told."""
+        if REASON not in self.frame.columns:
+            return ()
+        why = [one or "" for one in self.frame[REASON].to_list()]
+        order = np.argsort(self._read(self.frame).order, kind="stable")
+        return tuple(why[k] for k in order)
+
+    @property
+    def state(self) -> rule.State:
+        """What is held after the last look."""
+        return self._looks[-1][1] if self._looks else rule.State()
+
+    @property
+    def _boundary(self) -> int:
+        """How many rows there are at the next look."""
+        return min(self._looked + self.batch if self._looked else self.start, self.budget)
+
+    def tell(self, rows: Any) -> None:
+        """Takes what was read: rows as they were asked, with readings and any other column, as a list of dicts, a
+        frame, columns by name, measurements or a file.
+
+        Rows may be fewer, more, later or elsewhere than asked; those that were told before are known. Raises
+        :class:`~sherkit.errors.MeasurementError` for what are no rows of this robot, and nothing is taken then.
+        """
+        frame = told.frame_of(rows)
+        if not frame.height:
+            return
+        whole = told.added(self.frame, told.taken(frame, self._asked, self.region.targets, self.layout), self.layout)
+        data = self._read(whole)
+        late = self.frame.height and TIME in whole.columns and self._looks and data.time_s is not None
+        if late and (data.time_s[self.frame.height :] < data.time_s[: self.frame.height].max()).any():  # type: ignore[index]
+            self._begin_anew()
+        self.frame = whole
+        self._advance()
+        self._close_if_done()
+
+    def _read(self, frame: pl.DataFrame) -> Measurements:
+        return told.measurements(frame, self.robot, self.model, self.layout)
+
+    @linalg.one_thread()
+    def _advance(self) -> None:
+        """Looks wherever a batch is whole."""
+        while self.readings >= self._boundary > self._looked:
+            boundary = self._boundary
+            some = self.data.select(np.arange(boundary))
+            stuck = unread_cells(self.model, self.region, some)
+            self.stuck, self.blind, self.against = stuck.sentences, "", ()
+            if stuck.too_many(self.batch):
+                self.blind = "what is left of these readings tells nothing"
+            else:
+                try:
+                    self._look_at(stuck.without(some))
+                except SherkitError as error:
+                    self.against = mistaken(self.model, some)
+                    self.blind = f"{boundary} readings cannot be fitted: {error}"
+            self._looked = boundary
+
+    def _look_at(self, some: Measurements) -> None:
+        if self._known is None:
+            axes = axes_of(some)
+            self._known = Known.of(
+                self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0)
+            )
+        found = look(self._known, some, self.last)
+        spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
+        self.against = against(found, self.required_um, self.level, self.seed)
+        state = rule.after(self.state, found, spanned=spanned, vouched=not self.against, level=self.level)
+        self._looks.append((found, state))

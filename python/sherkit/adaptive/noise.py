@@ -1,0 +1,95 @@
+"""The noise of a loop's readings, as an explanation leaves it, and the rows that stand apart."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.types import Floats, Ints
+from ..data import Measurements
+from ..data.noise import MAD, noise_of
+from ..data.noise import Noise as Weights
+from ..errors import SherkitError
+from ..evidence.fitted_run import FittedRun
+from ..evidence.run import Run, in_time, one_after_another
+from ..evidence.whitening import Whitening, correlation_in_time, orthonormal
+from ..fit.identify import Fit, identify
+from .known import Known
+
+#: A row farther off than so many robust deviations, beside the best explanation, is set aside.
+GROSS = 7.0
+#: Readings beyond the parameters from which rows can be told to be wrong; noise that is the same.
+_BEYOND, _SAME = 6, 0.1
+#: Plausible sizes are knowledge where readings are fewer than so many times the parameters.
+_FEW = 3.0
+#: Readings from which the course of the noise is looked at, and how many stand for "all axes alike".
+_ENOUGH, _ALIKE = 24, 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Rows (k,) that are set ``aside``, the noise ``sigma`` (m,) of the axes, one on average, and how much of it a row
+    hands on to the next, ``rho``."""
+
+    aside: Ints
+    sigma: Floats
+    rho: float
+
+    def is_near(self, other: Noise) -> bool:
+        """Whether a look would be the same."""
+        same = (np.abs(np.log(self.sigma / other.sigma)) < _SAME).all() and abs(self.rho - other.rho) < _SAME
+        return bool(same) and np.array_equal(self.aside, other.aside)
+
+
+def run_of_rows(known: Known, data: Measurements, noise: Noise, like: Fit | None = None) -> Run:
+    """The rows as the model, or that of another fit from its values, sees them."""
+    data = data.mark_outliers(noise.aside) if len(noise.aside) else data
+    axes = list(known.axes)
+    used = data.used[:, axes]
+    declared, over = noise_of(data), np.ones_like(data.readings)
+    over[:, axes] = noise.sigma
+    if declared.origin == "declared" and used.any():
+        each = declared.sigma[:, axes]
+        over[:, axes] *= each / np.exp(np.mean(np.log(each[used])))
+    model, start = (known.model, None) if like is None else (like.model, like.values)
+    # with knowledge of plausible sizes where readings are few
+    few = bool(used.sum() < _FEW * len(model.parameters))
+    of = FittedRun(identify(model, data, noise=Weights(over, "unknown"), priors=few, start=start))
+    rows, sigma = in_time(of, np.arange(len(data))), np.ones(over.shape[1])
+    sigma[axes] = noise.sigma
+    view = of.linearised(rows, of.catalogue if like is None else (), noise.sigma)
+    return Run(of, rows, sigma, view, Whitening(noise.rho, *one_after_another(data.order, data.series, rows)))
+
+
+def left_by(run: Run, now: Noise, unsure: Ints) -> Noise:
+    """What this fit of rows leaves, each reading over what its own weight in the fit takes from it."""
+    basis, m = orthonormal(run.view.fitted(run.view.whole)), run.axes
+    lever = np.square(basis).sum(axis=1).reshape(-1, m)
+    left = run.view.residual / np.sqrt((1.0 - lever).clip(0.02))
+    # rows that stand apart from all others, be they set aside already or not
+    wrong, spread = np.zeros(0, dtype=np.int64), MAD * float(np.median(np.abs(left)))
+    if left.size > len(run.of.fit.values) + _BEYOND and spread > 0:
+        off = np.nan_to_num(run.of.fit.residuals[:, list(run.of.axes)]) / now.sigma
+        off[run.rows] = left
+        wrong = np.flatnonzero((np.abs(off) > GROSS * spread).any(axis=1))
+        # what most rows do is no accident of a few: a channel that sticks, one that is read a row late
+        wrong = wrong if 2 * len(wrong) <= len(off) else wrong[:0]
+    wrong = np.union1d(wrong, unsure)
+    # the noise of each axis, drawn towards that of all while rows are few; leverage is in the residuals already
+    each = np.square(left * now.sigma).mean(axis=0)
+    if not each.any():
+        return Noise(wrong, now.sigma, 0.0)
+    free, pooled = max(len(left) - basis.shape[1] / m, 1.0), float(each.mean())
+    drawn = np.exp((free * np.log(np.maximum(each, 1e-12 * pooled)) + _ALIKE * np.log(pooled)) / (free + _ALIKE))
+    told = run.view.time is not None and len(left) >= _ENOUGH
+    rho = correlation_in_time(run.view.residual, basis, run.white.back) if told else 0.0
+    return Noise(wrong, np.sqrt(drawn / np.exp(np.mean(np.log(drawn)))), rho)
+
+
+def expected(known: Known, data: Measurements, before: Noise, unsure: Ints, best: Fit) -> Noise:
+    """The noise of rows by what explained those before ``best``: as a rule it explains the new ones."""
+    with suppress(SherkitError):
+        return left_by(run_of_rows(known, data, before, best), before, unsure)
+    return before
