@@ -17,7 +17,6 @@ from consistency import named
 from second_simulator import grid
 from sherkit.base.types import Floats
 from sherkit.data.lagged import Room
-from sherkit.diagnosis import waves
 
 NEW = ("thermal_shift", "joint_slip")
 #: Chance with which a correct program fails one of the counts below.
@@ -85,22 +84,6 @@ def test_a_wave_as_long_as_the_poses_lie_apart_is_none(name: str, seed: int) -> 
     frame = run.data.to_frame().drop("time_s", "temperature_c", "humidity_pct")
     d = sk.diagnose(delta.DELTA, sk.from_frame(frame))
     assert d.signature["shape"] != "periodic"
-
-
-def test_poses_at_random_have_waves_of_every_length() -> None:
-    """Catches a rule that takes waves away from poses that see them, and one that leaves the grid its own."""
-    half = np.arange(4, 45)
-    for values, none in (
-        (np.random.default_rng(0).uniform(-20, 20, 300), 0),
-        (np.tile(np.arange(-20.0, 21.0, 5.0), 30), 14),
-    ):
-        angle = 2 * np.pi * np.outer(half / 80.0, values)
-        window = np.hypot(np.cos(angle).mean(axis=1), np.sin(angle).mean(axis=1))
-        found = waves.bends(half, window)
-        assert found.sum() == none
-        if none:
-            # 16 half waves over the range are as long as the step, 32 half of it
-            assert set(half[found]) == {*range(13, 20), *range(29, 36)}
 
 
 # -- rates ---------------------------------------------------------------------------------------------------------

@@ -217,7 +217,7 @@ def _missing(d: Diagnosis) -> Iterator[Finding]:
         )  # fmt: skip
     yield Finding(
         MISSING, "missing", "something is" if d.p_missing <= d.level else "nothing significant",
-        {"p_missing": d.p_missing}, sure=f"familywise p = {d.p_missing:.4g} over all effects and shapes",
+        {"p_missing": d.p_missing}, sure=f"p = {d.p_missing:.4g} over all effects and shapes",
     )  # fmt: skip
     if len(d.outliers):
         yield Finding(

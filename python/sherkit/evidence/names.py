@@ -109,8 +109,8 @@ def _refused(names: Names, one: Told) -> str:
     assert names.lead is not None, "it is of a set"
     # three or more with many numbers imitate anything
     partly = not names.lead.explains or names.shapes_say_more or len(names.lead.blocks) > 2
-    # several that explain all need but do better than what follows no cause; of one that may do a little better
-    least = NEEDED if partly else 0.0 if len(names.lead.blocks) > 1 else -ALARM
+    # where one or two explain all, what follows no cause may do a little better, but not clearly
+    least = NEEDED if partly else -ALARM
     steps = [block for block in names.lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"
