@@ -26,7 +26,7 @@ from .region import Places
 
 #: Candidates for each batch, the share of places that are anywhere, and what a coefficient is expected to be, and may
 #: be, squared.
-_CANDIDATES, _ANYWHERE, _EXPECTED, _AT_MOST = 120, 0.2, 4.0, 36.0
+_CANDIDATES, _ANYWHERE, _EXPECTED, _AT_MOST = 240, 0.2, 4.0, 36.0
 #: At most so many rivals.
 _MOST_RIVALS = 6
 _RIDGE = 1e-9

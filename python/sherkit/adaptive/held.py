@@ -127,9 +127,7 @@ class Held(Kept):
     def _look_at(self, some: Measurements) -> None:
         if self._known is None:
             axes = axes_of(some)
-            self._known = Known.of(
-                self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0)
-            )
+            self._known = Known.of(self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0))
         found = look(self._known, some, self.last)
         spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
         self.against = against(found, self.required_um, self.level, self.seed)
