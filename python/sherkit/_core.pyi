@@ -40,15 +40,11 @@ __all__ = [
     "bernstein_fit_grid",
     "bernstein_held_out",
     "blocks_taken",
-    "largest_under_flips",
     "play",
     "register_most",
     "register_points",
     "rotation_vector",
     "spherical_camera_placement",
-    "spread_rows",
-    "walsh_hadamard",
-    "wave_sums",
 ]
 
 __version__: str
@@ -567,44 +563,6 @@ def spherical_camera_placement(
     half_angle_rad, coverage (share of the region), seen_mm2, waste_mm2, benefit_mm2.
     """
 
-def largest_under_flips(
-    sums: _Floats,
-    codes: _Ints,
-    flips: int,
-    columns: _Ints,
-    roots: _Floats,
-    sizes: _Ints,
-    ranks: _Ints,
-    class_of: _Ints,
-    classes: int,
-) -> _Floats:
-    """Largest sum of squares (classes, flips) of candidates under every pattern of signs of a group.
-
-    ``sums`` (K, c) are what the poses of each of the ``codes`` (c,) add to each column; pattern t gives those of
-    code h the sign of the parity of ``h & t``; ``flips`` is a power of two, 8 or more. Candidate c is of class
-    ``class_of[c]`` and has ``ranks[c]`` directions, each of them so much of its ``sizes[c]`` columns as the next
-    numbers of ``roots`` say;
-    ``columns`` names these, candidate by candidate. Raises ValueError for numbers outside these ranges.
-    """
-
 def play(motion: _Floats, width: float) -> _Floats:
     """What follows ``motion`` (n,) with a dead zone of ``width``."""
 
-def spread_rows(places: _Floats, weights: _Floats, kernel: _Floats, cells: _Floats) -> None:
-    """Adds to ``cells`` (c, k) the ``weights`` (n, k) of rows at ``places`` (n,), counted in cells, times a kernel.
-
-    ``kernel`` (powers, 14) is a polynomial, highest power first, of where in its cell a row is (-1 to 1), for each of
-    the cells from there on. Raises ShapeError.
-    """
-
-def walsh_hadamard(values: _Floats) -> _Floats:
-    """Sums of ``values`` (n,), a power of two, under every pattern of signs: number t has each of them, by its place h,
-    with the sign of the parity of ``h & t``. Raises ValueError for another length.
-    """
-
-def wave_sums(angles: _Floats, weights: _Floats, codes: _Ints, taken: _Ints, sums: _Floats) -> None:
-    """Adds to ``sums`` (2 t, codes) the ``weights`` (n,) of the rows of each code times the sine of those multiples of
-    their ``angles`` (n,) that are ``taken`` (t,), and then the cosines. ``codes`` (n,) must not fall.
-
-    Raises ShapeError, and ValueError for codes or multiples outside these ranges.
-    """

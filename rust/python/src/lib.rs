@@ -7,10 +7,10 @@ mod camera;
 mod delta;
 mod errors;
 mod evidence;
-mod flips;
 mod lanes;
 mod maps;
 mod model;
+mod play;
 mod problem;
 mod registration;
 mod rows;
@@ -20,7 +20,6 @@ mod spherical;
 mod spherical_kinematics;
 mod tool;
 mod tool_filter;
-mod waves;
 
 use pyo3::prelude::*;
 
@@ -46,6 +45,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     for (name, flag) in tool_filter::STATUS {
         m.add(name, flag)?;
     }
+    m.add_function(wrap_pyfunction!(play::play, m)?)?;
     m.add_function(wrap_pyfunction!(registration::register_points, m)?)?;
     m.add_function(wrap_pyfunction!(registration::register_most, m)?)?;
     m.add_function(wrap_pyfunction!(registration::rotation_vector, m)?)?;
@@ -55,10 +55,5 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(bernstein::bernstein_held_out, m)?)?;
     m.add_function(wrap_pyfunction!(bernstein::bernstein_fit_grid, m)?)?;
     m.add_function(wrap_pyfunction!(spherical::spherical_camera_placement, m)?)?;
-    m.add_function(wrap_pyfunction!(flips::largest_under_flips, m)?)?;
-    m.add_function(wrap_pyfunction!(flips::walsh, m)?)?;
-    m.add_function(wrap_pyfunction!(waves::play, m)?)?;
-    m.add_function(wrap_pyfunction!(waves::spread_rows, m)?)?;
-    m.add_function(wrap_pyfunction!(waves::wave_sums, m)?)?;
     Ok(())
 }

@@ -7,6 +7,4 @@ pub mod play;
 pub mod registration;
 pub mod rigid;
 pub mod trig;
-pub mod walsh;
-pub mod waves;
 pub mod wide;
