@@ -64,7 +64,7 @@ class Named:
     def structure(self) -> bool:
         """Whether what is left has one that nothing named explains."""
         judged = self.names_judged
-        return judged is not None and judged.lead is not None and not (judged.explains and self.added)
+        return judged is not None and not (judged.explains and self.added)
 
     @property
     def missing(self) -> float:

@@ -40,9 +40,9 @@ class Repeats:
         return listed(list(self.held)) if self.held else "nothing that follows time, the way there, or a column"
 
 
-def in_repeats(before: Base, left: Described) -> Repeats | None:
-    """What the shapes that describe what a model leaves, ``left`` beside it ``before``, say of repeats. None where too
-    few poses were repeated."""
+def in_repeats(before: Base, left: Described, every: FittedRun) -> Repeats | None:
+    """What the shapes that describe what a model leaves, ``left`` beside it ``before``, say of repeats; where these
+    hold nothing their scatter is that of ``every`` row. None where too few poses were repeated."""
     run = before.family.run
     pose = np.unique(run.view.repeated, return_inverse=True)[1].ravel()
     count = np.bincount(pose)
@@ -64,7 +64,21 @@ def in_repeats(before: Base, left: Described) -> Repeats | None:
             taken = _apart(now.residual - then.residual, len(axes), pose)
             held.append(_told(run.of, shape, np.sqrt(np.square(taken).mean(axis=0)) * run.sigma[axes]))
         now = then
+    if not held:
+        noise = _scatter(every, noise)
     return Repeats(tuple(held), np.maximum(noise, run.of.digits), int((count[pose] > 1).sum()))
+
+
+def _scatter(run: FittedRun, noise: Floats) -> Floats:
+    """By how much repeats of a pose differ in each reading (columns,) of a run; ``noise`` where too few tell."""
+    out = noise.copy()
+    for a in run.axes:
+        used = run.used[:, a]
+        pose = np.unique(run.data.groups[used], return_inverse=True)[1].ravel()
+        free = len(pose) - int(pose.max(initial=-1)) - 1
+        if free >= _FEWEST:
+            out[a] = np.sqrt(np.square(_apart(run.residuals[used, a], 1, pose)).sum() / free)
+    return out
 
 
 def _apart(values: Floats, axes: int, pose: Ints) -> Floats:
