@@ -17,16 +17,16 @@ from ..data.reader import RunLike
 from ..diagnosis import diagnose
 from ..diagnosis.outliers import gross_errors
 from ..errors import FitError, SherkitError
+from ..evidence.thresholds import ALARM
 from ..fit.error import axes_of
 from ..fit.identify import identify
 from ..model.effect import Effect
 from ..model.kinds import Robot, model_of, required_um
 from ..model.robot_file import run_for
+from .courses import what_lasts
 from .joined import Joined
 from .vouching import Gate, held_in, stuck
 
-#: Evidence (a logarithm) of a change.
-ALARM = np.log(100.0)
 #: Rows of all runs together that are weighed, and of one at least.
 _ROWS, _ROWS_OF_A_RUN = 4000, 200
 
@@ -125,7 +125,7 @@ class Pool:
         if len(kept) == len(self.numbers):
             return self
         numbers, data = tuple(self.numbers[k] for k in kept), tuple(self.data[k] for k in kept)
-        rest = Joined(joined.fit, data, joined.axes).with_what_lasts() if len(kept) > 1 else None
+        rest = _lasting(Joined(joined.fit, data, joined.axes)) if len(kept) > 1 else None
         return replace(self, numbers=numbers, data=data, silent=silent, joined=rest)
 
 
@@ -215,7 +215,16 @@ def _joined(
     axes = tuple(a for a in axes_of(data[0]) if all(a in axes_of(one) for one in data))
     if not axes:
         raise FitError("compare: the runs have no reading in common")
-    return Joined(fit, data, axes).with_what_lasts(), data
+    return _lasting(Joined(fit, data, axes)), data
+
+
+def _lasting(joined: Joined) -> Joined:
+    return what_lasts(joined, steps_of(len(joined.runs)))
+
+
+def steps_of(count: int) -> list[Floats]:
+    """Steps from each run on but the first (R,): nothing before, all of it since."""
+    return [np.array([float(k >= since) for k in range(count)]) for since in range(1, count)]
 
 
 def _enough(data: Measurements, most: int) -> Measurements:

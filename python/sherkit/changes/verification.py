@@ -30,16 +30,17 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
 from ..errors import FitError, SherkitError
+from ..evidence.thresholds import ALARM, SURE
 from ..evidence.whitening import orthonormal
 from ..fit.error import axes_of
+from ..model.effect import Effect
 from ..model.kinds import kind_of, required_um
 from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
-from .comparison import SHAPES, Moved
-from .joined import Candidate, candidates_of, columns_of, noise_of_repeats
-from .pool import ALARM
+from .comparison import Moved
 from .promise import broken, shows
+from .runs import candidates_of, columns_of, noise_of_repeats
 from .stand import stand_of
 from .vouching import Work, sights_of, unable
 
@@ -237,7 +238,7 @@ def _unsaid(known: _Known, data: Measurements, why: Silent) -> Verification:
 
 def _power_at_work(
     known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], evidence: Evidence,
-    candidates: Sequence[Candidate], noise: float, promised: float,
+    candidates: Sequence[Effect], noise: float, promised: float,
 ) -> Power:  # fmt: skip
     """How often a change would have shown that is three times as large as needed, or as promised, where the robot
     works."""
@@ -301,7 +302,7 @@ def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> float
 def _evidence(
     known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], used: Any, stand: Floats, residual: Floats,
     noise: float,
-) -> tuple[Evidence, list[Candidate]]:  # fmt: skip
+) -> tuple[Evidence, list[Effect]]:  # fmt: skip
     """Of every change beside what the calibration does not know, and what readings scatter by."""
     chosen, values = list(axes), known.values
     candidates = candidates_of(model, [data])
@@ -320,7 +321,7 @@ def _evidence(
         left = whole - rest @ (rest.T @ whole)
         if np.square(left).sum() > 1e-10 * np.square(whole).sum() > 0:
             scale = float(np.sqrt(len(residual) / np.square(left).sum()))
-            made.append(Hypothesis(one.name, one.effect, None, (scale,), in_time=False))
+            made.append(Hypothesis(one.name, one, None, (scale,), in_time=False))
             shown[one.name] = (whole * scale)[:, None]
     told = np.concatenate([residual, np.zeros(count)])
     return Evidence(Hypotheses(weighted(made)), told, base, shown), candidates
@@ -338,7 +339,7 @@ def _of_lead(evidence: Evidence, stand: Floats) -> float:
 
 
 def _moved(
-    evidence: Evidence, candidates: Sequence[Candidate]
+    evidence: Evidence, candidates: Sequence[Effect]
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[Moved, ...]]:
     """What has moved, what that cannot be told from, and by how much; nothing where the evidence does not say so."""
     alone = evidence.alone
@@ -346,7 +347,7 @@ def _moved(
         return (), (), ()
     ordered = sorted(alone.log_bf, key=lambda name: -alone.log_bf[name])
     lead = ordered[0]
-    if evidence.beside([(lead, alone.setting[lead])]).log_mean > SHAPES:
+    if evidence.beside([(lead, alone.setting[lead])]).log_mean > SURE:
         # more than one thing, or none of these
         return (), (), ()
     ties = tuple(name for name in ordered if alone.log_bf[name] > alone.log_bf[lead] - FAR)
@@ -356,7 +357,7 @@ def _moved(
     off = evidence.residual - left @ value
     std = np.sqrt(np.diag(inverse) * float(off @ off) / max(evidence.free - left.shape[1], 1))
     scale = float(alone.setting[lead] or 1.0)
-    parameters = next(one for one in candidates if one.name == lead).parameters
+    parameters = next(one for one in candidates if one.name == lead).qualified()
     moved = tuple(
         Moved(p.name, float(v * scale * p.size), float(s * scale * p.size), p.unit)
         for p, v, s in zip(parameters, value, std, strict=False)
@@ -364,7 +365,7 @@ def _moved(
     return (lead,), (ties,) if len(ties) > 1 else (), moved
 
 
-def _power(evidence: Evidence, one: Candidate) -> float:
+def _power(evidence: Evidence, one: Effect) -> float:
     """The chance that a change of plausible size is seen."""
     if one.name not in evidence.place:
         return 0.0

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import scipy.stats
@@ -23,7 +24,7 @@ _OWN, _FREE = np.array([0.35, 0.7, 2.0, 6.0]), 5
 _ALL = 1.0 - 1e-12
 
 
-def log_bayes(part: Floats, rank: Floats, free: int, count: int, scales: Floats = SCALES) -> Floats:
+def log_bayes(part: Floats, rank: Floats, free: int | Floats, count: int, scales: Floats = SCALES) -> Floats:
     """Logarithm of the Bayes factor (…) of columns of ``rank`` (…) that take this ``part`` (…) of what is left of
     ``count`` numbers, ``free`` of them not used up; -inf for columns of no rank.
 
@@ -34,6 +35,15 @@ def log_bayes(part: Floats, rank: Floats, free: int, count: int, scales: Floats 
     g = np.square(scales)[:, None] * count / np.maximum(k, 1.0)
     each = -0.5 * k * np.log1p(g) - 0.5 * free * np.log1p(-np.clip(part, 0.0, _ALL) * g / (1.0 + g))
     return np.where(k < 1, -np.inf, np.logaddexp.reduce(each, axis=0) - np.log(len(scales)))
+
+
+def taken(grams: Floats, right: Floats, least: Floats) -> tuple[Floats, Floats]:
+    """Sum of squares (b,) that blocks take, by the products (b, k, k) within each and those with what is left (b, k),
+    and the rank (b,) of each: columns of whose square no more is left than ``least`` (b,) are none."""
+    there, ridge = np.einsum("bkk->bk", grams) > least[:, None], least[:, None, None] * np.eye(right.shape[1])
+    inside = np.where(there[:, :, None] & there[:, None, :], grams, 0.0) + ridge
+    mine = np.where(there, right, 0.0)
+    return np.einsum("bk,bk->b", mine, linalg.solve(inside, mine[:, :, None])[:, :, 0]), there.sum(axis=1)
 
 
 def total(logs: Floats) -> float:
@@ -56,7 +66,7 @@ class Base:
     right: Floats
 
     @classmethod
-    def of(cls, family: Family, run: Run) -> Base:
+    def of(cls, family: Family, run: Run) -> Self:
         """What a fit of the family's rows has in its model."""
         q = run.basis
         residual = run.residual - q @ (q.T @ run.residual)
@@ -64,7 +74,7 @@ class Base:
         left = _down(family, [gram for _, _, gram in family.groups], products[:, :-1])
         return cls(family, q, residual, left, products[:, -1])
 
-    def beside(self, *blocks: Block) -> Base:
+    def beside(self, *blocks: Block) -> Self:
         """The same with these blocks in the model, at any size."""
         out = self
         for block in blocks:
@@ -72,17 +82,17 @@ class Base:
             out = out.with_columns(self.family.columns.of(block.at), float(least))
         return out
 
-    def with_columns(self, columns: Floats, least: float = HELD_EFFECT**0.5) -> Base:
+    def with_columns(self, columns: Floats, least: float = HELD_EFFECT**0.5) -> Self:
         """The same with these columns (N, k), of unit length, in the model: what is ``least`` of them is none."""
         q = self._beyond(columns, least)
         size = q.T @ self.residual
         products = self.family.columns.products(q)
-        return Base(
-            self.family,
-            np.concatenate([self.basis, q], axis=1),
-            self.residual - q @ size,
-            _down(self.family, self.left, products),
-            self.right - products @ size,
+        return replace(
+            self,
+            basis=np.concatenate([self.basis, q], axis=1),
+            residual=self.residual - q @ size,
+            left=_down(self.family, self.left, products),
+            right=self.right - products @ size,
         )
 
     @cached_property
@@ -102,14 +112,7 @@ class Base:
         """Sum of squares that each block would take (B,), and its rank beside what is in the model (B,)."""
         gain, rank = np.zeros(len(self.family)), np.zeros(len(self.family))
         for (which, at, _), gram in zip(self.family.groups, self.left, strict=True):
-            least = self.family.least[which][:, None]
-            there = np.einsum("bkk->bk", gram) > least
-            right = np.where(there, self.right[at], 0.0)
-            inside = (
-                np.where(there[:, :, None] & there[:, None, :], gram, 0.0) + np.eye(at.shape[1]) * least[:, :, None]
-            )
-            gain[which] = np.einsum("bk,bk->b", right, linalg.solve(inside, right[:, :, None])[:, :, 0])
-            rank[which] = there.sum(axis=1)
+            gain[which], rank[which] = taken(gram, self.right[at], self.family.least[which])
         return np.minimum(gain, self.rss * _ALL), rank
 
     @cached_property

@@ -31,13 +31,9 @@ class Family:
     any other, and its settings and axes share it. A weight of nothing (-inf) is that of a shape which an effect is.
     """
 
-    def __init__(self, run: Run) -> None:
-        made = Maker(run, Visits.of(run))
-        blocks_of_effects(made)
-        blocks_of_shapes(made)
-        parts, blocks = made.done()
-        self.run = run
-        self.columns = Columns(run, made.visits, parts)
+    def __init__(self, run: Run, made: tuple[Columns, Sequence[Block]] | None = None) -> None:
+        columns, blocks = made or everything(run)
+        self.run, self.columns = run, columns
         there = self.columns.length > 0
         every = [replace(block, at=block.at[there[block.at]]) for block in blocks]
         self.blocks: tuple[Block, ...] = tuple(block for block in every if len(block.at))
@@ -62,8 +58,11 @@ class Family:
 
     def where(self, block: Block) -> int:
         """The number of the block of the same cause whose setting is nearest. Raises ``KeyError`` for none."""
-        same = self._of_cause[block.cause]
-        return min(same, key=lambda i: abs((self.blocks[i].setting or 0.0) - (block.setting or 0.0)))
+        def far(i: int) -> tuple[bool, float]:
+            one = self.blocks[i]
+            return one.since != block.since, abs((one.setting or 0.0) - (block.setting or 0.0))
+
+        return min(self._of_cause[block.cause], key=far)
 
     @cached_property
     def _of_cause(self) -> dict[tuple[object, ...], list[int]]:
@@ -92,6 +91,15 @@ class Family:
             for which, at, _ in self.groups:
                 twin[which] |= (by_effect[at].sum(axis=1) > TWIN * left[which][:, None]).any(axis=1) & (left[which] > 0)
         self.log_weight[twin & ~self.is_effect] = -np.inf
+
+
+def everything(run: Run) -> tuple[Columns, Sequence[Block]]:
+    """All effects and shapes of a run: their columns, and the blocks."""
+    made = Maker(run, Visits.of(run))
+    blocks_of_effects(made)
+    blocks_of_shapes(made)
+    parts, blocks = made.done()
+    return Columns(run, made.visits, parts), blocks
 
 
 def _log_weights(blocks: Sequence[Block], is_effect: Bools) -> Floats:

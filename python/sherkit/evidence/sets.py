@@ -78,14 +78,14 @@ class Sets:
         for (which, _, _), grams in zip(family.groups, base.left, strict=True):
             left[which] = np.einsum("bkk->b", grams)
         family.without_twins(base.basis, left)
-        self._fitted: dict[tuple[tuple[str, float], ...], EffectSet | None] = {}
+        self._fitted: dict[tuple[tuple[str, float, int], ...], EffectSet | None] = {}
         self._described: dict[tuple[int, int, int], Described] = {}
 
     def fitted(self, blocks: Sequence[Block]) -> EffectSet | None:
         """The set in a full fit; None where it cannot be fitted."""
-        key = tuple(sorted((block.name, block.setting or 0.0) for block in blocks))
+        key = tuple(sorted((block.name, block.setting or 0.0, block.since) for block in blocks))
         if key not in self._fitted:
-            self.step(f"refitting with {' and '.join(name for name, _ in key)}")
+            self.step(f"refitting with {' and '.join(name for name, *_ in key)}")
             self._fitted[key] = self._fit(tuple(blocks))
         return self._fitted[key]
 
