@@ -160,12 +160,12 @@ def concluded(pool: Pool) -> Comparison:
     if joined is None:
         return _nothing_said(pool)
     made = Courses.of(joined, steps_of(len(joined.runs)))
-    if made.base.evidence < ALARM and (speaking := pool.speaking()) is not pool:
+    if made.evidence < ALARM and (speaking := pool.speaking()) is not pool:
         # what says nothing may hide what others say
         return concluded(speaking)
     sets = made.sets()
-    names = names_of(sets) if made.base.evidence >= ALARM else None
-    verdict = verdict_of(joined, made.base, names)
+    names = names_of(sets) if made.evidence >= ALARM else None
+    verdict = verdict_of(made, names)
     lead = names.lead if names else None
     named = names.named if names else ()
     ties = [lead, *names.ties] if names and lead and named == tuple(one.name for one in lead.blocks) else []
@@ -187,7 +187,7 @@ def concluded(pool: Pool) -> Comparison:
         unit=before.unit,
         parameters=moved,
         next_poses=poses,
-        evidence=made.base.evidence / float(np.log(10.0)),
+        evidence=made.evidence / float(np.log(10.0)),
         ranked=tuple((" & ".join(one.names), one.value / float(np.log(10.0))) for one in sets.every[:5]),
         where=_where(made.base) if names else "",
         advice="; ".join(
@@ -220,11 +220,11 @@ def _called(data: Measurements, number: int) -> str:
     return f"{number + 1}: {data.source}"
 
 
-def verdict_of(joined: Joined, base: Base, names: Names | None) -> str:
+def verdict_of(made: Courses, names: Names | None) -> str:
     """What is said of changes: ``names`` where there is evidence of any."""
     if names is None:
-        readings = sum(run.used.sum() - run.stand.columns.shape[2] for run in joined.runs[1:])
-        return "unchanged" if base.evidence < QUIET and min(readings, base.free) >= _FEWEST else "undecided"
+        readings = sum(run.used.sum() - run.stand.columns.shape[2] for run in made.joined.runs[1:])
+        return "unchanged" if made.evidence < QUIET and min(readings, made.base.free) >= _FEWEST else "undecided"
     if not names.named:
         return "unexplained"
     return "changed" if names.explains else "partly explained"

@@ -14,7 +14,7 @@ import numpy as np
 from ..base import linalg
 from ..base.types import Floats, Ints
 from ..errors import SherkitError
-from ..evidence.base import Base, log_bayes, taken
+from ..evidence.base import Base, log_bayes, taken, total
 from ..evidence.blocks import Block, Columns, Part, Visits
 from ..evidence.effects import blocks_of_effects
 from ..evidence.family import Family
@@ -51,7 +51,9 @@ class Courses:
         parts, blocks = made.done()
         kept = [block for block in blocks if waves or block.period is None]
         factors = [joined.by_row(list(course), 0.0) for course in (*courses, np.ones(len(joined.runs)))]
-        columns, twice = _times(Columns(run, made.visits, parts), kept, np.array(factors, dtype=float))
+        # a function of a reading itself, of one unit in all runs, over the noise of each
+        over = joined.by_row([joined.noise / joined.sigma(one) for one in joined.runs], 0.0)
+        columns, twice = _times(Columns(run, made.visits, parts), kept, np.array(factors, dtype=float), over)
         return cls(joined, np.array(courses, dtype=float), Family(run, (columns, twice)))
 
     @cached_property
@@ -59,13 +61,23 @@ class Courses:
         """What is free of all runs."""
         return Changed.of(self.family, self.family.run)
 
+    @property
+    def evidence(self) -> float:
+        """By how much the readings favour that something has changed: at other places a shape says no more than what
+        the model lacks there."""
+        apart = any(self.joined.is_apart(k) for k in range(len(self.joined.runs)))
+        return total(self.base.each[self.family.is_effect]) if apart else self.base.evidence
+
     def sets(self) -> ChangeSets:
         """Sets of changes."""
         return ChangeSets(self)
 
 
-def _times(columns: Columns, blocks: Sequence[Block], factors: Floats) -> tuple[Columns, list[Block]]:
-    """Every block in each course but the last of ``factors`` (S + 1, n), beside itself in the last."""
+def _times(
+    columns: Columns, blocks: Sequence[Block], factors: Floats, over: Floats
+) -> tuple[Columns, list[Block]]:  # fmt: skip
+    """Every block in each course but the last of ``factors`` (S + 1, n), beside itself in the last; what acts on one
+    axis alone times ``over`` (n,)."""
     parts, number = [], np.full(len(columns), -1, dtype=np.int64)
     stride = np.zeros(len(columns), dtype=np.int64)
     asked = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(block.at for block in blocks)]))
@@ -78,9 +90,9 @@ def _times(columns: Columns, blocks: Sequence[Block], factors: Floats) -> tuple[
         wide = len(part) // max(part.functions.shape[1], 1)
         number[mine] = first + np.searchsorted(used, function) * wide + (mine - begin) % max(wide, 1)
         stride[mine] = len(used) * wide
-        over = factors[:, columns.visits.first] if part.posed else factors
-        functions = part.functions[:, used]
-        every = np.concatenate([functions * one[:, None] for one in over], axis=1)
+        mine_by = factors * over if part.alone else factors
+        at = columns.visits.first if part.posed else slice(None)
+        every = np.concatenate([part.functions[:, used] * one[at, None] for one in mine_by], axis=1)
         parts.append(Part(every, part.carriers, part.axes, part.posed))
         first += len(parts[-1])
     made = Columns(columns.run, columns.visits, parts)

@@ -206,8 +206,11 @@ class Joined:
         return -(-len(self._known) // len(self.axes))
 
     def sigma(self, run: SeenRun) -> float:
-        """The noise of a reading in a run."""
-        return run.sigma or self.noise
+        """The noise of a reading in a run: where it has no repeats, without what is missed at its poses."""
+        sigma, told = run.sigma or self.noise, [one.sigma for one in self.runs if one.repeats]
+        if run.repeats or not told:
+            return sigma
+        return float(np.sqrt(max(sigma**2 - self.missed[0] ** 2, min(np.mean(told), sigma) ** 2)))
 
     def over(self, per_run: Sequence[Floats]) -> Floats:
         """Values (n, m, …) of each run over its noise, one run after the other; none of what is known of parameters."""
@@ -237,23 +240,29 @@ class Joined:
         return np.concatenate(blocks, axis=2)
 
     @cached_property
-    def missed(self) -> float:
+    def missed(self) -> tuple[float, float]:
         """What the model misses at a pose of the first run (standard deviation of a reading, in its unit), beyond what
-        repeats scatter by; none where nobody knows."""
+        repeats scatter by: by itself, and with all that lasts; none where nobody knows."""
         first, told = self.runs[0], [run.sigma for run in self.runs if run.repeats]
         if not told:
-            return 0.0
+            return 0.0, 0.0
         noise = first.sigma if first.repeats else float(np.mean(told))
-        n = len(first.rows)
-        basis = orthonormal(self.free[:n])
-        left = first.stand.residual[first.rows].ravel()
-        left = left - basis @ (basis.T @ left)
-        free = len(left) - basis.shape[1]
-        poses = len(np.unique(first.data.standing[first.rows])) * len(self.axes) - basis.shape[1]
-        if min(free, poses) < OWN_NOISE:
-            return 0.0
-        more = float(left @ left) / free - noise**2
-        return float(np.sqrt(more)) if more > _MISSES * noise**2 * np.sqrt(2.0 / poses) else 0.0
+        own = [values[first.rows] for values in (first.own, *(first.columns[e.name] for e in self.growth))]
+        free = np.concatenate(own, axis=2)
+        every = np.concatenate([free, self.lasting[: len(free)]], axis=2)
+        poses = len(np.unique(first.data.standing[first.rows])) * len(self.axes)
+
+        def beside(columns: Floats) -> float:
+            basis = orthonormal(columns)
+            left = first.stand.residual[first.rows].ravel()
+            left = left - basis @ (basis.T @ left)
+            free = poses - basis.shape[1]
+            if free < OWN_NOISE:
+                return 0.0
+            more = float(left @ left) / (len(left) - basis.shape[1]) - noise**2
+            return float(np.sqrt(more)) if more > _MISSES * noise**2 * np.sqrt(2.0 / free) else 0.0
+
+        return beside(free), beside(every)
 
     @cached_property
     def elsewhere(self) -> tuple[float, ...]:
@@ -265,7 +274,7 @@ class Joined:
 
     def is_apart(self, number: int) -> bool:
         """Whether a run stands at other places than the first, and what the model lacks differs there."""
-        return bool(self.missed > 0 and self.elsewhere[number] > _ELSEWHERE)
+        return bool(self.missed[0] > 0 and self.elsewhere[number] > _ELSEWHERE)
 
     @cached_property
     def white(self) -> Whitening:
@@ -276,17 +285,18 @@ class Joined:
         reach = _SAME * np.maximum(np.ptp(joints, axis=0), 1e-300)
         pose = np.unique(np.round(joints / reach), axis=0, return_inverse=True)[1].ravel()
         pose = np.concatenate([pose, pose.max() + 1 + np.arange(self._more)])
-        size = []
+        (alone, missed), size = self.missed, []
         for run, part in zip(self.runs, self.elsewhere, strict=True):
+            # what describes the first run says little of places where that never was
             poses = len(np.unique(run.data.standing[run.rows]))
-            size.append(self.missed / self.sigma(run) * np.sqrt(1.0 + part * poses) if run.repeats else 0.0)
+            size.append(np.sqrt(missed**2 + part * poses * alone**2) / self.sigma(run))
         steps = [np.maximum(np.diff(run.data.order[run.rows], prepend=-1), 1) for run in self.runs]
         lag = np.concatenate([*steps, np.ones(self._more)]).astype(np.int64)
         back = np.ones(len(lag), dtype=np.int64)
         back[np.cumsum([0, *(len(one) for one in steps)])] = 0
         back[self.count :] = 0
         # what is missed at a pose hands on to its repeats
-        rho = 0.0 if self.missed else float(np.mean([run.rho for run in self.runs]))
+        rho = 0.0 if missed else float(np.mean([run.rho for run in self.runs]))
         return Shared(rho, lag, back, pose, self.by_row(size, 0.0))
 
     @cached_property

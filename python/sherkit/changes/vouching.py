@@ -138,6 +138,11 @@ class Gate:
     def later(self, at: int, power: Power, before: float) -> Silent | None:
         """Why a later run cannot say that nothing has changed."""
         run, unit = self.joined.runs[at], self._unit.unit
+        if not power.speaks and self.joined.is_apart(at):
+            return Silent(
+                "it stands at other places than the first run: what the model lacks differs there too",
+                "measure once more where the first run was read",
+            )
         if not power.speaks:
             noise = (run.sigma or self.joined.noise) * float(np.sqrt(len(self.joined.axes))) * self._unit.per_unit
             return unable(power, noise, unit)
