@@ -29,6 +29,8 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter
 from .runs import OWN_NOISE, SeenRun, candidates_of, columns_of, growth_of, seen
 
+#: Part of a column that must be left of it to be seen.
+_SEEN = 1e-5
 #: Deviations by which the model must miss more than repeats scatter.
 _MISSES = 3.0
 #: Part of a joint's range up to which poses are one, and by which another run may go beyond it.
@@ -139,6 +141,20 @@ class _Columns:
 
     def effects(self, rows: slice) -> Floats:
         return self.candidates[rows]
+
+
+def rows_as_run(
+    residual: Floats, free: Floats, candidates: Sequence[tuple[Effect, Floats]], white: Whitening, **around: Any
+) -> Run:
+    """Rows over their noise: a ``residual`` (n, m), columns (n, m, p) of what is ``free`` and of each of the candidates,
+    and what is ``around`` them, as :class:`~sherkit.evidence.linearised.Linearised` has it."""
+    ends = np.cumsum([0, *(columns.shape[2] for _, columns in candidates)]).tolist()
+    each = [np.zeros((*residual.shape, 0)), *(columns for _, columns in candidates)]
+    made = _Columns(free, around.pop("patterns", None), np.concatenate(each, axis=2))
+    effects = tuple((e, slice(a, b)) for (e, _), a, b in zip(candidates, ends[:-1], ends[1:], strict=True))
+    group = around.pop("group", np.arange(len(residual)))
+    view = Linearised(residual, around.pop("variables", {}), group, group, made, effects=effects, **around)
+    return Run(None, np.arange(len(residual)), np.ones(residual.shape[1]), view, white)
 
 
 class Joined:
@@ -310,7 +326,6 @@ class Joined:
         every = {name: self.by_row(v, v[0][self.runs[0].rows[0]]) for name, v in found.items()}
         inputs = [run.inputs for run in self.runs if run.inputs is not None]
         moves = {name: values for name, values in every.items() if np.ptp(values) > 0}
-        ends = np.cumsum([0, *(len(e.parameters) for e in self.candidates)])
         group = [run.data.standing + 1e9 * k for k, run in enumerate(self.runs)]
         pose = self.by_row(group, -1.0 - np.arange(self._more))
         return {
@@ -319,21 +334,15 @@ class Joined:
             "pattern_of": {name: name for name in names if name in moves} if len(inputs) == len(self.runs) else {},
             "place": tuple(name for name in place if name in moves),
             "inputs": {name: every[name] for name in names},
-            "effects": tuple(
-                (e, slice(a, b)) for e, a, b in zip(self.candidates, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
-            ),
-            "_inputs": self.over(inputs) if len(inputs) == len(self.runs) else None,
+            "patterns": self.over(inputs) if len(inputs) == len(self.runs) else None,
         }
 
-    def run(self, of: Any = None, changed: Floats | None = None) -> Run:
+    def run(self, changed: Floats | None = None) -> Run:
         """All rows as one run over its noise, with the columns (n, m, k) of what has ``changed`` in the model first."""
-        around = dict(self._around)
         free = self.free if changed is None else np.concatenate([changed, self.free], axis=2)
-        candidates = [self.over([run.columns[e.name] for run in self.runs]) for e in self.candidates]
-        made = _Columns(free, around.pop("_inputs"), np.concatenate([self.over(self._nothing), *candidates], axis=2))
+        candidates = [(e, self.over([run.columns[e.name] for run in self.runs])) for e in self.candidates]
         residual = self.over([run.stand.residual for run in self.runs])
-        view = Linearised(residual=residual, repeated=around["group"], derivatives=made, **around)
-        return Run(of, np.arange(len(residual)), np.ones(len(self.axes)), view, self.white)
+        return rows_as_run(residual, free, candidates, self.white, **self._around)
 
     @property
     def _nothing(self) -> list[Floats]:
@@ -359,29 +368,31 @@ class Joined:
         courses, lasts = ([self.columns_of(e.name, f) for e, f in some]
                           for some in (changes, [(e, np.ones(len(self.runs))) for e, _ in changes]))  # fmt: skip
         columns = np.concatenate([self.over(self._nothing), *courses], axis=2)
-        run = self.run(None, np.concatenate([columns, *lasts], axis=2))
+        run = self.run(np.concatenate([columns, *lasts], axis=2))
         white = run.flat(run.view.fitted(run.view.whole))
         width = columns.shape[2]
-        value, covariance, left = estimated(white[:, :width], white[:, width:], run.residual)
+        value, std, left = estimated(white[:, :width], white[:, width:], run.residual)
         held = {one.effect.name: one.values for one in self.moved}
         size = np.array([p.size for e, _ in changes for p in e.parameters])
         before = [held.get(e.name, np.zeros(len(e.parameters))) for e, _ in changes]
         values = np.concatenate([np.zeros(0), *before]) + value * size
-        std = np.sqrt(np.diag(covariance).clip(0.0)) * size
         ends = np.cumsum([len(e.parameters) for e, _ in changes])[:-1]
-        each = zip(changes, np.split(values, ends), np.split(std, ends), strict=True)
+        each = zip(changes, np.split(values, ends), np.split(std * size, ends), strict=True)
         about = About(tuple(Moved(e, v, s, f) for (e, f), v, s in each), left)
         return about, replace(run, of=about)  # type: ignore[arg-type]
 
 
 def estimated(columns: Floats, free: Floats, residual: Floats) -> tuple[Floats, Floats, float]:
-    """Values and covariance of the coefficients of columns (N, k) beside all that is ``free`` (N, p), and what is left
-    of a residual over the noise (root mean square)."""
+    """Values (k,) of the coefficients of columns (N, k) beside all that is ``free`` (N, p), their deviations, zero of
+    what is not observed, and what is left of a residual over the noise (root mean square)."""
     base = orthonormal(free)
     rest, left = (values - base @ (base.T @ values) for values in (columns, residual))
-    gram = rest.T @ rest
-    inverse = linalg.inv(gram + 1e-12 * np.eye(len(gram)) * max(np.trace(gram), 1e-300))
+    length = np.linalg.norm(rest, axis=0)
+    there = length > _SEEN * np.linalg.norm(columns, axis=0)
+    over = np.where(there, 1.0 / np.where(there, length, 1.0), 0.0)
+    square, turn = linalg.eigh((rest * over).T @ (rest * over))
+    inverse = (turn * np.where(square > _SEEN**2, 1.0 / square.clip(_SEEN**2), 0.0)) @ turn.T * np.outer(over, over)
     value = inverse @ (rest.T @ left)
     off = left - rest @ value
-    scale = float(off @ off) / max(len(left) - base.shape[1] - rest.shape[1], 1)
-    return value, inverse * scale, float(np.sqrt(scale))
+    scale = float(off @ off) / max(len(left) - base.shape[1] - int(there.sum()), 1)
+    return value, np.sqrt(scale * np.diag(inverse).clip(0.0)), float(np.sqrt(scale))

@@ -46,6 +46,11 @@ class Family:
         return len(self.blocks)
 
     @cached_property
+    def names(self) -> list[str]:
+        """Names of the blocks, empty ones of shapes."""
+        return [block.name for block in self.blocks]
+
+    @cached_property
     def groups(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
         """Blocks by how wide they are: which they are (b,), their columns (b, k), products within each (b, k, k)."""
         width = np.array([len(block.at) for block in self.blocks])
