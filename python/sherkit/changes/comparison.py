@@ -26,7 +26,7 @@ from ..fit.error import ErrorSize, of_residuals
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .courses import Courses
-from .joined import Joined
+from .joined import About, Joined
 from .pool import Pool, read_runs, sees_of, steps_of, unchanged_advice
 
 #: Evidence (a logarithm) up to which nothing has changed.
@@ -169,7 +169,7 @@ def concluded(pool: Pool) -> Comparison:
     lead = names.lead if names else None
     named = names.named if names else ()
     ties = [lead, *names.ties] if names and lead and named == tuple(one.name for one in lead.blocks) else []
-    moved = estimated(lead, named) if lead else ()
+    moved = estimated(lead.run.of, named) if lead else ()
     large = [one for one in moved if _is_large(joined, named, one)]
     moved = tuple(replace(one, since=pool.numbers[one.since]) for one in moved)
     tied = tuple(" & ".join(one.names) for one in ties)
@@ -209,7 +209,7 @@ def concluded(pool: Pool) -> Comparison:
 def _nothing_said(pool: Pool) -> Comparison:
     """Where fewer than two runs can speak."""
     return Comparison(
-        verdict="undecided", changed=(), indistinguishable=(), stand={},
+        verdict="unchanged" if pool.is_one_run else "undecided", changed=(), indistinguishable=(), stand={},
         error={"before": None, "after": None, "needed": pool.needed}, unit=pool.unit, parameters=(), next_poses=(),
         evidence=0.0, ranked=(), where="", advice="; ".join(pool.to_measure),
         silent={name: str(one) for name, one in pool.silent.items()},
@@ -230,12 +230,12 @@ def verdict_of(made: Courses, names: Names | None) -> str:
     return "changed" if names.explains else "partly explained"
 
 
-def estimated(lead: EffectSet, names: Sequence[str]) -> tuple[Moved, ...]:
+def estimated(about: About, names: Sequence[str]) -> tuple[Moved, ...]:
     """The changes of these names with their deviations."""
-    moved = [one for one in lead.run.of.moved if one.effect.name in names]
     return tuple(
-        Moved(p.name, float(v), float(s), p.unit, int(np.flatnonzero(one.factors)[0]))
-        for one in moved for p, v, s in zip(one.effect.qualified(), one.values, one.std, strict=True)
+        Moved(p.name, value, std, p.unit, int(np.flatnonzero(factors)[0]))
+        for (effect, factors), told in zip(about.changes, about.told, strict=True) if effect.name in names
+        for p, value, std in told
     )  # fmt: skip
 
 
@@ -300,11 +300,10 @@ def next_poses(joined: Joined, ties: Sequence[EffectSet]) -> tuple[dict[str, flo
         return ()
     rows = reachable.rows.select(np.arange(min(len(reachable.rows), _CANDIDATES)))
     columns = joined.columns_at(rows)
-    told = [
-        sum((columns[one.effect.name] @ (one.values / [p.size for p in one.effect.parameters])
-             for one in tie.run.of.moved), np.zeros(()))
-        for tie in ties[:3]
-    ]  # fmt: skip
+    told = []
+    for about in (tie.run.of for tie in ties[:3]):
+        every = np.concatenate([columns[effect.name] for effect, _ in about.changes], axis=2)
+        told.append(every @ (about.values / [p.size for p in about.parameters]))
     apart = np.max([np.linalg.norm(a - told[0], axis=1) for a in told[1:]], axis=0)
     names = {**dict(zip(rows.layout.joints, rows.joints.T, strict=True))}
     names |= {name: values[: len(rows)] for name, values in reachable.targets.items()}

@@ -23,8 +23,7 @@ from ..evidence.sets import EffectSet, Sets
 from ..evidence.shapes import blocks_of_shapes
 from ..evidence.sizes import is_plausible
 from ..evidence.thresholds import ALARM, TIED
-from ..model.effect import Effect
-from .joined import Joined
+from .joined import Change, Joined
 
 #: Shapes and effects that all runs may lack alike, changes beside which they are looked for.
 _MOST_LASTING, _MOST_BESIDE = 8, 3
@@ -191,7 +190,7 @@ class ChangeSets(Sets):
         """All that were fitted, the likeliest first."""
         return sorted((one for one in self._fitted.values() if one is not None), key=lambda one: -one.value)
 
-    def changes(self, blocks: Sequence[Block]) -> list[tuple[Effect, Floats]]:
+    def changes(self, blocks: Sequence[Block]) -> list[Change]:
         """The effects of blocks, each with its course."""
         return [(block.effect, self.made.courses[block.since]) for block in blocks if block.effect is not None]
 
@@ -218,7 +217,7 @@ class ChangeSets(Sets):
                 best = base.rss, EffectSet(blocks, run, base, bf, value, plausible)
             if k < _REFITS:
                 try:
-                    joined = joined.at(about.moved)
+                    joined = joined.at(about)
                 except SherkitError:
                     break
         return None if best is None else best[1]

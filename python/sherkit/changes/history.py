@@ -32,7 +32,7 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .comparison import QUIET
 from .courses import Courses
-from .joined import Joined, Moved
+from .joined import About, Joined
 from .pool import Pool, read_runs, sees_of, steps_of, unchanged_advice
 from .vouching import error_of
 
@@ -196,7 +196,7 @@ def concluded(pool: Pool, every: Sequence[Measurements], at_s: Floats, dates: Se
     """What follows from runs in the order of time: of those that can speak."""
     if pool.joined is None:
         return History(
-            verdict="undecided", changes=(), runs=_runs(pool, every, dates), unit=pool.unit, values={}, stood_still=(),
+            verdict="unchanged" if pool.is_one_run else "undecided", changes=(), runs=_runs(pool, every, dates), unit=pool.unit, values={}, stood_still=(),
             silent={name: str(one) for name, one in pool.silent.items()}, advice="; ".join(pool.to_measure),
         )  # fmt: skip
     found = _told(pool, at_s, dates)
@@ -240,14 +240,13 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
         found.append(block)
         base, verdict = base.beside(block), "changed"
     changes = []
-    about = joined.about([(b.effect, courses[b.since][2]) for b in found if b.effect])[0] if found else None
-    for block, one, other in zip(found, about.moved if about else (), tied, strict=True):
+    about = joined.about([(b.effect, courses[b.since][2]) for b in found if b.effect])[0]
+    for number, (block, told, other) in enumerate(zip(found, about.told, tied, strict=True)):
         kind, since, _ = courses[block.since]
-        told = tuple(zip((p.name for p in one.effect.qualified()), one.values.tolist(), one.std.tolist(),
-                         (p.unit for p in one.effect.parameters), strict=True))  # fmt: skip
         changes.append(Course(
-            block.name, kind, pool.numbers[since] if since else None, dates[since] if since else "", told,
-            _exceeds(one, months, needed, joined) if kind == RAMP else "", other,
+            block.name, kind, pool.numbers[since] if since else None, dates[since] if since else "",
+            tuple((p.name, value, std, p.unit) for p, value, std in told),
+            _exceeds(about, number, months, needed, joined) if kind == RAMP else "", other,
         ))  # fmt: skip
     values = {block.name: _by_run(joined, block) for block in found}
     still = [c.name for c in joined.candidates if c.name not in values]
@@ -266,11 +265,12 @@ def _called(name: str, kind: str) -> str:
     return f"{name} in one run alone" if kind == ONCE else f"{name} as a {kind}"
 
 
-def _exceeds(one: Moved, months: Floats, needed: float | None, joined: Joined) -> str:
+def _exceeds(about: About, number: int, months: Floats, needed: float | None, joined: Joined) -> str:
     """When a ramp alone will be more than what is needed."""
     unit = joined.runs[0].data.layout
-    sizes = np.array([p.size for p in one.effect.parameters])
-    shown = joined.columns_of(one.effect.name, np.ones(len(joined.runs)))[: joined.count] @ (one.values / sizes)
+    effect = about.changes[number][0]
+    by = about.values[about.of(number)] / [p.size for p in effect.parameters]
+    shown = joined.columns_of(effect.name, np.ones(len(joined.runs)))[: joined.count] @ by
     noise = joined.by_row([joined.sigma(run) for run in joined.runs])[: joined.count, None]
     per_month = unit.per_unit * float(np.sqrt(np.square(shown * noise).sum() / joined.count))
     if needed is None or unit.unit != "µm" or per_month <= 0:
@@ -282,9 +282,9 @@ def _exceeds(one: Moved, months: Floats, needed: float | None, joined: Joined) -
 def _by_run(joined: Joined, block: Block) -> list[tuple[float, float]]:
     """How far a candidate's first parameter stands from the first run in each run, with its deviation."""
     assert block.effect is not None, "shapes are not named"
-    later = np.eye(len(joined.runs))[1:]
-    about, _ = joined.about([(block.effect, one) for one in later])
-    return [(0.0, 0.0), *((float(one.values[0]), float(one.std[0])) for one in about.moved)]
+    about, _ = joined.about([(block.effect, one) for one in np.eye(len(joined.runs))[1:]])
+    wide = len(block.effect.parameters)
+    return [(0.0, 0.0), *zip(about.values[::wide].tolist(), about.std_from_readings[::wide].tolist(), strict=True)]
 
 
 def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tuple[dict[str, Any], ...]:

@@ -31,6 +31,8 @@ from .runs import OWN_NOISE, SeenRun, candidates_of, columns_of, growth_of, seen
 
 #: Part of a column that must be left of it to be seen.
 _SEEN = 1e-5
+#: Deviations from zero of a number that moved.
+_MOVES = 2.0
 #: Deviations by which the model must miss more than repeats scatter.
 _MISSES = 3.0
 #: Part of a joint's range up to which poses are one, and by which another run may go beyond it.
@@ -39,61 +41,79 @@ _SAME, _BEYOND = 1e-3, 0.1
 _ELSEWHERE = 0.2
 
 
-@dataclass(frozen=True, eq=False)
-class Moved:
-    """An effect that has changed: by ``values`` (k,) in the units of its parameters, with their deviations ``std``,
-    times ``factors`` (R,) of the runs."""
-
-    effect: Effect
-    values: Floats
-    std: Floats
-    factors: Floats
+#: An effect in a course: factors (R,) of the runs.
+Change = tuple[Effect, Floats]
 
 
 @dataclass(frozen=True, eq=False)
 class About:
-    """What changes are in the model of joined runs, as evidence asks a fit, and what is ``left`` over the noise (root
-    mean square)."""
+    """Changes in the model of joined runs, as evidence asks a fit: their ``columns`` (N, k) by plausible sizes, what is
+    ``free`` beside them (N, p), and the ``residual`` (N,) without any of them."""
 
-    moved: tuple[Moved, ...]
-    left: float
+    changes: tuple[Change, ...]
+    columns: Floats
+    free: Floats
+    residual: Floats
 
     #: Of where the sensor stands nothing is among them.
     free_of_pose = ()
 
     @property
     def fit(self) -> Any:
-        """Itself."""
+        """Itself, as its model is."""
         return self
 
-    @property
-    def model(self) -> Any:
-        """Itself."""
-        return self
+    model = fit
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Those of all changes."""
-        return tuple(p for one in self.moved for p in one.effect.qualified())
+        return tuple(p for effect, _ in self.changes for p in effect.qualified())
+
+    @cached_property
+    def _found(self) -> tuple[Floats, Floats, float]:
+        return estimated(self.columns, self.free, self.residual)
 
     @property
     def values(self) -> Floats:
-        """Of all changes."""
-        return np.concatenate([one.values for one in self.moved])
+        """Of all parameters, in their units."""
+        return self._found[0] * [p.size for p in self.parameters]
 
     @property
     def std_from_readings(self) -> Floats:
         """The deviations of these."""
-        return np.concatenate([one.std for one in self.moved])
+        return self._found[1] * [p.size for p in self.parameters]
+
+    @property
+    def left(self) -> float:
+        """What is left over the noise (root mean square)."""
+        return self._found[2]
+
+    @cached_property
+    def told(self) -> list[list[tuple[Parameter, float, float]]]:
+        """Of each change the numbers that moved, with values and deviations: one after another those that may as well
+        be zero are taken out."""
+        k = self.columns.shape[1]
+        value, std = np.zeros(k), np.zeros(k)
+        some = np.arange(k)
+        while len(some):
+            value[:], std[:] = 0.0, 0.0
+            value[some], std[some], _ = estimated(self.columns[:, some], self.free, self.residual)
+            far = np.abs(value[some]) - _MOVES * std[some]
+            if (far > 0).all() or len(some) == 1:
+                break
+            some = np.delete(some, np.argmin(far / std[some].clip(1e-300)))
+        every = [(p, float(v * p.size), float(s * p.size)) for p, v, s in zip(self.parameters, value, std, strict=True)]
+        return [[one for one in every[self.of(k)] if one[2] > 0] for k in range(len(self.changes))]
+
+    def of(self, number: int) -> slice:
+        """Where the parameters of a change stand among them, by its number."""
+        ends = np.cumsum([0, *(len(effect.parameters) for effect, _ in self.changes)]).tolist()
+        return slice(ends[number], ends[number + 1])
 
     def owns(self, effect: Effect) -> slice:
-        """Where the parameters of a change stand among them."""
-        start = 0
-        for one in self.moved:
-            if one.effect.name == effect.name:
-                break
-            start += len(one.effect.parameters)
-        return slice(start, start + len(effect.parameters))
+        """The same by its effect."""
+        return self.of([one.name for one, _ in self.changes].index(effect.name))
 
 
 class Shared(Whitening):
@@ -165,8 +185,8 @@ class Joined:
     """
 
     def __init__(
-        self, fit: Fit, runs: Sequence[Measurements], axes: tuple[int, ...], moved: Sequence[Moved] = (),
-        before: Joined | None = None, lasting: Floats | None = None,
+        self, fit: Fit, runs: Sequence[Measurements], axes: tuple[int, ...],
+        moved: Sequence[tuple[Change, Floats]] = (), before: Joined | None = None, lasting: Floats | None = None,
     ) -> None:  # fmt: skip
         self.fit, self.axes, self.model, self.moved = fit, axes, fit.model, tuple(moved)
         self._data = [data.select(np.argsort(data.order, kind="stable")) for data in runs]
@@ -190,8 +210,9 @@ class Joined:
         self.count = sum(len(run.rows) for run in self.runs)
         self.lasting = np.zeros((self.count + self._more, len(axes), 0)) if lasting is None else lasting
 
-    def at(self, moved: Sequence[Moved]) -> Joined:
-        """The same runs about a model in which these have changed."""
+    def at(self, about: About) -> Joined:
+        """The same runs about a model in which these have changed, as large as they are."""
+        moved = [(one, about.values[about.of(k)]) for k, one in enumerate(about.changes)]
         return Joined(self.fit, self._data, self.axes, moved, self, self.lasting)
 
     def lacking(self, lasting: Floats) -> Joined:
@@ -202,13 +223,13 @@ class Joined:
     def _now(self, number: int) -> tuple[ModelWithEffects, Floats]:
         """The model of a run and its values: those of the first, but for what has moved since."""
         model, values = self.model, dict(zip((p.name for p in self.model.parameters), self.fit.values, strict=True))
-        for one in self.moved:
-            if one.factors[number] == 0.0:
+        for (effect, factors), moved in self.moved:
+            if factors[number] == 0.0:
                 continue
-            if any(p.name not in values for p in one.effect.qualified()):
-                model = model.adopting(one.effect)
-            for p, by in zip(one.effect.qualified(), one.values, strict=True):
-                values[p.name] = values.get(p.name, 0.0) + one.factors[number] * by
+            if any(p.name not in values for p in effect.qualified()):
+                model = model.adopting(effect)
+            for p, by in zip(effect.qualified(), moved, strict=True):
+                values[p.name] = values.get(p.name, 0.0) + factors[number] * by
         return model, np.array([values.get(p.name, 0.0) for p in model.parameters])
 
     def candidate(self, name: str) -> Effect:
@@ -226,7 +247,7 @@ class Joined:
         sigma, told = run.sigma or self.noise, [one.sigma for one in self.runs if one.repeats]
         if run.repeats or not told:
             return sigma
-        return float(np.sqrt(max(sigma**2 - self.missed[0] ** 2, min(np.mean(told), sigma) ** 2)))
+        return float(np.sqrt(max(sigma**2 - self.missed**2, min(np.mean(told), sigma) ** 2)))
 
     def over(self, per_run: Sequence[Floats]) -> Floats:
         """Values (n, m, …) of each run over its noise, one run after the other; none of what is known of parameters."""
@@ -256,29 +277,21 @@ class Joined:
         return np.concatenate(blocks, axis=2)
 
     @cached_property
-    def missed(self) -> tuple[float, float]:
+    def missed(self) -> float:
         """What the model misses at a pose of the first run (standard deviation of a reading, in its unit), beyond what
-        repeats scatter by: by itself, and with all that lasts; none where nobody knows."""
+        repeats scatter by; none where nobody knows. What describes it was chosen from thousands of shapes: it counts as
+        missed."""
         first, told = self.runs[0], [run.sigma for run in self.runs if run.repeats]
         if not told:
-            return 0.0, 0.0
+            return 0.0
         noise = first.sigma if first.repeats else float(np.mean(told))
         own = [values[first.rows] for values in (first.own, *(first.columns[e.name] for e in self.growth))]
-        free = np.concatenate(own, axis=2)
-        every = np.concatenate([free, self.lasting[: len(free)]], axis=2)
-        poses = len(np.unique(first.data.standing[first.rows])) * len(self.axes)
-
-        def beside(columns: Floats) -> float:
-            basis = orthonormal(columns)
-            left = first.stand.residual[first.rows].ravel()
-            left = left - basis @ (basis.T @ left)
-            free = poses - basis.shape[1]
-            if free < OWN_NOISE:
-                return 0.0
-            more = float(left @ left) / (len(left) - basis.shape[1]) - noise**2
-            return float(np.sqrt(more)) if more > _MISSES * noise**2 * np.sqrt(2.0 / free) else 0.0
-
-        return beside(free), beside(every)
+        basis = orthonormal(np.concatenate(own, axis=2))
+        left = first.stand.residual[first.rows].ravel()
+        left = left - basis @ (basis.T @ left)
+        free = len(np.unique(first.data.standing[first.rows])) * len(self.axes) - basis.shape[1]
+        more = float(left @ left) / max(len(left) - basis.shape[1], 1) - noise**2
+        return float(np.sqrt(more)) if free >= OWN_NOISE and more > _MISSES * noise**2 * np.sqrt(2.0 / free) else 0.0
 
     @cached_property
     def elsewhere(self) -> tuple[float, ...]:
@@ -290,7 +303,7 @@ class Joined:
 
     def is_apart(self, number: int) -> bool:
         """Whether a run stands at other places than the first, and what the model lacks differs there."""
-        return bool(self.missed[0] > 0 and self.elsewhere[number] > _ELSEWHERE)
+        return bool(self.missed > 0 and self.elsewhere[number] > _ELSEWHERE)
 
     @cached_property
     def white(self) -> Whitening:
@@ -301,18 +314,15 @@ class Joined:
         reach = _SAME * np.maximum(np.ptp(joints, axis=0), 1e-300)
         pose = np.unique(np.round(joints / reach), axis=0, return_inverse=True)[1].ravel()
         pose = np.concatenate([pose, pose.max() + 1 + np.arange(self._more)])
-        (alone, missed), size = self.missed, []
-        for run, part in zip(self.runs, self.elsewhere, strict=True):
-            # what describes the first run says little of places where that never was
-            poses = len(np.unique(run.data.standing[run.rows]))
-            size.append(np.sqrt(missed**2 + part * poses * alone**2) / self.sigma(run))
+        poses = [part * len(np.unique(r.data.standing[r.rows])) for r, part in zip(self.runs, self.elsewhere, strict=True)]
+        size = [self.missed * np.sqrt(1.0 + n) / self.sigma(r) for r, n in zip(self.runs, poses, strict=True)]
         steps = [np.maximum(np.diff(run.data.order[run.rows], prepend=-1), 1) for run in self.runs]
         lag = np.concatenate([*steps, np.ones(self._more)]).astype(np.int64)
         back = np.ones(len(lag), dtype=np.int64)
         back[np.cumsum([0, *(len(one) for one in steps)])] = 0
         back[self.count :] = 0
         # what is missed at a pose hands on to its repeats
-        rho = 0.0 if missed else float(np.mean([run.rho for run in self.runs]))
+        rho = 0.0 if self.missed else float(np.mean([run.rho for run in self.runs]))
         return Shared(rho, lag, back, pose, self.by_row(size, 0.0))
 
     @cached_property
@@ -362,7 +372,7 @@ class Joined:
         """Columns (n, m, k) of a candidate, by plausible sizes, at factors (R,) of the runs."""
         return self.over([f * run.columns[name] for f, run in zip(factors, self.runs, strict=True)])
 
-    def about(self, changes: Sequence[tuple[Effect, Floats]]) -> tuple[About, Run]:
+    def about(self, changes: Sequence[Change]) -> tuple[About, Run]:
         """With changes, each an effect in a course (R,), in the model, beside what all runs have of them: as large as
         they are to first order about what has moved already."""
         courses, lasts = ([self.columns_of(e.name, f) for e, f in some]
@@ -370,15 +380,10 @@ class Joined:
         columns = np.concatenate([self.over(self._nothing), *courses], axis=2)
         run = self.run(np.concatenate([columns, *lasts], axis=2))
         white = run.flat(run.view.fitted(run.view.whole))
-        width = columns.shape[2]
-        value, std, left = estimated(white[:, :width], white[:, width:], run.residual)
-        held = {one.effect.name: one.values for one in self.moved}
-        size = np.array([p.size for e, _ in changes for p in e.parameters])
+        mine, free = np.split(white, [columns.shape[2]], axis=1)
+        held = {e.name: v / [p.size for p in e.parameters] for (e, _), v in self.moved}
         before = [held.get(e.name, np.zeros(len(e.parameters))) for e, _ in changes]
-        values = np.concatenate([np.zeros(0), *before]) + value * size
-        ends = np.cumsum([len(e.parameters) for e, _ in changes])[:-1]
-        each = zip(changes, np.split(values, ends), np.split(std * size, ends), strict=True)
-        about = About(tuple(Moved(e, v, s, f) for (e, f), v, s in each), left)
+        about = About(tuple(changes), mine, free, run.residual + mine @ np.concatenate([np.zeros(0), *before]))
         return about, replace(run, of=about)  # type: ignore[arg-type]
 
 

@@ -27,6 +27,8 @@ from .courses import what_lasts
 from .joined import Joined
 from .vouching import Gate, held_in, stuck
 
+#: How a copy is told.
+_COPY = "holds the same rows as"
 #: Rows of all runs together that are weighed, and of one at least.
 _ROWS, _ROWS_OF_A_RUN = 4000, 200
 
@@ -77,6 +79,11 @@ class Pool:
     def needed(self) -> float | None:
         """The accuracy that the robot is for, in the unit of its readings; None where its file does not say so."""
         return required_um(self.robot) if self.unit == "µm" else None
+
+    @property
+    def is_one_run(self) -> bool:
+        """Whether all others are copies of one run, which is as it is, and vouches for nothing."""
+        return len(self.data) == 1 and all(one.why.startswith(_COPY) for one in self.silent.values())
 
     @property
     def to_measure(self) -> list[str]:
@@ -166,7 +173,7 @@ def _by_rows(
         unknown = 2 * len(axes) if kept else len(model.parameters)
         if same is not None:
             silent[names[k]] = Silent(
-                f"holds the same rows as {names[same]}: nothing was measured in between", "measure once more"
+                f"{_COPY} {names[same]}: nothing was measured in between", "measure once more"
             )
         elif axes and (why := silence(one, axes, unknown, _predicted(model, one))) is not None:
             silent[names[k]] = why
