@@ -21,13 +21,12 @@ from ..evidence.names import Names, names_of
 from ..evidence.sets import EffectSet
 from ..evidence.sizes import PLAUSIBLE
 from ..evidence.thresholds import ALARM
-from ..evidence.whitening import orthonormal
-from ..fit.error import ErrorSize, of_residuals
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .courses import Courses
 from .joined import About, Joined
-from .pool import Pool, read_runs, sees_of, steps_of, unchanged_advice
+from .pool import Pool, read_runs, sees_of, unchanged_advice
+from .vouching import error_of
 
 #: Evidence (a logarithm) up to which nothing has changed.
 QUIET = np.log(20.0)
@@ -159,7 +158,7 @@ def concluded(pool: Pool) -> Comparison:
     joined, data = pool.joined, pool.data
     if joined is None:
         return _nothing_said(pool)
-    made = Courses.of(joined, steps_of(len(joined.runs)))
+    made = Courses.of(joined, joined.steps)
     if made.evidence < ALARM and (speaking := pool.speaking()) is not pool:
         # what says nothing may hide what others say
         return concluded(speaking)
@@ -173,10 +172,12 @@ def concluded(pool: Pool) -> Comparison:
     large = [one for one in moved if _is_large(joined, named, one)]
     moved = tuple(replace(one, since=pool.numbers[one.since]) for one in moved)
     tied = tuple(" & ".join(one.names) for one in ties)
-    after = errors_after(joined)
     before = joined.fit.error
+    rows = [len(run.rows) for run in joined.runs[1:]]
+    # each seen from where its sensor stands
+    after = float(np.sqrt(np.average([error_of(run) ** 2 for run in joined.runs[1:]], weights=rows)))
     poses = next_poses(joined, ties) if len(ties) > 1 else ()
-    error = {"before": float(before.rms), "after": None if after is None else float(after.rms), "needed": pool.needed}
+    error = {"before": float(before.rms), "after": after, "needed": pool.needed}
     called = [_called(one, number) for one, number in zip(data, pool.numbers, strict=True)]
     return Comparison(
         verdict=verdict,
@@ -209,7 +210,7 @@ def concluded(pool: Pool) -> Comparison:
 def _nothing_said(pool: Pool) -> Comparison:
     """Where fewer than two runs can speak."""
     return Comparison(
-        verdict="unchanged" if pool.is_one_run else "undecided", changed=(), indistinguishable=(), stand={},
+        verdict=pool.unsaid, changed=(), indistinguishable=(), stand={},
         error={"before": None, "after": None, "needed": pool.needed}, unit=pool.unit, parameters=(), next_poses=(),
         evidence=0.0, ranked=(), where="", advice="; ".join(pool.to_measure),
         silent={name: str(one) for name, one in pool.silent.items()},
@@ -244,25 +245,6 @@ def _is_large(joined: Joined, names: Sequence[str], one: Moved) -> bool:
     effects = [joined.candidate(name) for name in names]
     sizes = {p.name: p.size for e in effects if not e.frees for p in e.qualified()}
     return one.name in sizes and abs(one.change) > PLAUSIBLE * sizes[one.name] + 2.0 * one.std
-
-
-def errors_after(joined: Joined) -> ErrorSize | None:
-    """How far the model of the first run is off in the later ones, each seen from where its sensor stands."""
-    parts = []
-    for run in joined.runs[1:]:
-        columns = np.where(run.used[:, :, None], run.stand.columns, 0.0)
-        flat = np.where(run.used, run.stand.residual, 0.0).reshape(-1)
-        basis = orthonormal(columns)
-        flat = flat - basis @ (basis.T @ flat)
-        full = np.zeros(run.data.readings.shape)
-        full[:, list(joined.axes)] = flat.reshape(run.used.shape)
-        parts.append((run.data, full, int(run.used.any(axis=1).sum())))
-    if not parts:
-        return None
-    sizes = [(of_residuals(data, left, held_out=False), n) for data, left, n in parts]
-    total = sum(n for _, n in sizes)
-    rms = float(np.sqrt(sum(n * size.rms**2 for size, n in sizes) / max(total, 1)))
-    return replace(sizes[0][0], rms=rms)
 
 
 def _where(base: Base) -> str:

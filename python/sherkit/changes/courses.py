@@ -110,72 +110,64 @@ class Changed(Base):
     half."""
 
     @cached_property
-    def _found(self) -> dict[str, tuple[Floats, Floats]]:
-        """Gain and rank of each block (B,): of the ``change`` by itself, of what is ``common``, of the change
-        ``beside`` it."""
-        out = {name: (np.zeros(len(self.family)), np.zeros(len(self.family))) for name in ("change", "common", "beside")}
+    def _found(self) -> Floats:
+        """Gain and rank of each block (3, 2, B): of what is common, of the change by itself, of it beside the first."""
+        out = np.zeros((3, 2, len(self.family)))
         for (which, at, _), gram in zip(self.family.groups, self.left, strict=True):
             k, least, right = at.shape[1] // 2, self.family.least[which], self.right[at]
             there = np.einsum("bkk->bk", gram)[:, k:] > least[:, None]
             common = np.where(there[:, :, None] & there[:, None, :], gram[:, k:, k:], 0.0)
-            common = common + least[:, None, None] * np.eye(k)
             across = np.where(there[:, None, :], gram[:, :k, k:], 0.0)
-            part = linalg.solve(common, across.transpose(0, 2, 1)).transpose(0, 2, 1)
-            each = {
-                "change": (gram[:, :k, :k], right[:, :k]),
-                "common": (gram[:, k:, k:], right[:, k:]),
-                "beside": (gram[:, :k, :k] - part @ across.transpose(0, 2, 1),
-                           right[:, :k] - np.einsum("bij,bj->bi", part, np.where(there, right[:, k:], 0.0))),
-            }  # fmt: skip
-            for name, (inside, mine) in each.items():
-                out[name][0][which], out[name][1][which] = taken(inside, mine, least)
-        return {name: (np.minimum(gain, self.rss * (1.0 - 1e-12)), rank) for name, (gain, rank) in out.items()}
+            ridge = least[:, None, None] * np.eye(k)
+            part = linalg.solve(common + ridge, across.transpose(0, 2, 1)).transpose(0, 2, 1)
+            mine = right[:, :k] - np.einsum("bij,bj->bi", part, np.where(there, right[:, k:], 0.0))
+            out[0][:, which] = taken(gram[:, k:, k:], right[:, k:], least)
+            out[1][:, which] = taken(gram[:, :k, :k], right[:, :k], least)
+            out[2][:, which] = taken(gram[:, :k, :k] - part @ across.transpose(0, 2, 1), mine, least)
+        return out
 
     @cached_property
     def gains(self) -> tuple[Floats, Floats]:
         """Of each change beside what is common."""
-        return self._found["beside"]
+        return self._found[2][0], self._found[2][1]
 
     @cached_property
     def log_bf(self) -> Floats:
         """Logarithm of the Bayes factor of each change (B,) beside what is common."""
-        return self._log_bf("beside", self._found["common"])
+        return self._log_bf(2, *self._found[0])
 
-    def _log_bf(self, name: str, without: tuple[Floats, Floats] | None = None) -> Floats:
-        gain, rank = self._found[name]
-        less, used = (np.zeros(len(gain)), np.zeros(len(gain))) if without is None else without
-        part = gain / np.maximum(self.rss - less, 1e-300)
-        return log_bayes(part, rank, self.free - used, len(self.residual))
+    def _log_bf(self, number: int, less: Floats | float = 0.0, used: Floats | float = 0.0) -> Floats:
+        gain, rank = self._found[number]
+        left = np.maximum(self.rss - less, 1e-12 * self.rss + 1e-300)
+        return log_bayes(gain / left, rank, np.asarray(self.free - used), len(self.residual))
 
     def lasting(self) -> Block | None:
         """What all runs lack, where that is likelier than any change, or nearly; None where nothing is."""
-        common, change = (self.family.log_weight + self._log_bf(name) for name in ("common", "change"))
+        common, change = (self.family.log_weight + self._log_bf(number) for number in (0, 1))
         i = int(np.argmax(common))
         return self.family.blocks[i] if common[i] > max(ALARM, float(change.max()) - TIED) else None
 
 
-def what_lasts(joined: Joined, courses: Sequence[Floats]) -> Joined:
+def lacking(joined: Joined) -> Joined:
     """The same runs, and free in all of them alike what the model lacks from the first on: as long as something that
     lasts is nearly as likely as all that may have begun with a later run, beside the changes that are far likelier."""
-    made = Courses.of(joined, courses)
-    base, taken_in = made.base, 0
-    found: list[Ints] = []
-    for _ in range(_MOST_LASTING + _MOST_BESIDE):
+    made = Courses.of(joined, joined.steps)
+    base, columns = made.base, made.family.columns
+    lasting: list[Ints] = []
+    beside = 0
+    while len(lasting) < _MOST_LASTING:
         block = base.lasting()
         if block is not None:
-            common = block.at[len(block.at) // 2 :]
-            found.append(common)
-            base = base.with_columns(made.family.columns.of(common))
-        else:
-            i = int(np.argmax(np.where(base.family.is_effect, base.each, -np.inf)))
-            taken_in += 1
-            if not len(base.each) or base.each[i] < ALARM or taken_in > _MOST_BESIDE:
-                break
-            block = base.family.blocks[i]
-            base = base.with_columns(made.family.columns.of(block.at[: len(block.at) // 2]))
-        if len(found) == _MOST_LASTING:
+            lasting.append(block.at[len(block.at) // 2 :])
+            base = base.with_columns(columns.of(lasting[-1]))
+            continue
+        effects = np.where(base.family.is_effect, base.each, -np.inf)
+        i, beside = int(np.argmax(effects)), beside + 1
+        if effects[i] < ALARM or beside > _MOST_BESIDE:
             break
-    return joined.lacking(made.family.columns.raw(np.concatenate(found))) if found else joined
+        at = base.family.blocks[i].at
+        base = base.with_columns(columns.of(at[: len(at) // 2]))
+    return joined.lacking(columns.raw(np.concatenate(lasting))) if lasting else joined
 
 
 class ChangeSets(Sets):

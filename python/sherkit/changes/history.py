@@ -33,7 +33,7 @@ from ..model.robot_file import RobotLike, load_robot
 from .comparison import QUIET
 from .courses import Courses
 from .joined import About, Joined
-from .pool import Pool, read_runs, sees_of, steps_of, unchanged_advice
+from .pool import Pool, read_runs, sees_of, unchanged_advice
 from .vouching import error_of
 
 STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"
@@ -196,7 +196,7 @@ def concluded(pool: Pool, every: Sequence[Measurements], at_s: Floats, dates: Se
     """What follows from runs in the order of time: of those that can speak."""
     if pool.joined is None:
         return History(
-            verdict="unchanged" if pool.is_one_run else "undecided", changes=(), runs=_runs(pool, every, dates), unit=pool.unit, values={}, stood_still=(),
+            verdict=pool.unsaid, changes=(), runs=_runs(pool, every, dates), unit=pool.unit, values={}, stood_still=(),
             silent={name: str(one) for name, one in pool.silent.items()}, advice="; ".join(pool.to_measure),
         )  # fmt: skip
     found = _told(pool, at_s, dates)
@@ -210,7 +210,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     joined, data, needed = pool.joined, pool.data, pool.needed
     assert joined is not None, "asked of two runs or more"
     count, at_s, dates = len(data), every_s[list(pool.numbers)], [every_date[k] for k in pool.numbers]
-    courses = [(STEP, k + 1, one) for k, one in enumerate(steps_of(count))]
+    courses = [(STEP, k + 1, one) for k, one in enumerate(joined.steps)]
     # the first or the last run alone is a step
     courses += [(ONCE, k, np.eye(count)[k]) for k in range(1, count - 1)]
     months = (at_s - at_s[0]) / _MONTH_S
@@ -222,7 +222,9 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     if count > 2 and np.isfinite(temperatures).all() and np.ptp(temperatures) > 0.5:
         courses.append((SEASON, 0, temperatures - temperatures[0]))
     base: Base = Courses.of(joined, [factors for _, _, factors in courses], waves=False).base
-    family, found, tied = base.family, [], []
+    family = base.family
+    found: list[Block] = []
+    tied: list[tuple[str, ...]] = []
     verdict = "unexplained" if base.evidence >= ALARM else "unchanged" if base.evidence < QUIET else "undecided"
     for _ in range(_MOST):
         if base.evidence < ALARM:

@@ -166,8 +166,8 @@ class _Columns:
 def rows_as_run(
     residual: Floats, free: Floats, candidates: Sequence[tuple[Effect, Floats]], white: Whitening, **around: Any
 ) -> Run:
-    """Rows over their noise: a ``residual`` (n, m), columns (n, m, p) of what is ``free`` and of each of the candidates,
-    and what is ``around`` them, as :class:`~sherkit.evidence.linearised.Linearised` has it."""
+    """Rows over their noise: a ``residual`` (n, m), columns (n, m, p) of what is ``free`` and of each candidate, and
+    what is ``around`` them, as :class:`~sherkit.evidence.linearised.Linearised` has it."""
     ends = np.cumsum([0, *(columns.shape[2] for _, columns in candidates)]).tolist()
     each = [np.zeros((*residual.shape, 0)), *(columns for _, columns in candidates)]
     made = _Columns(free, around.pop("patterns", None), np.concatenate(each, axis=2))
@@ -190,8 +190,8 @@ class Joined:
     ) -> None:  # fmt: skip
         self.fit, self.axes, self.model, self.moved = fit, axes, fit.model, tuple(moved)
         self._data = [data.select(np.argsort(data.order, kind="stable")) for data in runs]
-        self.growth = growth_of(self.model, self._data) if before is None else before.growth
-        self.candidates = candidates_of(self.model, self._data) if before is None else before.candidates
+        self.growth: list[Effect] = growth_of(self.model, self._data) if before is None else before.growth
+        self.candidates: list[Effect] = candidates_of(self.model, self._data) if before is None else before.candidates
         self._before, names = before, [p.name for p in self.model.parameters]
         self.runs: list[SeenRun] = [
             seen(*self._now(k), data, axes, names, [*self.candidates, *self.growth],
@@ -216,9 +216,13 @@ class Joined:
         return Joined(self.fit, self._data, self.axes, moved, self, self.lasting)
 
     def lacking(self, lasting: Floats) -> Joined:
-        """The same runs, of which all lack these columns (n, m, k) besides."""
-        every = np.concatenate([self.lasting, lasting], axis=2)
-        return Joined(self.fit, self._data, self.axes, self.moved, lasting=every)
+        """The same runs, of which all lack these columns (n, m, k)."""
+        return Joined(self.fit, self._data, self.axes, lasting=lasting)
+
+    @property
+    def steps(self) -> list[Floats]:
+        """Steps (R,) from each run on but the first: nothing before, all of it since."""
+        return list(np.triu(np.ones((len(self.runs), len(self.runs))))[1:])
 
     def _now(self, number: int) -> tuple[ModelWithEffects, Floats]:
         """The model of a run and its values: those of the first, but for what has moved since."""
@@ -247,7 +251,7 @@ class Joined:
         sigma, told = run.sigma or self.noise, [one.sigma for one in self.runs if one.repeats]
         if run.repeats or not told:
             return sigma
-        return float(np.sqrt(max(sigma**2 - self.missed**2, min(np.mean(told), sigma) ** 2)))
+        return float(np.sqrt(max(sigma**2 - self.missed**2, min(float(np.mean(told)), sigma) ** 2)))
 
     def over(self, per_run: Sequence[Floats]) -> Floats:
         """Values (n, m, …) of each run over its noise, one run after the other; none of what is known of parameters."""
@@ -314,8 +318,8 @@ class Joined:
         reach = _SAME * np.maximum(np.ptp(joints, axis=0), 1e-300)
         pose = np.unique(np.round(joints / reach), axis=0, return_inverse=True)[1].ravel()
         pose = np.concatenate([pose, pose.max() + 1 + np.arange(self._more)])
-        poses = [part * len(np.unique(r.data.standing[r.rows])) for r, part in zip(self.runs, self.elsewhere, strict=True)]
-        size = [self.missed * np.sqrt(1.0 + n) / self.sigma(r) for r, n in zip(self.runs, poses, strict=True)]
+        poses = [len(np.unique(run.data.standing[run.rows])) for run in self.runs]
+        size = self.missed * np.sqrt(1.0 + np.multiply(poses, self.elsewhere))
         steps = [np.maximum(np.diff(run.data.order[run.rows], prepend=-1), 1) for run in self.runs]
         lag = np.concatenate([*steps, np.ones(self._more)]).astype(np.int64)
         back = np.ones(len(lag), dtype=np.int64)
@@ -323,7 +327,7 @@ class Joined:
         back[self.count :] = 0
         # what is missed at a pose hands on to its repeats
         rho = 0.0 if self.missed else float(np.mean([run.rho for run in self.runs]))
-        return Shared(rho, lag, back, pose, self.by_row(size, 0.0))
+        return Shared(rho, lag, back, pose, self.by_row(list(size / [self.sigma(run) for run in self.runs]), 0.0))
 
     @cached_property
     def _around(self) -> dict[str, Any]:
@@ -384,7 +388,7 @@ class Joined:
         held = {e.name: v / [p.size for p in e.parameters] for (e, _), v in self.moved}
         before = [held.get(e.name, np.zeros(len(e.parameters))) for e, _ in changes]
         about = About(tuple(changes), mine, free, run.residual + mine @ np.concatenate([np.zeros(0), *before]))
-        return about, replace(run, of=about)  # type: ignore[arg-type]
+        return about, replace(run, of=about)
 
 
 def estimated(columns: Floats, free: Floats, residual: Floats) -> tuple[Floats, Floats, float]:

@@ -30,7 +30,7 @@ _OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip", SETUP_PREFIX
 @dataclass(frozen=True, eq=False)
 class SeenRun:
     """One run in the order of time: rows of which all readings are ``used`` (n, m), its stand, the derivatives ``own``
-    (n, m, p) by what all runs share and ``inputs`` (n, m, j) by the joints, ``columns`` (n, m, k) of each candidate, the
+    (n, m, p) by what all runs share and ``inputs`` (n, m, j) by the joints, ``columns`` (n, m, k) of candidates, the
     noise ``sigma`` that it shows by itself (zero where it is too short), whether that is of ``repeats``, how much one
     row hands on to the next, and the rows ``aside`` that are wrong."""
 
@@ -60,7 +60,7 @@ def seen(
     change that is none, good rows would look wrong."""
     chosen = list(axes)
     used = data.used[:, chosen] if before is None else before.used
-    used = used & used.all(axis=1)[:, None]
+    used = used & np.all(used, axis=1, keepdims=True)
     places = {p.name: k for k, p in enumerate(model.parameters)}
     derivatives = model.linearised(data, values)
     every = derivatives.parameters[:, chosen]

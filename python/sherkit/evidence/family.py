@@ -63,6 +63,7 @@ class Family:
 
     def where(self, block: Block) -> int:
         """The number of the block of the same cause whose setting is nearest. Raises ``KeyError`` for none."""
+
         def far(i: int) -> tuple[bool, float]:
             one = self.blocks[i]
             return one.since != block.since, abs((one.setting or 0.0) - (block.setting or 0.0))
