@@ -141,11 +141,15 @@ class Changed(Base):
         left = np.maximum(self.rss - less, 1e-12 * self.rss + 1e-300)
         return log_bayes(gain / left, rank, np.asarray(self.free - used), len(self.residual))
 
+    @cached_property
+    def common(self) -> Floats:
+        """What of each block (B,) all runs have in common says, with its prior weight."""
+        return self.family.log_weight + self._log_bf(0)
+
     def lasting(self) -> Block | None:
         """What all runs lack, where that is likelier than any change, or nearly; None where nothing is."""
-        common, change = (self.family.log_weight + self._log_bf(number) for number in (0, 1))
-        i = int(np.argmax(common))
-        return self.family.blocks[i] if common[i] > max(ALARM, float(change.max()) - TIED) else None
+        i, change = int(np.argmax(self.common)), self.family.log_weight + self._log_bf(1)
+        return self.family.blocks[i] if self.common[i] > max(ALARM, float(change.max()) - TIED) else None
 
 
 def lacking(joined: Joined) -> Joined:
@@ -186,11 +190,13 @@ class ChangeSets(Sets):
         """The effects of blocks, each with its course."""
         return [(block.effect, self.made.courses[block.since]) for block in blocks if block.effect is not None]
 
+    @cached_property
+    def _still(self) -> float:
+        return max(float(self.made.base.common.max(initial=0.0)), 0.0)
+
     def _fit(self, blocks: tuple[Block, ...]) -> EffectSet | None:
         joined, changes = self.made.joined, self.changes(blocks)
         best: tuple[float, EffectSet] | None = None
-        common = [block.at[len(block.at) // 2 :] for block in (self._near(one) for one in blocks)]
-        without = self.base.with_columns(self.family.columns.of(np.concatenate(common)))
         weight = sum(float(self.family.log_weight[self.family.where(block)]) for block in blocks)
         # as large as they are to first order, then about that
         for k in range(_REFITS + 1):
@@ -201,9 +207,10 @@ class ChangeSets(Sets):
                 # as far as that the robot does not reach its own poses
                 break
             if best is None or base.rss < best[0]:
-                rank = max(base.basis.shape[1] - without.basis.shape[1], 1)
-                part = np.array([1.0 - base.rss / max(without.rss, 1e-300)])
-                bf = float(log_bayes(part, np.array([rank]), without.free, len(base.residual))[0])
+                rank = np.array([max(base.basis.shape[1] - self.base.basis.shape[1], 1)])
+                part = np.array([1.0 - base.rss / self.base.rss])
+                # all against what says most without a change
+                bf = float(log_bayes(part, rank, self.base.free, len(base.residual))[0]) - self._still
                 value = bf + weight + _ONE_MORE * (len(blocks) - 1)
                 plausible = all(is_plausible(about, effect) for effect, _ in changes)  # type: ignore[arg-type]
                 best = base.rss, EffectSet(blocks, run, base, bf, value, plausible)

@@ -285,6 +285,8 @@ class Joined:
         """What the model misses at a pose of the first run (standard deviation of a reading, in its unit), beyond what
         repeats scatter by; none where nobody knows. What describes it was chosen from thousands of shapes: it counts as
         missed."""
+        if self._before is not None:
+            return self._before.missed
         first, told = self.runs[0], [run.sigma for run in self.runs if run.repeats]
         if not told:
             return 0.0
@@ -323,7 +325,7 @@ class Joined:
         steps = [np.maximum(np.diff(run.data.order[run.rows], prepend=-1), 1) for run in self.runs]
         lag = np.concatenate([*steps, np.ones(self._more)]).astype(np.int64)
         back = np.ones(len(lag), dtype=np.int64)
-        back[np.cumsum([0, *(len(one) for one in steps)])] = 0
+        back[np.cumsum([0, *(len(one) for one in steps[:-1])])] = 0
         back[self.count :] = 0
         # what is missed at a pose hands on to its repeats
         rho = 0.0 if self.missed else float(np.mean([run.rho for run in self.runs]))
