@@ -159,6 +159,7 @@ def concluded(pool: Pool) -> Comparison:
     if joined is None:
         return _nothing_said(pool)
     made = Courses.of(joined, joined.steps)
+    # every shape counts here, those too that are an effect once more: sets take the weight of these only beside them
     if made.evidence < ALARM and (speaking := pool.speaking()) is not pool:
         # what says nothing may hide what others say
         return concluded(speaking)
