@@ -18,7 +18,7 @@ from ..base import linalg
 from ..base.names import listed
 from ..base.types import Bools, Floats
 from ..data import Measurements
-from .evidence import SIZES
+from ..evidence.thresholds import SCALES
 
 #: An error of so many times what is required must have been seen, and how often.
 TIMES, POWER = 3.0, 0.95
@@ -114,7 +114,7 @@ class Sight:
         # as evidence has them: a coefficient of one leaves a root mean square of one where it acts
         value = value * self.acts / value.sum()
         each = []
-        for size in SIZES:
+        for size in SCALES.tolist():
             taken = (np.square(along) * (size**2 * value / (1.0 + size**2 * value))).sum(axis=2) / whole
             each.append(-0.5 * np.log1p(size**2 * value).sum() - 0.5 * free * np.log1p(-taken.clip(0.0, 1.0 - 1e-12)))
         top = np.max(each, axis=0)

@@ -2,43 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from ..adaptive.evidence import Evidence
-from ..adaptive.hypotheses import Hypothesis
-from ..adaptive.look import FAR, Keys
-from ..adaptive.rule import fewest
 from ..base import linalg
 from ..base.arguments import as_annotated
 from ..base.figures import finite
 from ..base.notebook import Shown
-from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
-from ..errors import FitError, SherkitError
+from ..errors import FitError
+from ..evidence.base import Base
+from ..evidence.names import Names, names_of
+from ..evidence.sets import EffectSet
 from ..evidence.sizes import PLAUSIBLE
-from ..evidence.whitening import orthonormal
-from ..fit.error import ErrorSize, of_residuals
+from ..evidence.thresholds import ALARM
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
-from .joined import Joined
-from .joined import Moved as Shift
-from .pool import ALARM, Pool, read_runs, sees_of, unchanged_advice
+from .courses import Courses
+from .joined import About, Joined
+from .pool import Pool, read_runs, sees_of, unchanged_advice
+from .vouching import error_of
 
-#: Evidence (a logarithm) of no change, and of a name ahead of a shape; of another name it is FAR.
-QUIET, SHAPES = np.log(20.0), np.log(1e3)
+#: Evidence (a logarithm) up to which nothing has changed.
+QUIET = np.log(20.0)
 #: A change of one unit of the noise must be seen with readings of so many beyond what is free.
 _FEWEST = 12
-_MOST_TIED = 8
-#: Changes that are fitted in full, and steps of that.
-_FULL, _REFITS = 3, 3
-#: Part by which a fit in full may leave more than to first order.
-_WORSE = 0.02
 #: Poses that are proposed, of how many.
 _POSES, _CANDIDATES = 8, 200
 
@@ -165,45 +158,45 @@ def concluded(pool: Pool) -> Comparison:
     joined, data = pool.joined, pool.data
     if joined is None:
         return _nothing_said(pool)
-    count = len(joined.runs)
-    steps = [np.array([float(k >= since) for k in range(count)]) for since in range(1, count)]
-    evidence = joined.evidence({"": steps})
-    if evidence.alone.log_mean < ALARM and (speaking := pool.speaking()) is not pool:
+    made = Courses.of(joined, joined.steps)
+    # every shape counts here, those too that are an effect once more: sets take the weight of these only beside them
+    if made.evidence < ALARM and (speaking := pool.speaking()) is not pool:
         # what says nothing may hide what others say
         return concluded(speaking)
-    sets = evidence.sets() if evidence.alone.log_bf else {}
-    verdict, lead, ties, about = verdict_of(joined, evidence, sets, steps)
-    names = tuple(sorted(name for name, _ in lead))
-    moved, left = estimated(about, lead, steps)
+    sets = made.sets()
+    names = names_of(sets) if made.evidence >= ALARM else None
+    verdict = verdict_of(made, names)
+    lead = names.lead if names else None
+    named = names.named if names else ()
+    ties = [lead, *names.ties] if names and lead and named == tuple(one.name for one in lead.blocks) else []
+    moved = estimated(lead.run.of, named) if lead else ()
+    large = [one for one in moved if _is_large(joined, named, one)]
     moved = tuple(replace(one, since=pool.numbers[one.since]) for one in moved)
-    large = [one for one in moved if _is_large(joined, names, one)] if verdict != "unexplained" else []
-    tied = tuple(_named(keys) for keys in ties)
-    fit = joined.fit
-    after = errors_after(joined)
-    before = fit.error
-    ranked = sorted(
-        ((_named(keys), value / float(np.log(10.0))) for keys, value in sets.items()), key=lambda one: -one[1]
-    )
-    poses = next_poses(joined, ties, steps) if len(ties) > 1 else ()
-    error = {"before": float(before.rms), "after": None if after is None else float(after.rms), "needed": pool.needed}
+    tied = tuple(" & ".join(one.names) for one in ties)
+    before = joined.fit.error
+    rows = [len(run.rows) for run in joined.runs[1:]]
+    # each seen from where its sensor stands
+    after = float(np.sqrt(np.average([error_of(run) ** 2 for run in joined.runs[1:]], weights=rows)))
+    poses = next_poses(joined, ties) if len(ties) > 1 else ()
+    error = {"before": float(before.rms), "after": after, "needed": pool.needed}
     called = [_called(one, number) for one, number in zip(data, pool.numbers, strict=True)]
     return Comparison(
         verdict=verdict,
-        changed=names if verdict in ("changed", "partly explained") else (),
-        indistinguishable=(tied,) if len(tied) > 1 and verdict in ("changed", "partly explained") else (),
+        changed=tuple(sorted(named)),
+        indistinguishable=(tied,) if len(tied) > 1 else (),
         stand={name: joined.runs[k].stand.moved for k, name in enumerate(called) if k},
         error=error,
         unit=before.unit,
-        parameters=moved if verdict in ("changed", "partly explained") else (),
+        parameters=moved,
         next_poses=poses,
-        evidence=evidence.alone.log_mean / float(np.log(10.0)),
-        ranked=tuple(ranked[:5]),
-        where=_where(evidence) if verdict not in ("unchanged", "undecided") else "",
+        evidence=made.evidence / float(np.log(10.0)),
+        ranked=tuple((" & ".join(one.names), one.value / float(np.log(10.0))) for one in sets.every[:5]),
+        where=_where(made.base) if names else "",
         advice="; ".join(
             [
                 unchanged_advice(float(before.rms), pool.needed, before.unit)
                 if verdict == "unchanged"
-                else _doubt(large) + _advice(verdict, names, tied, bool(poses), left),
+                else _doubt(large) + _advice(verdict, named, tied, bool(poses), lead.run.of.left if lead else 1.0),
                 *pool.to_measure,
             ]
         ),
@@ -218,7 +211,7 @@ def concluded(pool: Pool) -> Comparison:
 def _nothing_said(pool: Pool) -> Comparison:
     """Where fewer than two runs can speak."""
     return Comparison(
-        verdict="undecided", changed=(), indistinguishable=(), stand={},
+        verdict=pool.unsaid, changed=(), indistinguishable=(), stand={},
         error={"before": None, "after": None, "needed": pool.needed}, unit=pool.unit, parameters=(), next_poses=(),
         evidence=0.0, ranked=(), where="", advice="; ".join(pool.to_measure),
         silent={name: str(one) for name, one in pool.silent.items()},
@@ -229,174 +222,39 @@ def _called(data: Measurements, number: int) -> str:
     return f"{number + 1}: {data.source}"
 
 
-def _named(keys: Keys) -> str:
-    return " & ".join(sorted(name for name, _ in keys))
+def verdict_of(made: Courses, names: Names | None) -> str:
+    """What is said of changes: ``names`` where there is evidence of any."""
+    if names is None:
+        readings = sum(run.used.sum() - run.stand.columns.shape[2] for run in made.joined.runs[1:])
+        return "unchanged" if made.evidence < QUIET and min(readings, made.base.free) >= _FEWEST else "undecided"
+    if not names.named:
+        return "unexplained"
+    return "changed" if names.explains else "partly explained"
 
 
-def in_full(joined: Joined, keys: Keys, steps: Sequence[Floats]) -> Joined:
-    """The runs about the model with a set of changes in it, as large as they then are."""
-    values = [np.zeros(len(joined.candidate(name).parameters)) for name, _ in keys]
-    now = joined
-    for _ in range(_REFITS):
-        blocks = [now.columns_of(name, steps[int(at or 0)]) for name, at in keys]
-        found, _, _ = now.estimate(np.concatenate(blocks, axis=1))
-        ends = np.cumsum([0, *(block.shape[1] for block in blocks)])
-        for k, (name, _) in enumerate(keys):
-            values[k] = values[k] + found[ends[k] : ends[k + 1]] * [p.size for p in joined.candidate(name).parameters]
-        moved = [Shift(name, v, steps[int(at or 0)]) for (name, at), v in zip(keys, values, strict=True)]
-        try:
-            now = joined.at(moved)
-        except SherkitError:
-            # as far as that the robot does not reach its own poses
-            return now
-    return now
-
-
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """A set of changes in the model: the runs about it, what all others say beside it, and by name."""
-
-    joined: Joined
-    rest: float
-    given: Mapping[str, float]
-    gained: float
-
-
-def _weighed(joined: Joined, evidence: Evidence, keys: Keys, steps: Sequence[Floats]) -> Weighed:
-    full = in_full(joined, keys, steps)
-    after = full.evidence({"": steps})
-    seen = [key for key in keys if key[0] in after.tried]
-    linear, exact = evidence.left_of(keys), after.left_of(seen)
-    if not exact <= linear * (1.0 + _WORSE):
-        # it leads nowhere as a change of that size: what it says to first order stands
-        beside = evidence.beside(keys)
-        return Weighed(joined, beside.log_mean, beside.log_bf, 0.0)
-    beside = after.beside(seen) if seen else after.alone
-    gained = 0.5 * evidence.free * float(np.log(max(linear, 1e-300) / max(exact, 1e-300)))
-    return Weighed(full, beside.log_mean, beside.log_bf, max(gained, 0.0))
-
-
-def verdict_of(
-    joined: Joined, evidence: Evidence, sets: Mapping[Keys, float], steps: Sequence[Floats]
-) -> tuple[str, Keys, list[Keys], Joined]:
-    """Verdict, the leading set of changes, those that cannot be told from it, itself first, and the runs about it."""
-    readings = sum(int(run.used.sum()) for run in joined.runs[1:])
-    free = sum(run.stand.columns.shape[2] for run in joined.runs[1:])
-    enough = readings - free >= _FEWEST and evidence.free >= _FEWEST
-    alone = evidence.alone.log_mean
-    if alone < ALARM or not sets:
-        return ("unchanged" if alone < QUIET and enough else "undecided"), (), [], joined
-    by_name = evidence.family.by_name
-    values = dict(sets)
-    causes = [keys for keys in values if not any(by_name[name].is_shape for name, _ in keys)]
-    if not causes:
-        return "unexplained", (), [], joined
-    full: dict[Keys, Weighed] = {}
-    singles = sorted((keys for keys in causes if len(keys) == 1), key=lambda keys: -values[keys])
-    for keys in singles[:_FULL]:
-        full[keys] = one = _weighed(joined, evidence, keys, steps)
-        values[keys] += one.gained
-        # what a second change is worth beside it, be it a shape
-        for pair in [pair for pair in values if len(pair) == 2 and keys[0] in pair]:
-            other = pair[0] if pair[1] == keys[0] else pair[1]
-            weight = float(np.log(evidence.family.weight([name for name, _ in pair])))
-            bf = values[keys] - float(np.log(evidence.family.weight([keys[0][0]])))
-            given = weight + bf + one.given.get(other[0], 0.0)
-            values[pair] = given if one.rest < QUIET else max(values[pair], given)
-    lead = _lead(values, causes, full)
-    if lead not in full:
-        full[lead] = _weighed(joined, evidence, lead, steps)
-    mine, own, rest = {name for name, _ in lead}, values[lead], full[lead].rest
-    shape = max(
-        (value for keys, value in values.items()
-         if any(by_name[name].is_shape for name, _ in keys) and not mine <= {name for name, _ in keys}),
-        default=-np.inf,
-    )  # fmt: skip
-    ties = fewest(lead, {keys: values[keys] for keys in causes if keys == lead or values[keys] > own - FAR})
-    about = full[lead].joined
-    margin = SHAPES if len(lead) == 1 else FAR
-    # one change before two: however many pairs would do as well, a change alone is a name
-    many = sum(len(keys) <= len(lead) for keys in ties) > _MOST_TIED
-    if shape > own or many or (rest >= QUIET and own - shape <= FAR):
-        certain = _in_all(values, by_name)
-        if certain:
-            return "partly explained", certain, [certain], in_full(joined, certain, steps)
-        return "unexplained", lead, ties, about
-    if rest >= QUIET:
-        return "partly explained", lead, ties, about
-    return ("changed" if own - shape >= margin else "partly explained"), lead, ties, about
-
-
-def _in_all(values: Mapping[Keys, float], by_name: Mapping[str, Hypothesis]) -> Keys:
-    """The change without which no set is likely, whatever stands beside it."""
-    best = max(values.values())
-    near = [dict(keys) for keys, value in values.items() if value > best - FAR]
+def estimated(about: About, names: Sequence[str]) -> tuple[Moved, ...]:
+    """The changes of these names with their deviations."""
     return tuple(
-        (name, at) for name, at in near[0].items()
-        if not by_name[name].is_shape and all(name in other for other in near)
-    )[:1]  # fmt: skip
-
-
-def _lead(values: Mapping[Keys, float], causes: Sequence[Keys], full: Mapping[Keys, Weighed]) -> Keys:
-    """The likeliest set, one change before two: a pair leads only where it is far likelier than each of its two, or
-    that leaves something."""
-    ordered = sorted(causes, key=lambda keys: -values[keys])
-    for keys in ordered:
-        parts = [(key,) for key in keys if len(keys) > 1 and (key,) in full and full[(key,)].rest < QUIET]
-        if not any(values[part] > values[keys] - FAR for part in parts):
-            return keys
-    return ordered[0]
-
-
-def estimated(joined: Joined, lead: Keys, steps: Sequence[Floats]) -> tuple[tuple[Moved, ...], float]:
-    """The changes with their deviations, and what is left over the noise."""
-    if not lead:
-        return (), 1.0
-    blocks = [joined.columns_of(name, steps[int(at or 0)]) for name, at in lead]
-    value, covariance, left = joined.estimate(np.concatenate(blocks, axis=1))
-    std = np.sqrt(np.diag(covariance).clip(0.0))
-    held = {(one.name, p.name): by for one in joined.moved
-            for p, by in zip(joined.candidate(one.name).parameters, one.values, strict=True)}  # fmt: skip
-    out, k = [], 0
-    for (name, at), block in zip(lead, blocks, strict=True):
-        for p in joined.candidate(name).parameters[: block.shape[1]]:
-            by = held.get((name, p.name), 0.0) + float(value[k] * p.size)
-            out.append(Moved(p.name, by, float(std[k] * p.size), p.unit, 1 + int(at or 0)))
-            k += 1
-    return tuple(out), left
+        Moved(p.name, value, std, p.unit, int(np.flatnonzero(factors)[0]))
+        for (effect, factors), told in zip(about.changes, about.told, strict=True) if effect.name in names
+        for p, value, std in told
+    )  # fmt: skip
 
 
 def _is_large(joined: Joined, names: Sequence[str], one: Moved) -> bool:
     """Whether an effect is larger than is plausible: it may then stand for something else."""
-    sizes = {
-        p.name: p.size for name in names if joined.candidate(name).effect for p in joined.candidate(name).parameters
-    }
+    effects = [joined.candidate(name) for name in names]
+    sizes = {p.name: p.size for e in effects if not e.frees for p in e.qualified()}
     return one.name in sizes and abs(one.change) > PLAUSIBLE * sizes[one.name] + 2.0 * one.std
 
 
-def errors_after(joined: Joined) -> ErrorSize | None:
-    """How far the model of the first run is off in the later ones, each seen from where its sensor stands."""
-    parts = []
-    for run in joined.runs[1:]:
-        columns = np.where(run.used[:, :, None], run.stand.columns, 0.0)
-        flat = np.where(run.used, run.stand.residual, 0.0).reshape(-1)
-        basis = orthonormal(columns)
-        flat = flat - basis @ (basis.T @ flat)
-        full = np.zeros(run.data.readings.shape)
-        full[:, list(joined.axes)] = flat.reshape(run.used.shape)
-        parts.append((run.data, full, int(run.used.any(axis=1).sum())))
-    if not parts:
-        return None
-    sizes = [(of_residuals(data, left, held_out=False), n) for data, left, n in parts]
-    total = sum(n for _, n in sizes)
-    rms = float(np.sqrt(sum(n * size.rms**2 for size, n in sizes) / max(total, 1)))
-    return replace(sizes[0][0], rms=rms)
-
-
-def _where(evidence: Evidence) -> str:
+def _where(base: Base) -> str:
     """Along what the change shows: the shape that describes it best."""
-    shapes = {name: value for name, value in evidence.alone.log_bf.items() if evidence.family.by_name[name].is_shape}
-    return max(shapes, key=lambda name: shapes[name]) if shapes and max(shapes.values()) > ALARM else ""
+    i = int(np.argmax(base.shapes)) if len(base.shapes) else -1
+    if i < 0 or base.shapes[i] < ALARM:
+        return ""
+    block = base.family.blocks[i]
+    return f"{block.shape} in {' and '.join(block.depends_on)}"
 
 
 def _doubt(large: Sequence[Moved]) -> str:
@@ -418,20 +276,17 @@ def _advice(verdict: str, names: tuple[str, ...], tied: tuple[str, ...], propose
     return "calibrate again, all of it: no single change explains what is seen"
 
 
-def next_poses(joined: Joined, ties: Sequence[Keys], steps: Sequence[Floats]) -> tuple[dict[str, float], ...]:
+def next_poses(joined: Joined, ties: Sequence[EffectSet]) -> tuple[dict[str, float], ...]:
     """Poses at which the tied changes, as they were estimated, would show farthest apart."""
-    last = joined.runs[-1]
-    reachable = joined.model.reachable(last.data, joined.fit.values)
+    reachable = joined.model.reachable(joined.runs[-1].data, joined.fit.values)
     if reachable is None:
         return ()
     rows = reachable.rows.select(np.arange(min(len(reachable.rows), _CANDIDATES)))
     columns = joined.columns_at(rows)
     told = []
-    for keys in ties[:3]:
-        blocks = [joined.columns_of(name, steps[int(at or 0)]) for name, at in keys]
-        value, _, _ = joined.estimate(np.concatenate(blocks, axis=1))
-        there = np.concatenate([columns[name] for name, _ in keys], axis=2)
-        told.append(there @ value)
+    for about in (tie.run.of for tie in ties[:3]):
+        every = np.concatenate([columns[effect.name] for effect, _ in about.changes], axis=2)
+        told.append(every @ (about.values / [p.size for p in about.parameters]))
     apart = np.max([np.linalg.norm(a - told[0], axis=1) for a in told[1:]], axis=0)
     names = {**dict(zip(rows.layout.joints, rows.joints.T, strict=True))}
     names |= {name: values[: len(rows)] for name, values in reachable.targets.items()}

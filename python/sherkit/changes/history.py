@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from ..adaptive.hypotheses import Key
-from ..adaptive.look import FAR
 from ..base import linalg
 from ..base.arguments import as_annotated
 from ..base.figures import finite
@@ -27,14 +25,18 @@ from ..data import Measurements
 from ..data.columns import TEMPERATURE
 from ..data.reader import RunLike
 from ..errors import FitError, MeasurementError
+from ..evidence.base import Base
+from ..evidence.blocks import Block
+from ..evidence.thresholds import ALARM, SURE, TIED
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
-from .comparison import QUIET, SHAPES
-from .joined import Joined, told_as
-from .pool import ALARM, Pool, read_runs, sees_of, unchanged_advice
+from .comparison import QUIET
+from .courses import Courses
+from .joined import About, Joined
+from .pool import Pool, read_runs, sees_of, unchanged_advice
 from .vouching import error_of
 
-STEP, ONCE, RAMP, SEASON = "", "once", "ramp", "season"
+STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"
 _MOST = 4
 #: What cannot be told from a change is named, as far as so many.
 _MOST_TIED = 4
@@ -194,7 +196,7 @@ def concluded(pool: Pool, every: Sequence[Measurements], at_s: Floats, dates: Se
     """What follows from runs in the order of time: of those that can speak."""
     if pool.joined is None:
         return History(
-            verdict="undecided", changes=(), runs=_runs(pool, every, dates), unit=pool.unit, values={}, stood_still=(),
+            verdict=pool.unsaid, changes=(), runs=_runs(pool, every, dates), unit=pool.unit, values={}, stood_still=(),
             silent={name: str(one) for name, one in pool.silent.items()}, advice="; ".join(pool.to_measure),
         )  # fmt: skip
     found = _told(pool, at_s, dates)
@@ -208,54 +210,51 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     joined, data, needed = pool.joined, pool.data, pool.needed
     assert joined is not None, "asked of two runs or more"
     count, at_s, dates = len(data), every_s[list(pool.numbers)], [every_date[k] for k in pool.numbers]
-    steps = [np.array([float(k >= since) for k in range(count)]) for since in range(1, count)]
-    courses: dict[str, Sequence[Floats]] = {STEP: steps}
-    if count > 2:
-        # the first or the last run alone is a step
-        courses[ONCE] = [np.eye(count)[k] for k in range(1, count - 1)]
+    courses = [(STEP, k + 1, one) for k, one in enumerate(joined.steps)]
+    # the first or the last run alone is a step
+    courses += [(ONCE, k, np.eye(count)[k]) for k in range(1, count - 1)]
     months = (at_s - at_s[0]) / _MONTH_S
     if count > 2 and np.ptp(months) > 0:
-        courses[RAMP] = [months]
+        courses.append((RAMP, 0, months))
     temperatures = np.array(
         [float(d.covariates[TEMPERATURE].mean()) if TEMPERATURE in d.covariates else np.nan for d in data]
     )
     if count > 2 and np.isfinite(temperatures).all() and np.ptp(temperatures) > 0.5:
-        courses[SEASON] = [temperatures - temperatures[0]]
-    factors = {name: list(values) for name, values in courses.items()}
-    called = {told_as(c.name, k): f"{c.name} as a {k or 'step'}" if k != ONCE else f"{c.name} in one run alone"
-              for c in joined.candidates for k in courses}  # fmt: skip
-    found: list[tuple[str, str, int, Floats]] = []
+        courses.append((SEASON, 0, temperatures - temperatures[0]))
+    base: Base = Courses.of(joined, [factors for _, _, factors in courses], waves=False).base
+    family = base.family
+    found: list[Block] = []
     tied: list[tuple[str, ...]] = []
-    evidence = joined.evidence(courses, waves=False)
-    taken: list[Key] = []
-    alone = evidence.alone.log_mean
-    verdict = "unexplained" if alone >= ALARM else "unchanged" if alone < QUIET else "undecided"
+    verdict = "unexplained" if base.evidence >= ALARM else "unchanged" if base.evidence < QUIET else "undecided"
     for _ in range(_MOST):
-        weighed = evidence.alone if not taken else evidence.beside(taken)
-        if weighed.log_mean < ALARM:
+        if base.evidence < ALARM:
             break
-        by_name = evidence.family.by_name
-        value = {n: v + float(np.log(by_name[n].weight)) for n, v in weighed.log_bf.items()}
-        causes = sorted((n for n in value if not by_name[n].is_shape), key=lambda n: -value[n])
-        shape = max((v for n, v in value.items() if by_name[n].is_shape), default=-np.inf)
-        if not causes or value[causes[0]] < shape + SHAPES:
-            verdict = "partly explained" if taken else "unexplained"
+        effects = np.where(family.is_effect, base.each, -np.inf)
+        lead = int(np.argmax(effects))
+        if effects[lead] < base.shapes.max(initial=-np.inf) + SURE:
+            verdict = "partly explained" if found else "unexplained"
             break
-        name, setting = causes[0], weighed.setting[causes[0]]
-        taken.append((name, setting))
-        bare, course = next((c.name, k) for c in joined.candidates for k in courses if told_as(c.name, k) == name)
-        found.append((bare, course, int(setting or 0), factors[course][int(setting or 0)]))
-        tied.append(tuple(called[other] for other in causes[1:] if value[other] > value[name] - FAR)[:_MOST_TIED])
-        verdict = "changed"
-    changes = tuple(
-        replace(one, or_else=other, since=None if one.since is None else pool.numbers[one.since])
-        for one, other in zip(_courses(joined, found, dates, months, needed), tied, strict=True)
-    )
-    values = {bare: _by_run(joined, bare) for bare, _, _, _ in found}
+        block = family.blocks[lead]
+        near = [family.blocks[i] for i in np.argsort(-effects).tolist() if effects[i] > effects[lead] - TIED]
+        called = {(one.name, courses[one.since][0]): None for one in near}
+        called.pop((block.name, courses[block.since][0]))
+        tied.append(tuple(_called(*one) for one in called)[:_MOST_TIED])
+        found.append(block)
+        base, verdict = base.beside(block), "changed"
+    changes = []
+    about = joined.about([(b.effect, courses[b.since][2]) for b in found if b.effect])[0]
+    for number, (block, told, other) in enumerate(zip(found, about.told, tied, strict=True)):
+        kind, since, _ = courses[block.since]
+        changes.append(Course(
+            block.name, kind, pool.numbers[since] if since else None, dates[since] if since else "",
+            tuple((p.name, value, std, p.unit) for p, value, std in told),
+            _exceeds(about, number, months, needed, joined) if kind == RAMP else "", other,
+        ))  # fmt: skip
+    values = {block.name: _by_run(joined, block) for block in found}
     still = [c.name for c in joined.candidates if c.name not in values]
     quiet = verdict == "unchanged"
     return History(
-        verdict=verdict, changes=changes, runs=(), unit=pool.unit, values=values, stood_still=tuple(still),
+        verdict=verdict, changes=tuple(changes), runs=(), unit=pool.unit, values=values, stood_still=tuple(still),
         smallest_found=pool.smallest if quiet else None, silent={name: str(one) for name, one in pool.silent.items()},
         advice="; ".join([
             unchanged_advice(float(joined.fit.error.rms), needed, pool.unit) if quiet else _ADVICE[verdict],
@@ -264,51 +263,30 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     )  # fmt: skip
 
 
-def _courses(
-    joined: Joined, found: Sequence[tuple[str, str, int, Floats]], dates: Sequence[str], months: Floats,
-    needed: float | None,
-) -> tuple[Course, ...]:  # fmt: skip
-    if not found:
-        return ()
-    blocks = [joined.columns_of(name, factors) for name, _, _, factors in found]
-    value, covariance, _ = joined.estimate(np.concatenate(blocks, axis=1))
-    std, out, k = np.sqrt(np.diag(covariance).clip(0.0)), [], 0
-    for (name, course, setting, factors), block in zip(found, blocks, strict=True):
-        width = block.shape[1]
-        parameters = joined.candidate(name).parameters
-        told = tuple((p.name, float(value[k + j] * p.size), float(std[k + j] * p.size), p.unit)
-                     for j, p in enumerate(parameters[:width]))  # fmt: skip
-        kind = course or "step"
-        since = setting + 1 if kind in ("step", ONCE) else None
-        grows = float(np.linalg.norm(block @ value[k : k + width]) / max(np.sqrt(len(block)), 1.0))
-        out.append(Course(name, kind, since, dates[since] if since is not None else "", told,
-                          _exceeds(kind, grows, months, factors, needed, joined)))  # fmt: skip
-        k += width
-    return tuple(out)
+def _called(name: str, kind: str) -> str:
+    return f"{name} in one run alone" if kind == ONCE else f"{name} as a {kind}"
 
 
-def _exceeds(kind: str, rms: float, months: Floats, factors: Floats, needed: float | None, joined: Joined) -> str:
+def _exceeds(about: About, number: int, months: Floats, needed: float | None, joined: Joined) -> str:
     """When a ramp alone will be more than what is needed."""
     unit = joined.runs[0].data.layout
-    if kind != "ramp" or needed is None or unit.unit != "µm" or rms <= 0:
+    effect = about.changes[number][0]
+    by = about.values[about.of(number)] / [p.size for p in effect.parameters]
+    shown = joined.columns_of(effect.name, np.ones(len(joined.runs)))[: joined.count] @ by
+    noise = joined.by_row([joined.sigma(run) for run in joined.runs])[: joined.count, None]
+    per_month = unit.per_unit * float(np.sqrt(np.square(shown * noise).sum() / joined.count))
+    if needed is None or unit.unit != "µm" or per_month <= 0:
         return ""
-    per_month = rms * unit.per_unit * np.sqrt(len(joined.axes)) / max(float(np.sqrt(np.mean(factors**2))), 1e-300)
     left = needed / per_month - months[-1]
     return "already" if left <= 0 else f"in {left:.0f} months"
 
 
-def _by_run(joined: Joined, name: str) -> list[tuple[float, float]]:
+def _by_run(joined: Joined, block: Block) -> list[tuple[float, float]]:
     """How far a candidate's first parameter stands from the first run in each run, with its deviation."""
-    count = len(joined.runs)
-    parameter = joined.candidate(name).parameters[0]
-    blocks = [joined.columns_of(name, np.eye(count)[k]) for k in range(1, count)]
-    width = blocks[0].shape[1]
-    value, covariance, _ = joined.estimate(np.concatenate(blocks, axis=1))
-    std = np.sqrt(np.diag(covariance).clip(0.0))
-    later = [
-        (float(value[k * width] * parameter.size), float(std[k * width] * parameter.size)) for k in range(count - 1)
-    ]
-    return [(0.0, 0.0), *later]
+    assert block.effect is not None, "shapes are not named"
+    about, _ = joined.about([(block.effect, one) for one in np.eye(len(joined.runs))[1:]])
+    wide = len(block.effect.parameters)
+    return [(0.0, 0.0), *zip(about.values[::wide].tolist(), about.std_from_readings[::wide].tolist(), strict=True)]
 
 
 def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tuple[dict[str, Any], ...]:

@@ -1,428 +1,409 @@
-"""Several runs of one machine as one linear object, about the model as the first run has it.
+"""Several runs of one machine as one run over its noise, about the model as the first run has it.
 
 What all runs share are the parameters; each later run has a stand of its own (:mod:`~.stand`) and noise of its own. A
 change is what a parameter, or an effect, does in the course of the runs. Effects of the temperature are free beside it,
-as large as they are plausible: a robot that is warmer has not changed.
+as large as they are plausible: a robot that is warmer has not changed. What the model misses in all runs is noise of
+the comparison: an error of its own at each pose, which runs have in common where they were read at the same poses; one
+error for all places of a run where the first run never was.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 
-from ..adaptive.evidence import Evidence
-from ..adaptive.hypotheses import Hypotheses, Hypothesis, Key, Rows, shapes, weighted
 from ..base import linalg
-from ..base.types import Bools, Floats, Ints
+from ..base.types import Floats, Ints
 from ..data import Measurements
-from ..data.columns import TEMPERATURE
-from ..data.noise import MAD
 from ..errors import FitError
-from ..evidence.whitening import Whitening, correlation_in_time, orthonormal
+from ..evidence.linearised import Linearised
+from ..evidence.run import Run
+from ..evidence.whitening import Whitening, orthonormal
 from ..fit.identify import Fit
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter
-from ..model.set_ups import SETUP_PREFIX
-from .stand import Stand, stand_of
+from .runs import OWN_NOISE, SeenRun, candidates_of, columns_of, growth_of, seen
 
-#: A row farther off than so many robust deviations is left out; rounds in which such rows are looked for.
-_GROSS, _ROUNDS = 7.0, 8
-#: Readings beyond what is free from which a run tells its own noise, and that it follows itself.
-_OWN_NOISE, _OWN_COURSE = 10, 40
-#: Shapes that all runs may have in common, changes beside which they are looked for, and the evidence (a logarithm)
-#: from which there is one; what has begun with a run must be so much likelier.
-_MOST_LASTING, _MOST_BESIDE, _LASTS, _SIMPLER = 8, 3, np.log(100.0), np.log(1e4)
-LASTS = "in all runs"
-#: A part of a column that is rounding.
-_ROUNDING = 1e-5
-#: Parameters that say where the sensor stands, by how their names begin.
-_OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip", SETUP_PREFIX)
+#: Part of a column that must be left of it to be seen.
+_SEEN = 1e-5
+#: Deviations from zero of a number that moved.
+_MOVES = 2.0
+#: Deviations by which the model must miss more than repeats scatter.
+_MISSES = 3.0
+#: Part of a joint's range up to which poses are one, and by which another run may go beyond it.
+_SAME, _BEYOND = 1e-3, 0.1
+#: Part of its rows from which on a run stands at other places than the first.
+_ELSEWHERE = 0.2
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """What may have changed: a parameter of the model, or all of an effect."""
-
-    name: str
-    effect: Effect | None
-    parameters: tuple[Parameter, ...]
+#: An effect in a course: factors (R,) of the runs.
+Change = tuple[Effect, Floats]
 
 
 @dataclass(frozen=True, eq=False)
-class Moved:
-    """A candidate that has moved: by ``values`` (k,) in the units of its parameters, times ``factors`` (R,) of the
-    runs."""
+class About:
+    """Changes in the model of joined runs, as evidence asks a fit: their ``columns`` (N, k) by plausible sizes, what is
+    ``free`` beside them (N, p), and the ``residual`` (N,) without any of them."""
 
-    name: str
-    values: Floats
-    factors: Floats
+    changes: tuple[Change, ...]
+    columns: Floats
+    free: Floats
+    residual: Floats
+
+    #: Of where the sensor stands nothing is among them.
+    free_of_pose = ()
+
+    @property
+    def fit(self) -> Any:
+        """Itself, as its model is."""
+        return self
+
+    model = fit
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those of all changes."""
+        return tuple(p for effect, _ in self.changes for p in effect.qualified())
+
+    @cached_property
+    def _found(self) -> tuple[Floats, Floats, float]:
+        return estimated(self.columns, self.free, self.residual)
+
+    @property
+    def values(self) -> Floats:
+        """Of all parameters, in their units."""
+        return self._found[0] * [p.size for p in self.parameters]
+
+    @property
+    def std_from_readings(self) -> Floats:
+        """The deviations of these."""
+        return self._found[1] * [p.size for p in self.parameters]
+
+    @property
+    def left(self) -> float:
+        """What is left over the noise (root mean square)."""
+        return self._found[2]
+
+    @cached_property
+    def told(self) -> list[list[tuple[Parameter, float, float]]]:
+        """Of each change the numbers that moved, with values and deviations: one after another those that may as well
+        be zero are taken out."""
+        k = self.columns.shape[1]
+        value, std = np.zeros(k), np.zeros(k)
+        some = np.arange(k)
+        while len(some):
+            value[:], std[:] = 0.0, 0.0
+            value[some], std[some], _ = estimated(self.columns[:, some], self.free, self.residual)
+            far = np.abs(value[some]) - _MOVES * std[some]
+            if (far > 0).all() or len(some) == 1:
+                break
+            some = np.delete(some, np.argmin(far / std[some].clip(1e-300)))
+        every = [(p, float(v * p.size), float(s * p.size)) for p, v, s in zip(self.parameters, value, std, strict=True)]
+        return [[one for one in every[self.of(k)] if one[2] > 0] for k in range(len(self.changes))]
+
+    def of(self, number: int) -> slice:
+        """Where the parameters of a change stand among them, by its number."""
+        ends = np.cumsum([0, *(len(effect.parameters) for effect, _ in self.changes)]).tolist()
+        return slice(ends[number], ends[number + 1])
+
+    def owns(self, effect: Effect) -> slice:
+        """The same by its effect."""
+        return self.of([one.name for one, _ in self.changes].index(effect.name))
+
+
+class Shared(Whitening):
+    """The filter of a correlation in time, then the weights of rows that have errors in common: ``pose`` (n,) says
+    which, ``size`` (n,) how large such an error is in each row, in its noises."""
+
+    def __init__(self, rho: float, lag: Ints, back: Ints, pose: Ints, size: Floats) -> None:
+        super().__init__(rho, lag, back)
+        squares = np.bincount(pose, size**2)
+        along = size / np.sqrt(np.where(squares > 0, squares, 1.0))[pose]
+        n = len(pose)
+        self._poses = scipy.sparse.csr_array((along, (pose, np.arange(n))), shape=(len(squares), n))
+        self._less = 1.0 - 1.0 / np.sqrt(1.0 + squares)
+
+    @property
+    def is_plain(self) -> bool:
+        """As of any filter."""
+        return super().is_plain and not self._less.any()
+
+    def _lessened(self, values: Floats) -> Floats:
+        if not self._less.any():
+            return values
+        flat = values.reshape(len(values), -1)
+        return np.asarray(flat - self._poses.T @ (self._less[:, None] * (self._poses @ flat))).reshape(values.shape)
+
+    def __call__(self, values: Floats) -> Floats:
+        """Values (n, …) as they are weighed."""
+        return self._lessened(super().__call__(values))
+
+    def transposed(self, values: Floats) -> Floats:
+        """The transpose of that."""
+        return super().transposed(self._lessened(values))
 
 
 @dataclass(frozen=True, eq=False)
-class SeenRun:
-    """One run in the order of time: ``used`` (n, m) readings, its stand, the derivatives ``own`` (n, m, p) by what all
-    runs share, columns (n, m, k) of each candidate, the noise ``sigma`` that it shows by itself (zero where it is too
-    short), how much one row hands on to the next, and the rows ``aside`` that are wrong."""
+class _Columns:
+    """Derivatives by what is free, by the joints, by every candidate."""
 
-    data: Measurements
-    used: Bools
-    stand: Stand
-    own: Floats
-    columns: Mapping[str, Floats]
-    sigma: float
-    rho: float
-    aside: Ints
+    free: Floats
+    inputs: Floats | None
+    candidates: Floats
+
+    def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
+        return self.free[rows], None if self.inputs is None else self.inputs[rows]
+
+    def effects(self, rows: slice) -> Floats:
+        return self.candidates[rows]
+
+
+def rows_as_run(
+    residual: Floats, free: Floats, candidates: Sequence[tuple[Effect, Floats]], white: Whitening, **around: Any
+) -> Run:
+    """Rows over their noise: a ``residual`` (n, m), columns (n, m, p) of what is ``free`` and of each candidate, and
+    what is ``around`` them, as :class:`~sherkit.evidence.linearised.Linearised` has it."""
+    ends = np.cumsum([0, *(columns.shape[2] for _, columns in candidates)]).tolist()
+    each = [np.zeros((*residual.shape, 0)), *(columns for _, columns in candidates)]
+    made = _Columns(free, around.pop("patterns", None), np.concatenate(each, axis=2))
+    effects = tuple((e, slice(a, b)) for (e, _), a, b in zip(candidates, ends[:-1], ends[1:], strict=True))
+    group = around.pop("group", np.arange(len(residual)))
+    view = Linearised(residual, around.pop("variables", {}), group, group, made, effects=effects, **around)
+    return Run(None, np.arange(len(residual)), np.ones(residual.shape[1]), view, white)
 
 
 class Joined:
-    """Runs that were joined, and what may have changed in their course.
+    """Runs that were joined, and the ``candidates`` that may have changed in their course.
 
-    ``fit`` is the model on the first of them, ``axes`` are the readings that are looked at. Raises
-    :class:`~sherkit.errors.FitError` for a run that is too short or lies out of reach.
+    ``fit`` is the model on the first of them, ``axes`` are the readings that are looked at; ``lasting`` (n, m, k) is
+    what all runs lack alike. Raises :class:`~sherkit.errors.FitError` for a run that is too short or lies out of reach.
     """
 
     def __init__(
-        self, fit: Fit, runs: Sequence[Measurements], axes: tuple[int, ...], moved: Sequence[Moved] = (),
-        seen: Sequence[SeenRun] = (), lasting: Sequence[Floats] = (),
+        self, fit: Fit, runs: Sequence[Measurements], axes: tuple[int, ...],
+        moved: Sequence[tuple[Change, Floats]] = (), before: Joined | None = None, lasting: Floats | None = None,
     ) -> None:  # fmt: skip
-        self.fit, self.axes, self.model = fit, axes, fit.model
+        self.fit, self.axes, self.model, self.moved = fit, axes, fit.model, tuple(moved)
         self._data = [data.select(np.argsort(data.order, kind="stable")) for data in runs]
-        self.growth = _growth(self.model, self._data)
-        self.candidates = candidates_of(self.model, self._data)
-        self.moved = tuple(moved)
-        self._before, self._lasting = tuple(seen), tuple(lasting)
-        self.runs = [self._seen(data, k) for k, data in enumerate(self._data)]
+        self.growth: list[Effect] = growth_of(self.model, self._data) if before is None else before.growth
+        self.candidates: list[Effect] = candidates_of(self.model, self._data) if before is None else before.candidates
+        self._before, names = before, [p.name for p in self.model.parameters]
+        self.runs: list[SeenRun] = [
+            seen(*self._now(k), data, axes, names, [*self.candidates, *self.growth],
+                 first=k == 0, before=None if before is None else before.runs[k])
+            for k, data in enumerate(self._data)
+        ]  # fmt: skip
         known = [run.sigma for run in self.runs if run.sigma > 0]
         if not known:
             raise FitError(
                 f"{runs[0].source}: no run has rows enough to tell the noise beside {len(fit.values)} parameters"
             )
+        #: The noise of a run that does not tell its own.
         self.noise = float(np.exp(np.mean(np.log(known))))
+        #: What is known of parameters stands in rows of its own, behind those that were read.
+        self._known = [p.size for p in self.model.parameters] + [1.0 for e in self.growth for _ in e.parameters]
+        self.count = sum(len(run.rows) for run in self.runs)
+        self.lasting = np.zeros((self.count + self._more, len(axes), 0)) if lasting is None else lasting
 
-    def at(self, moved: Sequence[Moved]) -> Joined:
-        """The same runs about a model in which these have changed."""
-        return Joined(self.fit, self._data, self.axes, moved, self.runs, self._lasting)
+    def at(self, about: About) -> Joined:
+        """The same runs about a model in which these have changed, as large as they are."""
+        moved = [(one, about.values[about.of(k)]) for k, one in enumerate(about.changes)]
+        return Joined(self.fit, self._data, self.axes, moved, self, self.lasting)
 
-    def with_what_lasts(self) -> Joined:
-        """The same runs, and free in all of them alike what the model misses from the first on: as long as a shape that
-        lasts is nearly as likely as all that may have begun with a later run, beside the changes that are far likelier.
-        What was missing already is no change."""
-        now, count = self, len(self.runs)
-        steps = [np.array([float(k >= since) for k in range(count)]) for since in range(1, count)]
-        for _ in range(_MOST_LASTING):
-            found = _lasting(now.evidence({"": steps, LASTS: [np.ones(count)]}))
-            if found is None:
-                break
-            now = Joined(now.fit, now._data, now.axes, now.moved, now.runs, (*now._lasting, found))
-        return now
+    def lacking(self, lasting: Floats) -> Joined:
+        """The same runs, of which all lack these columns (n, m, k)."""
+        return Joined(self.fit, self._data, self.axes, lasting=lasting)
 
-    # -- one run -----------------------------------------------------------------------------------------
+    @property
+    def steps(self) -> list[Floats]:
+        """Steps (R,) from each run on but the first: nothing before, all of it since."""
+        return list(np.triu(np.ones((len(self.runs), len(self.runs))))[1:])
 
     def _now(self, number: int) -> tuple[ModelWithEffects, Floats]:
         """The model of a run and its values: those of the first, but for what has moved since."""
         model, values = self.model, dict(zip((p.name for p in self.model.parameters), self.fit.values, strict=True))
-        for one in self.moved:
-            if one.factors[number] == 0.0:
+        for (effect, factors), moved in self.moved:
+            if factors[number] == 0.0:
                 continue
-            candidate = self.candidate(one.name)
-            if candidate.effect is not None and candidate.effect.name not in {e.name for e in model.effects}:
-                model = model.adopting(candidate.effect)
-            for p, by in zip(candidate.parameters, one.values, strict=True):
-                values[p.name] = values.get(p.name, 0.0) + one.factors[number] * by
+            if any(p.name not in values for p in effect.qualified()):
+                model = model.adopting(effect)
+            for p, by in zip(effect.qualified(), moved, strict=True):
+                values[p.name] = values.get(p.name, 0.0) + factors[number] * by
         return model, np.array([values.get(p.name, 0.0) for p in model.parameters])
 
-    def _seen(self, data: Measurements, number: int) -> SeenRun:
-        axes, (model, values) = list(self.axes), self._now(number)
-        # what is wrong is judged once: beside a change that is none, good rows would look so
-        before = self._before[number] if self._before else None
-        used = data.used[:, axes] if before is None else before.used
-        places = {p.name: k for k, p in enumerate(model.parameters)}
-        every = model.linearised(data, values).parameters[:, axes]
-        own = every[:, :, [places[p.name] for p in self.model.parameters]]
-        aside = np.zeros(0, dtype=np.int64) if before is None else before.aside
-        sigma = rho = 0.0
-        stand = Stand(np.zeros(used.shape), np.zeros((*used.shape, 0)), {})
-        for _ in range(_ROUNDS):
-            if number == 0:
-                left = np.where(used, data.readings[:, axes] - model.predict(data, values)[:, axes], 0.0)
-                stand = Stand(left, np.zeros((*used.shape, 0)), {})
-            else:
-                stand = stand_of(model, data, values, self.axes, used)
-            free = orthonormal(np.where(used[:, :, None], np.concatenate([every, stand.columns], axis=2), 0.0))
-            flat = np.where(used, stand.residual, 0.0).reshape(-1)
-            left = (flat - free @ (free.T @ flat)).reshape(used.shape)
-            freedom = int(used.sum()) - free.shape[1]
-            sigma = float(np.sqrt(np.square(left[used]).sum() / freedom)) if freedom >= _OWN_NOISE else 0.0
-            if freedom < 2 * _OWN_NOISE or before is not None:
-                break
-            if _follows(data, used, freedom):
-                rho = correlation_in_time(np.where(used, stand.residual, 0.0), free)
-            lever = np.square(free).sum(axis=1).reshape(used.shape)
-            each = np.abs(left) / np.sqrt((1.0 - lever).clip(0.05))
-            each = np.where(used, each, 0.0)
-            # the worst first: what they did to the fit makes others look wrong
-            limit = max(_GROSS * MAD * float(np.median(each[used])), 0.5 * float(each.max(initial=0.0)))
-            wrong = np.flatnonzero((each > limit).any(axis=1))
-            if not len(wrong):
-                break
-            aside = np.union1d(aside, wrong)
-            used = used & ~np.isin(np.arange(len(used)), wrong)[:, None]
-        columns = self._columns(data, model, values, every)
-        own_sigma = noise_of_repeats(data.mark_outliers(aside), axes) or sigma
-        sigma, rho = (own_sigma, rho) if before is None else (before.sigma, before.rho)
-        return SeenRun(data, used, stand, own, columns, sigma, rho, aside)
-
-    def _columns(self, data: Measurements, model: ModelWithEffects, values: Floats, own: Floats) -> dict[str, Floats]:
-        """Columns (n, m, k) of every candidate and of growth, by plausible sizes."""
-        everybody = [*self.candidates, *(Candidate(e.name, e, e.qualified()) for e in self.growth)]
-        return columns_of(model, values, data, self.axes, everybody, own)
-
-    def columns_at(self, data: Measurements) -> dict[str, Floats]:
-        """Columns of every candidate for other rows, by the model as the first run has it."""
-        own = self.model.linearised(data, self.fit.values).parameters[:, list(self.axes)]
-        return self._columns(data, self.model, self.fit.values, own)
-
-    # -- all of them -------------------------------------------------------------------------------------
-
-    def _sigma(self, run: SeenRun) -> float:
-        return run.sigma or self.noise
-
-    def _flat(self, run: SeenRun, values: Floats) -> Floats:
-        """Values (n, m, …) of a run over its noise, in units of that of all, of readings that are used (N, …)."""
-        over = values * (self.noise / self._sigma(run))
-        if run.rho and run.used.all():
-            over = Whitening(run.rho, np.ones(len(over), dtype=np.int64))(over)
-        return np.asarray(over[run.used])
-
-    def over_runs(self, per_run: Sequence[Floats]) -> Floats:
-        """Values (n, m, …) of each run as one column (N, …), with rows for what is known of parameters at the end."""
-        flat = [self._flat(run, values) for run, values in zip(self.runs, per_run, strict=True)]
-        return np.concatenate([*flat, np.zeros((self._known, *flat[0].shape[1:]))])
-
-    @property
-    def _known(self) -> int:
-        return len(self.model.parameters) + sum(len(e.parameters) for e in self.growth)
-
-    @cached_property
-    def base(self) -> Floats:
-        """Columns (N, p) of what needs no change: parameters of all runs, the stand of each, growth as is plausible."""
-        shared = self.over_runs([run.own for run in self.runs])
-        count = len(self.model.parameters)
-        # a plausible size is knowledge: a reading of zero, as exact as that. Without it, what no run observes by itself
-        # would be as large as makes good a change, where that has moved what is not observed
-        at = len(shared) - self._known
-        shared[at : at + count] = np.diag([self.noise / p.size for p in self.model.parameters])
-        blocks = [shared]
-        for run in self.runs:
-            width = run.stand.columns.shape[2]
-            if width:
-                mine = [r.stand.columns if r is run else np.zeros((*r.used.shape, width)) for r in self.runs]
-                blocks.append(self.over_runs(mine))
-        at += count
-        for effect in self.growth:
-            grown = self.over_runs([run.columns[effect.name] for run in self.runs])
-            for j in range(grown.shape[1]):
-                grown[at, j] = self.noise
-                at += 1
-            blocks.append(grown)
-        blocks += self._lasting
-        return np.concatenate(blocks, axis=1)
-
-    @cached_property
-    def residual(self) -> Floats:
-        """What the model of the first run leaves (N,), each run seen from its own stand."""
-        return self.over_runs([run.stand.residual for run in self.runs])
-
-    def evidence(self, courses: Mapping[str, Sequence[Floats]], *, waves: bool = True) -> Evidence:
-        """Of every candidate in the courses of the runs: a name ("" for steps) to its factors (R,) at each setting,
-        only shapes in :data:`LASTS`; without ``waves`` no shape that has settings of its own is among them."""
-        made: list[Hypothesis] = []
-        tried: dict[str, Floats] = {}
-        base = orthonormal(self.base)
-
-        def take(
-            name: str, effect: Effect | None, shape: Any, per_run: Sequence[Floats], factors: Sequence[Floats]
-        ) -> None:
-            settings = per_run[0].shape[2] if per_run[0].ndim == 4 else 1
-            every = [
-                self.over_runs([f * (c[:, :, s] if c.ndim == 4 else c) for f, c in zip(one, per_run, strict=True)])
-                for one in factors for s in range(settings)
-            ]  # fmt: skip
-            left = [columns - base @ (base.T @ columns) for columns in every]
-            kept = [k for k, (rest, whole) in enumerate(zip(left, every, strict=True))
-                    if np.square(rest).sum() > _ROUNDING**2 * np.square(whole).sum() > 0]  # fmt: skip
-            if not kept:
-                return
-            # a coefficient of one leaves a root mean square of one where it acts
-            scaled = []
-            for k in kept:
-                rows = np.abs(every[k]).max(axis=1) > 0
-                scaled.append(every[k] * np.sqrt(rows.sum() / np.square(left[k]).sum()))
-            made.append(Hypothesis(name, effect, shape, tuple(float(k) for k in kept), in_time=False))
-            tried[name] = np.stack(scaled, axis=1)
-
-        for course, factors in courses.items():
-            for one in self.candidates if course != LASTS else ():
-                columns = [run.columns[one.name] for run in self.runs]
-                take(told_as(one.name, course), one.effect, None, columns, factors)
-        rows = [self._rows(run) for run in self.runs]
-        layout = self.runs[0].data.layout
-        readings = tuple(layout.names[a] for a in self.axes)
-        patterns = all(r.patterns is not None for r in rows)
-        for shape in shapes(self._places, layout.joints, readings, (), timed=False, patterns=patterns):
-            if len(shape.settings) > 1 and not waves:
-                continue
-            at = np.array(shape.settings, dtype=float)
-            per_run = [shape.columns(r, at) for r in rows]
-            for course, factors in courses.items():
-                take(told_as(shape.name, course), None, shape, per_run, factors)
-        return Evidence(Hypotheses(weighted(made)), self.residual, self.base, tried)
-
-    def places(self, run: SeenRun) -> dict[str, Floats]:
-        """Where the machine stood in the rows of a run, by name (n,)."""
-        return dict(self.model.place(run.data, self.model.predict(run.data, self.fit.values), self.fit.values))
-
-    @property
-    def _places(self) -> tuple[str, ...]:
-        return tuple(
-            self.model.place(self.runs[0].data, self.model.predict(self.runs[0].data, self.fit.values), self.fit.values)
-        )
-
-    def _rows(self, run: SeenRun) -> Rows:
-        """The rows of a run as shapes see them, on the scale of all runs."""
-
-        def scaled(values: Floats, every: Sequence[Floats]) -> Floats:
-            low = np.min([v.min(axis=0) for v in every], axis=0)
-            high = np.max([v.max(axis=0) for v in every], axis=0)
-            return np.asarray((values - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-300))
-
-        def place(one: SeenRun) -> Floats:
-            found = self.model.place(one.data, self.model.predict(one.data, self.fit.values), self.fit.values)
-            return np.column_stack([found[name] for name in self._places])
-
-        inputs = self.model.linearised(run.data, self.fit.values).inputs
-        data = run.data
-        direction = np.where(np.isfinite(data.direction), data.direction, 1.0)
-        return Rows(
-            scaled(place(run), [place(r) for r in self.runs]),
-            scaled(data.joints, [r.data.joints for r in self.runs]),
-            None if inputs is None else inputs[:, list(self.axes)],
-            direction, None, np.arange(len(data)), {}, len(self.axes),
-        )  # fmt: skip
-
-    def estimate(self, columns: Floats) -> tuple[Floats, Floats, float]:
-        """Values and covariance of the coefficients of columns (N, k) beside all that needs no change, and what is left
-        (root mean square over the noise)."""
-        base = orthonormal(self.base)
-        rest = columns - base @ (base.T @ columns)
-        left = self.residual - base @ (base.T @ self.residual)
-        gram = rest.T @ rest
-        inverse = linalg.inv(gram + 1e-12 * np.eye(len(gram)) * np.trace(gram))
-        value = inverse @ (rest.T @ left)
-        off = left - rest @ value
-        free = max(len(left) - base.shape[1] - rest.shape[1], 1)
-        scale = float(off @ off) / free
-        return value, inverse * scale, float(np.sqrt(scale)) / self.noise
-
-    def columns_of(self, name: str, factors: Floats) -> Floats:
-        """Columns (N, k) of a candidate, by plausible sizes, at factors (R,) of the runs."""
-        return self.over_runs([f * run.columns[name] for f, run in zip(factors, self.runs, strict=True)])
-
-    def candidate(self, name: str) -> Candidate:
+    def candidate(self, name: str) -> Effect:
         """The candidate of that name."""
         return next(one for one in self.candidates if one.name == name)
 
+    # -- rows of all runs --------------------------------------------------------------------------------
 
-def _lasting(evidence: Evidence) -> Floats | None:
-    """Columns (N, k) of the shape that lasts, where one is likelier than what may have changed beside some changes."""
-    taken: list[Key] = []
-    while len(taken) <= _MOST_BESIDE:
-        found = evidence.beside(taken) if taken else evidence.alone
-        by_name = evidence.family.by_name
-        value = {name: bf + float(np.log(by_name[name].weight)) for name, bf in found.log_bf.items()}
-        lasts = max((n for n in value if n.endswith(told_as("", LASTS))), key=lambda n: value[n], default="")
-        if lasts and value[lasts] > max(_LASTS, max(value.values()) - _SIMPLER):
-            return evidence.raw((lasts, found.setting[lasts]))
-        causes = [name for name in value if not by_name[name].is_shape]
-        lead = max(causes, key=lambda name: value[name], default="")
-        if not lead or value[lead] < _LASTS:
-            return None
-        taken.append((lead, found.setting[lead]))
-    return None
+    @property
+    def _more(self) -> int:
+        return -(-len(self._known) // len(self.axes))
+
+    def sigma(self, run: SeenRun) -> float:
+        """The noise of a reading in a run: where it has no repeats, without what is missed at its poses."""
+        sigma, told = run.sigma or self.noise, [one.sigma for one in self.runs if one.repeats]
+        if run.repeats or not told:
+            return sigma
+        return float(np.sqrt(max(sigma**2 - self.missed**2, min(float(np.mean(told)), sigma) ** 2)))
+
+    def over(self, per_run: Sequence[Floats]) -> Floats:
+        """Values (n, m, …) of each run over its noise, one run after the other; none of what is known of parameters."""
+        flat = [values[run.rows] / self.sigma(run) for run, values in zip(self.runs, per_run, strict=True)]
+        return np.concatenate([*flat, np.zeros((self._more, *flat[0].shape[1:]))])
+
+    def by_row(self, per_run: Sequence[Any], beyond: Any = 0) -> Any:
+        """One value, or the rows' own, of each run for all rows (n,)."""
+        every = [np.broadcast_to(v, len(r.data))[r.rows] for r, v in zip(self.runs, per_run, strict=True)]
+        return np.concatenate([*every, np.broadcast_to(beyond, self._more)])
+
+    @cached_property
+    def free(self) -> Floats:
+        """Columns (n, m, p) of what needs no change: parameters of all runs, the stand of each, growth, what lasts."""
+        shared = [self.over([run.own for run in self.runs])]
+        shared += [self.over([run.columns[effect.name] for run in self.runs]) for effect in self.growth]
+        known = np.concatenate(shared, axis=2)
+        # a plausible size is knowledge: a reading of zero, as exact as that. Without it, what no run observes by itself
+        # would be as large as makes good a change, where that has moved what is not observed
+        at = np.arange(len(self._known))
+        known[self.count + at // len(self.axes), at % len(self.axes), at] = 1.0 / np.array(self._known)
+        blocks = [known, self.lasting]
+        for run in self.runs:
+            if width := run.stand.columns.shape[2]:
+                mine = [r.stand.columns if r is run else np.zeros((*r.used.shape, width)) for r in self.runs]
+                blocks.append(self.over(mine))
+        return np.concatenate(blocks, axis=2)
+
+    @cached_property
+    def missed(self) -> float:
+        """What the model misses at a pose of the first run (standard deviation of a reading, in its unit), beyond what
+        repeats scatter by; none where nobody knows. What describes it was chosen from thousands of shapes: it counts as
+        missed."""
+        if self._before is not None:
+            return self._before.missed
+        first, told = self.runs[0], [run.sigma for run in self.runs if run.repeats]
+        if not told:
+            return 0.0
+        noise = first.sigma if first.repeats else float(np.mean(told))
+        own = [values[first.rows] for values in (first.own, *(first.columns[e.name] for e in self.growth))]
+        basis = orthonormal(np.concatenate(own, axis=2))
+        left = first.stand.residual[first.rows].ravel()
+        left = left - basis @ (basis.T @ left)
+        free = len(np.unique(first.data.standing[first.rows])) * len(self.axes) - basis.shape[1]
+        more = float(left @ left) / max(len(left) - basis.shape[1], 1) - noise**2
+        return float(np.sqrt(more)) if free >= OWN_NOISE and more > _MISSES * noise**2 * np.sqrt(2.0 / free) else 0.0
+
+    @cached_property
+    def elsewhere(self) -> tuple[float, ...]:
+        """The part of the rows of each run that were read where the first run never was."""
+        low, high = (of(self.runs[0].data.joints[self.runs[0].rows], axis=0) for of in (np.min, np.max))
+        edge = _BEYOND * (high - low)
+        every = [run.data.joints[run.rows] for run in self.runs]
+        return tuple(float(np.mean(((q < low - edge) | (q > high + edge)).any(axis=1))) for q in every)
+
+    def is_apart(self, number: int) -> bool:
+        """Whether a run stands at other places than the first, and what the model lacks differs there."""
+        return bool(self.missed > 0 and self.elsewhere[number] > _ELSEWHERE)
+
+    @cached_property
+    def white(self) -> Whitening:
+        """What weighs rows."""
+        if self._before is not None:
+            return self._before.white
+        joints = np.concatenate([run.data.joints[run.rows] for run in self.runs])
+        reach = _SAME * np.maximum(np.ptp(joints, axis=0), 1e-300)
+        pose = np.unique(np.round(joints / reach), axis=0, return_inverse=True)[1].ravel()
+        pose = np.concatenate([pose, pose.max() + 1 + np.arange(self._more)])
+        poses = [len(np.unique(run.data.standing[run.rows])) for run in self.runs]
+        size = self.missed * np.sqrt(1.0 + np.multiply(poses, self.elsewhere))
+        steps = [np.maximum(np.diff(run.data.order[run.rows], prepend=-1), 1) for run in self.runs]
+        lag = np.concatenate([*steps, np.ones(self._more)]).astype(np.int64)
+        back = np.ones(len(lag), dtype=np.int64)
+        back[np.cumsum([0, *(len(one) for one in steps[:-1])])] = 0
+        back[self.count :] = 0
+        # what is missed at a pose hands on to its repeats
+        rho = 0.0 if self.missed else float(np.mean([run.rho for run in self.runs]))
+        return Shared(rho, lag, back, pose, self.by_row(list(size / [self.sigma(run) for run in self.runs]), 0.0))
+
+    @cached_property
+    def _around(self) -> dict[str, Any]:
+        """What evidence asks of rows beside what is free."""
+        joints, names = [run.data.joints for run in self.runs], self.runs[0].data.layout.joints
+        places = [self.places(run) for run in self.runs]
+        place = tuple(name for name in places[0] if all(name in one for one in places))
+        found = {name: [q[:, k] for q in joints] for k, name in enumerate(names)}
+        found |= {name: [one[name] for one in places] for name in place}
+        every = {name: self.by_row(v, v[0][self.runs[0].rows[0]]) for name, v in found.items()}
+        inputs = [run.inputs for run in self.runs if run.inputs is not None]
+        moves = {name: values for name, values in every.items() if np.ptp(values) > 0}
+        group = [run.data.standing + 1e9 * k for k, run in enumerate(self.runs)]
+        pose = self.by_row(group, -1.0 - np.arange(self._more))
+        return {
+            "variables": moves,
+            "group": np.unique(pose, return_inverse=True)[1].ravel(),
+            "pattern_of": {name: name for name in names if name in moves} if len(inputs) == len(self.runs) else {},
+            "place": tuple(name for name in place if name in moves),
+            "inputs": {name: every[name] for name in names},
+            "patterns": self.over(inputs) if len(inputs) == len(self.runs) else None,
+        }
+
+    def run(self, changed: Floats | None = None) -> Run:
+        """All rows as one run over its noise, with the columns (n, m, k) of what has ``changed`` in the model first."""
+        free = self.free if changed is None else np.concatenate([changed, self.free], axis=2)
+        candidates = [(e, self.over([run.columns[e.name] for run in self.runs])) for e in self.candidates]
+        residual = self.over([run.stand.residual for run in self.runs])
+        return rows_as_run(residual, free, candidates, self.white, **self._around)
+
+    @property
+    def _nothing(self) -> list[Floats]:
+        return [np.zeros((*run.used.shape, 0)) for run in self.runs]
+
+    def places(self, run: SeenRun) -> Mapping[str, Floats]:
+        """Where the machine stood in the rows of a run, by name (n,)."""
+        return self.model.place(run.data, self.model.predict(run.data, self.fit.values), self.fit.values)
+
+    # -- changes -----------------------------------------------------------------------------------------
+
+    def columns_at(self, data: Measurements) -> dict[str, Floats]:
+        """Columns (n, m, k) of every candidate for other rows, by the model as the first run has it."""
+        return columns_of(self.model, self.fit.values, data, self.axes, self.candidates)
+
+    def columns_of(self, name: str, factors: Floats) -> Floats:
+        """Columns (n, m, k) of a candidate, by plausible sizes, at factors (R,) of the runs."""
+        return self.over([f * run.columns[name] for f, run in zip(factors, self.runs, strict=True)])
+
+    def about(self, changes: Sequence[Change]) -> tuple[About, Run]:
+        """With changes, each an effect in a course (R,), in the model, beside what all runs have of them: as large as
+        they are to first order about what has moved already."""
+        courses, lasts = ([self.columns_of(e.name, f) for e, f in some]
+                          for some in (changes, [(e, np.ones(len(self.runs))) for e, _ in changes]))  # fmt: skip
+        columns = np.concatenate([self.over(self._nothing), *courses], axis=2)
+        run = self.run(np.concatenate([columns, *lasts], axis=2))
+        white = run.flat(run.view.fitted(run.view.whole))
+        mine, free = np.split(white, [columns.shape[2]], axis=1)
+        held = {e.name: v / [p.size for p in e.parameters] for (e, _), v in self.moved}
+        before = [held.get(e.name, np.zeros(len(e.parameters))) for e, _ in changes]
+        about = About(tuple(changes), mine, free, run.residual + mine @ np.concatenate([np.zeros(0), *before]))
+        return about, replace(run, of=about)
 
 
-def columns_of(
-    model: ModelWithEffects,
-    values: Floats,
-    data: Measurements,
-    axes: Sequence[int],
-    candidates: Sequence[Candidate],
-    own: Floats,
-) -> dict[str, Floats]:
-    """Columns (n, m, k) of candidates by plausible sizes; ``own`` (n, m, p) are those of the model's parameters."""
-    places = {p.name: k for k, p in enumerate(model.parameters)}
-    asked = [one.effect for one in candidates if one.effect is not None and one.parameters[0].name not in places]
-    tried = model.tried(data, values, asked)
-    columns = tried.columns(slice(0, len(data)))[:, list(axes)]
-    out = {e.name: columns[:, :, at] for e, at in tried.effects}
-    out |= {one.name: own[:, :, [places[p.name] for p in one.parameters]] for one in candidates if one.name not in out}
-    return {one.name: out[one.name] * [p.size for p in one.parameters] for one in candidates}
-
-
-def told_as(name: str, course: str) -> str:
-    """What a change in a course is called; a step by the candidate's name alone."""
-    return f"{name} ({course})" if course else name
-
-
-def noise_of_repeats(data: Measurements, axes: Sequence[int]) -> float:
-    """The noise of a reading as repeats of poses show it: what differs between poses is none; 0 where too few do."""
-    repeats = data.repeatability
-    if repeats is None:
-        return 0.0
-    names = [data.layout.readings[a] for a in axes]
-    free = np.array([repeats.degrees_of_freedom.get(name, 0) for name in names], dtype=float)
-    if free.sum() < 2 * _OWN_NOISE:
-        return 0.0
-    squares = np.array([np.nan_to_num(repeats.sigma[name]) ** 2 if name in repeats.sigma else 0.0 for name in names])
-    return float(np.sqrt((free * squares).sum() / free.sum()))
-
-
-def _follows(data: Measurements, used: Bools, freedom: int) -> bool:
-    return data.time_s is not None and bool(used.all()) and freedom >= _OWN_COURSE
-
-
-def _growth(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Effect]:
-    """Effects of the temperature that are not in the model, where every run recorded it."""
-    if not all(TEMPERATURE in data.covariates for data in runs):
-        return []
-    inside = {e.name for e in model.effects}
-    every = [e for e in model.known_effects.values() if TEMPERATURE in e.needs and e.name not in inside]
-    return [e for e in every if e.search is None and _possible(model, e, runs)]
-
-
-def _possible(model: ModelWithEffects, effect: Effect, runs: Sequence[Measurements]) -> bool:
-    return all(bool(model.can_be_tried([effect], data)[0]) for data in runs)
-
-
-def candidates_of(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Candidate]:
-    """Every parameter that does not say where the sensor stands, and every effect that does not live in time."""
-    inside = {e.name: model.owns(e) for e in model.effects}
-    out = [
-        Candidate(p.name, None, (p,)) for k, p in enumerate(model.parameters)
-        if not p.name.startswith(_OF_STAND) and not any(at.start <= k < at.stop for at in inside.values())
-    ]  # fmt: skip
-    for effect in (*model.effects, *model.known_effects.values(), *model.held.values()):
-        if any(one.name == effect.name for one in out):
-            continue
-        # a moment or a delay belongs to one run; a period is the robot's
-        if effect.search is not None and not (effect.is_periodic and model.setting_of(effect) is not None):
-            continue
-        if TEMPERATURE in effect.needs or "time_s" in effect.needs:
-            continue
-        if effect.name in inside or _possible(model, effect, runs):
-            out.append(Candidate(effect.name, effect, effect.qualified()))
-    return out
+def estimated(columns: Floats, free: Floats, residual: Floats) -> tuple[Floats, Floats, float]:
+    """Values (k,) of the coefficients of columns (N, k) beside all that is ``free`` (N, p), their deviations, zero of
+    what is not observed, and what is left of a residual over the noise (root mean square)."""
+    base = orthonormal(free)
+    rest, left = (values - base @ (base.T @ values) for values in (columns, residual))
+    length = np.linalg.norm(rest, axis=0)
+    there = length > _SEEN * np.linalg.norm(columns, axis=0)
+    over = np.where(there, 1.0 / np.where(there, length, 1.0), 0.0)
+    square, turn = linalg.eigh((rest * over).T @ (rest * over))
+    inverse = (turn * np.where(square > _SEEN**2, 1.0 / square.clip(_SEEN**2), 0.0)) @ turn.T * np.outer(over, over)
+    value = inverse @ (rest.T @ left)
+    off = left - rest @ value
+    scale = float(off @ off) / max(len(left) - base.shape[1] - int(there.sum()), 1)
+    return value, np.sqrt(scale * np.diag(inverse).clip(0.0)), float(np.sqrt(scale))

@@ -17,16 +17,19 @@ from ..data.reader import RunLike
 from ..diagnosis import diagnose
 from ..diagnosis.outliers import gross_errors
 from ..errors import FitError, SherkitError
+from ..evidence.fitted_run import enough_of
+from ..evidence.thresholds import ALARM
 from ..fit.error import axes_of
 from ..fit.identify import identify
 from ..model.effect import Effect
 from ..model.kinds import Robot, model_of, required_um
 from ..model.robot_file import run_for
+from .courses import lacking
 from .joined import Joined
 from .vouching import Gate, held_in, stuck
 
-#: Evidence (a logarithm) of a change.
-ALARM = np.log(100.0)
+#: How a copy is told.
+_COPY = "holds the same rows as"
 #: Rows of all runs together that are weighed, and of one at least.
 _ROWS, _ROWS_OF_A_RUN = 4000, 200
 
@@ -79,6 +82,12 @@ class Pool:
         return required_um(self.robot) if self.unit == "µm" else None
 
     @property
+    def unsaid(self) -> str:
+        """The verdict where fewer than two runs can speak: copies of one run are as it is, and vouch for nothing."""
+        copies = len(self.data) == 1 and all(one.why.startswith(_COPY) for one in self.silent.values())
+        return "unchanged" if copies else "undecided"
+
+    @property
     def to_measure(self) -> list[str]:
         """What would let each of the silent runs speak."""
         return [f"{name}: {one.measure}" for name, one in self.silent.items()]
@@ -125,7 +134,7 @@ class Pool:
         if len(kept) == len(self.numbers):
             return self
         numbers, data = tuple(self.numbers[k] for k in kept), tuple(self.data[k] for k in kept)
-        rest = Joined(joined.fit, data, joined.axes).with_what_lasts() if len(kept) > 1 else None
+        rest = lacking(Joined(joined.fit, data, joined.axes)) if len(kept) > 1 else None
         return replace(self, numbers=numbers, data=data, silent=silent, joined=rest)
 
 
@@ -165,9 +174,7 @@ def _by_rows(
         # what is to be told: all of the robot from the first, where the sensor stands from another
         unknown = 2 * len(axes) if kept else len(model.parameters)
         if same is not None:
-            silent[names[k]] = Silent(
-                f"holds the same rows as {names[same]}: nothing was measured in between", "measure once more"
-            )
+            silent[names[k]] = Silent(f"{_COPY} {names[same]}: nothing was measured in between", "measure once more")
         elif axes and (why := silence(one, axes, unknown, _predicted(model, one))) is not None:
             silent[names[k]] = why
         else:
@@ -211,17 +218,9 @@ def _joined(
     if len(outliers) or (effects is None and named):
         data[0] = data[0].mark_outliers(outliers)
         fit = identify(made, data[0], effects=named)
-    data = [_enough(one, max(_ROWS // len(data), _ROWS_OF_A_RUN)) for one in data]
+    most = max(_ROWS // len(data), _ROWS_OF_A_RUN)
+    data = [one.select(enough_of(one, np.arange(len(one)), most)) for one in data]
     axes = tuple(a for a in axes_of(data[0]) if all(a in axes_of(one) for one in data))
     if not axes:
         raise FitError("compare: the runs have no reading in common")
-    return Joined(fit, data, axes).with_what_lasts(), data
-
-
-def _enough(data: Measurements, most: int) -> Measurements:
-    """Of a long run as many poses as tell, drawn at random, each with all of its repeats."""
-    if len(data) <= most:
-        return data
-    poses = np.random.default_rng(0).permutation(np.unique(data.groups))
-    count = np.cumsum(np.bincount(data.groups)[poses])
-    return data.select(np.flatnonzero(np.isin(data.groups, poses[: max(int((count <= most).sum()), 1)])))
+    return lacking(Joined(fit, data, axes)), data

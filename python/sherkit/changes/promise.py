@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..adaptive.evidence import Evidence
 from ..base import linalg
 from ..base.types import Floats
+from ..evidence.base import Base
 from ..evidence.whitening import orthonormal
 
 #: Sizes of the error, in promises, that are looked for.
@@ -38,15 +38,15 @@ class Broken:
     least: float
 
 
-def broken(evidence: Evidence, stand: Floats, promised: float, level: float) -> Broken:
-    """Tests a promise of a reading (root mean square, in its unit) with the candidates of ``evidence``, whose first
-    rows are the readings; ``stand`` (n, s) are the columns of where the sensor stands."""
-    ways, share = _ways(evidence, stand, promised)
-    residual, free = evidence.residual, evidence.free
+def broken(base: Base, stand: Floats, promised: float, level: float) -> Broken:
+    """Tests a promise of a reading (root mean square, in noises) with the blocks of ``base``, whose first rows are the
+    readings; ``stand`` (n, s) are the columns of where the sensor stands."""
+    columns, ways, share = _ways(base, stand, promised)
+    residual, free = base.residual, base.free
     if not len(share) or free < 2 or not residual.any():
         return Broken(1.0, np.inf)
     # noise is drawn along the columns (normal) and by the square of the rest (χ²): no draw has as many numbers as rows
-    value, vector = linalg.eigh(evidence.columns.T @ evidence.columns)
+    value, vector = linalg.eigh(columns.T @ columns)
     kept = np.flatnonzero(value > _ROUNDING**2 * value.max())[-free:]
     along = ways.T @ (vector[:, kept] * np.sqrt(value[kept]))
     gram = along @ along.T
@@ -56,7 +56,7 @@ def broken(evidence: Evidence, stand: Floats, promised: float, level: float) -> 
     answers, left = along @ drawn, np.square(drawn).sum(axis=0) + rest
     squares = np.diag(gram)[:, None]
     whole = float(residual @ residual)
-    seen = ways.T @ (evidence.columns.T @ residual)
+    seen = ways.T @ (columns.T @ residual)
     scale = np.sqrt(whole / free)
     still = _ratio(squares, share, scale * answers, scale**2 * left, free)
     # the draw that is seen counts too
@@ -79,25 +79,26 @@ def broken(evidence: Evidence, stand: Floats, promised: float, level: float) -> 
     return Broken(chance, np.inf)
 
 
-def _ways(evidence: Evidence, stand: Floats, promised: float) -> tuple[Floats, Floats]:
-    """Coefficients (k, v) of all columns of the evidence, each way an error of one promise, and the share of each."""
+def _ways(base: Base, stand: Floats, promised: float) -> tuple[Floats, Floats, Floats]:
+    """All columns (N, k) beside the base, coefficients (k, v) of them, each way an error of one promise, and the share
+    of each."""
     rng = np.random.default_rng(0)
-    basis, count = orthonormal(stand), len(stand)
-    ways, share = [np.zeros((evidence.columns.shape[1], 0))], []
-    for name, at in evidence.place.items():
-        raw = evidence.tried[name][:, 0]
+    basis, count, family = orthonormal(stand), len(stand), base.family
+    raws = [family.run.flat(family.columns.raw(block.at)) for block in family.blocks]
+    every = np.concatenate([np.zeros((len(base.residual), 0)), *raws], axis=1)
+    left = every - base.basis @ (base.basis.T @ every)
+    ways, share, start = [np.zeros((every.shape[1], 0))], [], 0
+    for raw in raws:
+        at = slice(start, start := start + raw.shape[1])
         mine = np.ones((1, 1)) if raw.shape[1] == 1 else rng.normal(size=(raw.shape[1], _WAYS))
-        shown = raw[:count] - basis @ (basis.T @ raw[:count])
-        size, whole = (
-            np.sqrt(np.einsum("iv,ij,jv->v", mine, one.T @ one, mine).clip(0.0) / len(one)) for one in (shown, raw)
-        )
+        size, whole = shows(raw[:count] @ mine, basis), np.sqrt(np.square(raw @ mine).mean(axis=0))
         # what this stand or the calibration's own doubts take up is no error that could be seen
-        known = (size > _ROUNDING * whole) & (np.square(evidence.columns[:, at] @ mine).sum(axis=0) > 0)
-        every = np.zeros((evidence.columns.shape[1], int(known.sum())))
-        every[at] = mine[:, known] * (promised / size[known])
-        ways.append(every)
+        known = (size > _ROUNDING * whole) & (np.square(left[:, at] @ mine).sum(axis=0) > _ROUNDING**2 * whole**2)
+        some = np.zeros((every.shape[1], int(known.sum())))
+        some[at] = mine[:, known] * (promised / size[known])
+        ways.append(some)
         share += [1.0 / max(known.sum(), 1)] * int(known.sum())
-    return np.concatenate(ways, axis=1), np.array(share)
+    return left, np.concatenate(ways, axis=1), np.array(share)
 
 
 def shows(columns: Floats, basis: Floats) -> Floats:

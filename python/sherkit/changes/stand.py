@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import scipy
 
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
@@ -23,8 +23,6 @@ from ..model.sensor_pose import POSE
 
 #: Rounds in which rows that are wrong are left out of the turn, and from which multiple of the median.
 _ROUNDS, _FAR = 4, 5.0
-#: Steps to where a camera stands, and how often one that leads astray is halved.
-_STEPS, _HALVES = 12, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,70 +82,50 @@ def _each(parts: Sequence[Ints], stands: Sequence[Stand], used: Bools) -> Stand:
 
 def _rigid(predicted: Floats, seen: Floats, whole: Bools) -> Stand:
     """Readings turned and shifted onto what is predicted."""
+    from scipy.spatial.transform import Rotation
+
     near = whole.copy()
-    turn, middle, there = np.eye(3), np.zeros(3), np.zeros(3)
     for _ in range(_ROUNDS):
         middle, there = seen[near].mean(axis=0), predicted[near].mean(axis=0)
         u, _, v = linalg.svd((seen[near] - middle).T @ (predicted[near] - there))
         turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-        missed = np.linalg.norm((seen - middle) @ turn + there - predicted, axis=1)
+        at = (seen - middle) @ turn + there
+        missed = np.linalg.norm(at - predicted, axis=1)
         kept = whole & (missed <= _FAR * max(float(np.median(missed[whole])), 1e-300))
         if np.array_equal(kept, near) or kept.sum() < 4:
             break
         near = kept
-    at = (seen - middle) @ turn + there
-    arms = at - there
-    columns = np.zeros((len(seen), 3, 6))
-    columns[:, :, :3] = np.eye(3)
-    for k, axis in enumerate(np.eye(3)):
-        columns[:, :, 3 + k] = np.cross(axis, arms)
-    shift = middle - there
-    angles = _vector(turn)
-    moved = {f"shift_{a}_mm": float(s) for a, s in zip("xyz", shift, strict=True)}
-    moved |= {f"turn_{a}_mrad": float(1e3 * t) for a, t in zip("xyz", angles, strict=True)}
-    return Stand(at - predicted, columns, moved)
-
-
-def _vector(turn: Floats) -> Floats:
-    """The rotation vector (3,) by which the sensor was turned: readings times ``turn`` are as before."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(turn).as_rotvec())
+    turns = np.cross(np.eye(3), (at - there)[:, None]).transpose(0, 2, 1)
+    columns = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
+    told = [*(middle - there), *(1e3 * Rotation.from_matrix(turn).as_rotvec())]
+    names = [*(f"shift_{a}_mm" for a in "xyz"), *(f"turn_{a}_mrad" for a in "xyz")]
+    return Stand(at - predicted, columns, dict(zip(names, map(float, told), strict=True)))
 
 
 def _camera(
     model: ModelWithEffects, data: Measurements, values: Floats, axes: list[int], seen: Floats, used: Bools,
     at: list[int],
 ) -> Stand:  # fmt: skip
-    """The pose of the camera alone, by damped steps of Gauss and Newton from where it stood."""
-    now, before = np.array(values, dtype=float), np.asarray(values, dtype=float)[at]
+    """The pose of the camera alone, from where it stood."""
     size = np.array([model.parameters[k].size for k in at])
-    left = _missed(model, data, now, axes, seen, used)
-    for _ in range(_STEPS):
-        by = model.derivatives(data, now)[:, axes][:, :, at][used] * size
-        gram = by.T @ by
-        step = size * (linalg.inv(gram + 1e-12 * np.trace(gram) * np.eye(len(size))) @ (by.T @ left[used]))
-        for _ in range(_HALVES):
-            then = now.copy()
-            then[at] += step
-            try:
-                closer = _missed(model, data, then, axes, seen, used)
-            except SherkitError:
-                # the camera would not see the marker from there
-                closer = np.full_like(left, np.inf)
-            if np.square(closer).sum() <= np.square(left).sum():
-                now, left = then, closer
-                break
-            step = 0.5 * step
-        if (np.abs(step) <= 1e-9 * size).all():
-            break
-    columns = model.derivatives(data, now)[:, axes][:, :, at]
-    told = [model.parameters[k] for k in at]
-    moved = {
-        f"{p.name.removeprefix('sensor_')}_{p.unit}": float(v) for p, v in zip(told, now[at] - before, strict=True)
-    }
-    return Stand(left, columns, moved)
 
+    def now(by: Floats) -> Floats:
+        then = np.array(values, dtype=float)
+        then[at] += by * size
+        return then
 
-def _missed(model: Any, data: Measurements, values: Floats, axes: list[int], seen: Floats, used: Bools) -> Floats:
-    return np.where(used, seen - model.predict(data, values)[:, axes], 0.0)
+    def columns(by: Floats) -> Floats:
+        return np.asarray(model.derivatives(data, now(by))[:, axes][:, :, at])
+
+    def left(by: Floats) -> Floats:
+        try:
+            return np.where(used, seen - model.predict(data, now(by))[:, axes], 0.0)
+        except SherkitError:
+            # the camera would not see the marker from there
+            return np.full(used.shape, np.inf)
+
+    by = scipy.optimize.least_squares(
+        lambda by: left(by)[used], np.zeros(len(at)), lambda by: -columns(by)[used] * size, xtol=1e-10, ftol=1e-12
+    ).x
+    told = zip((model.parameters[k] for k in at), by * size, strict=True)
+    return Stand(left(by), columns(by), {f"{p.name.removeprefix('sensor_')}_{p.unit}": float(v) for p, v in told})

@@ -15,10 +15,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..adaptive.evidence import SIZES, Evidence
 from ..adaptive.gate import Power, Silent, power_of, silence, still
-from ..adaptive.hypotheses import Hypotheses, Hypothesis, weighted
-from ..adaptive.look import FAR
 from ..adaptive.region import Region, planned
 from ..base import linalg
 from ..base.arguments import Count, Seed, as_annotated
@@ -29,18 +26,24 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
 from ..errors import FitError, SherkitError
+from ..evidence.base import Base
+from ..evidence.blocks import Columns, Visits
 from ..evidence.design import showing
-from ..evidence.whitening import orthonormal
+from ..evidence.effects import blocks_of_effects
+from ..evidence.family import Family
+from ..evidence.made import Maker
+from ..evidence.thresholds import ALARM, SURE, TIED
+from ..evidence.whitening import Whitening, orthonormal
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, required_um
 from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
-from .comparison import SHAPES, Moved
-from .joined import Candidate, candidates_of, columns_of, noise_of_repeats
-from .pool import ALARM
+from .comparison import Moved
+from .joined import estimated, rows_as_run
 from .promise import broken, shows
-from .stand import stand_of
+from .runs import candidates_of, columns_of, noise_of_repeats
+from .stand import Stand, stand_of
 from .vouching import Work, sights_of, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
@@ -167,8 +170,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     model = model.for_run(data)
     used = data.used[:, list(axes)]
     stand = stand_of(model, data, known.values, axes, used)
-    flat = stand.columns[used]
-    basis = orthonormal(flat)
+    basis = orthonormal(stand.columns[used])
     freedom = int(used.sum()) - basis.shape[1]
     if freedom < 3:
         raise FitError(f"{data.source}: {len(data)} rows only tell where the sensor stands; expected a dozen poses")
@@ -179,24 +181,25 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     square = float(left @ left) / freedom
     seen = float(np.sqrt(max(square - noise**2, 0.0)))
     promised = _promised(known, data, axes)
-    evidence, candidates = _evidence(known, model, data, axes, used, stand.columns, residual, noise)
+    base, unit = _evidence(known, model, data, axes, used, stand, noise)
+    flat = stand.columns[used.all(axis=1)].reshape(-1, stand.columns.shape[2])
     valid, least = None, np.inf
     if promised is not None:
-        found = broken(evidence, flat, promised, _CHANGED)
+        found = broken(base, flat, promised / unit, _CHANGED)
         least = promised * found.least
         if found.chance <= _CHANGED:
             # repeats may have what has changed in them, and then pass it off as noise
-            seen = max(seen, _of_lead(evidence, flat))
+            seen = max(seen, unit * _of_lead(base, flat))
         allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(_REFUSED, freedom, noise_freedom))
         valid = bool(square <= allowed and (found.chance > _CHANGED or seen <= promised))
         if valid:
-            power = _power_at_work(known, model, data, axes, evidence, candidates, noise, promised)
+            off = max(noise / unit, float(np.sqrt(base.rss / max(base.free, 1))))
+            power = _power_at_work(known, model, data, axes, base, off, promised)
             if not power.speaks:
-                read = noise or float(np.sqrt(evidence.residual @ evidence.residual / max(evidence.free, 1)))
-                valid, mute = None, unable(power, read * per_row, data.layout.unit)
-    names, ties, moved = _moved(evidence, candidates)
+                valid, mute = None, unable(power, (noise or off * unit) * per_row, data.layout.unit)
+    names, ties, moved = _moved(base)
     held = [name for name, same in zip(data.layout.joints, still(data.joints), strict=True) if same]
-    shown = {one.name: _power(evidence, one) for one in candidates}
+    shown = {one.name: _power(base, one.name) for one in candidates_of(model, [data])}
     return Verification(
         valid=valid,
         error={
@@ -208,11 +211,11 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         changed=names,
         indistinguishable=ties,
         parameters=moved,
-        evidence=evidence.alone.log_mean / float(np.log(10.0)),
+        evidence=base.evidence / float(np.log(10.0)),
         stand=stand.moved,
         would_show=tuple(name for name, power in shown.items() if power >= _POWER),
         would_not=tuple(name for name, power in shown.items() if power < _POWER),
-        advice=mute.measure if mute is not None else _advice(valid, names, ties, evidence.alone.log_mean, held),
+        advice=mute.measure if mute is not None else _advice(valid, names, ties, base.evidence, held),
         silent="" if mute is None else f"{data.source}: {mute}",
     )
 
@@ -236,17 +239,13 @@ def _unsaid(known: _Known, data: Measurements, why: Silent) -> Verification:
 
 
 def _power_at_work(
-    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], evidence: Evidence,
-    candidates: Sequence[Candidate], noise: float, promised: float,
+    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], base: Base, noise: float, promised: float
 ) -> Power:  # fmt: skip
     """How often a change would have shown that is three times as large as needed, or as promised, where the robot
     works."""
-    work = Work.of(model, data, known.values, axes)
-    own = model.linearised(work.rows, known.values).parameters[:, list(axes)]
-    at = columns_of(model, known.values, work.rows, axes, candidates, own)
-    columns = {name: evidence.tried[name][:, 0] / float(evidence.family.by_name[name].settings[0] or 1.0)
-               for name in evidence.place}  # fmt: skip
-    off = float(np.sqrt(evidence.residual @ evidence.residual / max(evidence.free, 1)))
+    work, view = Work.of(model, data, known.values, axes), base.family.run.view
+    at = columns_of(model, known.values, work.rows, axes, [e for e, _ in view.effects])
+    columns = {name: _columns(base, name) for name in base.family.names}
     needed = required_um(known.calibration.robot) if data.layout.unit == "µm" else None
     if needed is None:
         # as where runs are compared: what was left of the run that it was calibrated with
@@ -255,8 +254,7 @@ def _power_at_work(
         same = len(left) == len(axes) and part.readings == data.layout.coordinates
         needed = float(np.sqrt(np.trace(left))) * data.layout.per_unit if same else 0.0
     required = max(needed, promised * float(np.sqrt(len(axes))) * data.layout.per_unit)
-    sights = sights_of(columns, work.errors(at), evidence.basis, max(noise, off))
-    return power_of(sights, required, evidence.free, ALARM)
+    return power_of(sights_of(columns, work.errors(at), base.basis, noise), required, base.free, ALARM)
 
 
 def _noise(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float, int]:
@@ -299,87 +297,79 @@ def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> float
 
 
 def _evidence(
-    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], used: Any, stand: Floats, residual: Floats,
-    noise: float,
-) -> tuple[Evidence, list[Candidate]]:  # fmt: skip
-    """Of every change beside what the calibration does not know, and what readings scatter by."""
-    chosen, values = list(axes), known.values
+    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], used: Any, stand: Stand, noise: float
+) -> tuple[Base, float]:
+    """Of every change beside what the calibration does not know, and what readings scatter by, in its unit."""
+    rows, values = np.flatnonzero(used.all(axis=1)), known.values
+    own = model.linearised(data, values).parameters[:, list(axes)]
     candidates = candidates_of(model, [data])
-    own = model.linearised(data, values).parameters[:, chosen]
     columns = columns_of(model, values, data, axes, candidates, own)
-    unit = noise or float(np.sqrt(np.square(residual).mean()))
-    count = len(known.root)
+    unit = noise or float(np.sqrt(np.square(stand.residual[rows]).mean())) or 1.0
+    count, m = len(known.root), len(axes)
+    beyond = -(-count // m)
+
+    def over(each: Floats) -> Floats:
+        return np.concatenate([each[rows] / unit, np.zeros((beyond, *each.shape[1:]))])
+
     # what is not known of a parameter is a reading of zero, as exact as that
-    unknown = np.concatenate([own[used] @ known.root, unit * np.eye(count)])
-    base = np.concatenate([unknown, np.concatenate([stand[used], np.zeros((count, stand.shape[2]))])], axis=1)
-    rest = orthonormal(base)
-    made, shown = [], {}
-    for one in candidates:
-        raw = columns[one.name]
-        whole = np.concatenate([raw[used], np.zeros((count, raw.shape[2]))])
-        left = whole - rest @ (rest.T @ whole)
-        if np.square(left).sum() > 1e-10 * np.square(whole).sum() > 0:
-            scale = float(np.sqrt(len(residual) / np.square(left).sum()))
-            made.append(Hypothesis(one.name, one.effect, None, (scale,), in_time=False))
-            shown[one.name] = (whole * scale)[:, None]
-    told = np.concatenate([residual, np.zeros(count)])
-    return Evidence(Hypotheses(weighted(made)), told, base, shown), candidates
+    unknown, at = over(own @ known.root), np.arange(count)
+    unknown[len(rows) + at // m, at % m, at] = 1.0
+    run = rows_as_run(
+        over(stand.residual), np.concatenate([unknown, over(stand.columns)], axis=2),
+        [(e, over(columns[e.name])) for e in candidates], Whitening(0.0, np.ones(len(rows) + beyond, dtype=np.int64)),
+    )  # fmt: skip
+    made = Maker(run, Visits.of(run))
+    blocks_of_effects(made)
+    parts, blocks = made.done()
+    return Base.of(Family(run, made=(Columns(run, made.visits, parts), blocks)), run), unit
 
 
-def _of_lead(evidence: Evidence, stand: Floats) -> float:
-    """The error that the likeliest change makes at these places (root mean square of a reading)."""
-    if not evidence.alone.log_bf:
+def _columns(base: Base, name: str) -> Floats:
+    """Columns (N, k) of a candidate by plausible sizes."""
+    view = base.family.run.view
+    at = next(at for e, at in view.effects if e.name == name)
+    return base.family.run.flat(view.effects_in(view.whole)[:, :, at])
+
+
+def _of_lead(base: Base, stand: Floats) -> float:
+    """The error that the likeliest change makes at these places (root mean square of a reading, in noises)."""
+    if not len(base.family):
         return 0.0
-    lead = max(evidence.alone.log_bf, key=lambda name: evidence.alone.log_bf[name])
-    key = (lead, evidence.alone.setting[lead])
-    left = evidence.left(key)
-    value = linalg.inv(left.T @ left + 1e-12 * np.eye(left.shape[1])) @ (left.T @ evidence.residual)
-    return float(shows((evidence.raw(key) @ value)[: len(stand), None], orthonormal(stand))[0])
+    columns = _columns(base, base.family.blocks[int(np.argmax(base.each))].name)
+    value, _, _ = estimated(columns, base.basis, base.residual)
+    return float(shows((columns @ value)[: len(stand), None], orthonormal(stand))[0])
 
 
-def _moved(
-    evidence: Evidence, candidates: Sequence[Candidate]
-) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[Moved, ...]]:
+def _moved(base: Base) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[Moved, ...]]:
     """What has moved, what that cannot be told from, and by how much; nothing where the evidence does not say so."""
-    alone = evidence.alone
-    if alone.log_mean < ALARM or not alone.log_bf:
+    blocks, each = base.family.blocks, base.each
+    if base.evidence < ALARM:
         return (), (), ()
-    ordered = sorted(alone.log_bf, key=lambda name: -alone.log_bf[name])
-    lead = ordered[0]
-    if evidence.beside([(lead, alone.setting[lead])]).log_mean > SHAPES:
+    ordered = np.argsort(-each).tolist()
+    lead = blocks[ordered[0]]
+    if base.beside(lead).evidence > SURE or lead.effect is None:
         # more than one thing, or none of these
         return (), (), ()
-    ties = tuple(name for name in ordered if alone.log_bf[name] > alone.log_bf[lead] - FAR)
-    left = evidence.left((lead, alone.setting[lead]))
-    inverse = linalg.inv(left.T @ left + 1e-12 * np.eye(left.shape[1]))
-    value = inverse @ (left.T @ evidence.residual)
-    off = evidence.residual - left @ value
-    std = np.sqrt(np.diag(inverse) * float(off @ off) / max(evidence.free - left.shape[1], 1))
-    scale = float(alone.setting[lead] or 1.0)
-    parameters = next(one for one in candidates if one.name == lead).parameters
+    ties = tuple(blocks[i].name for i in ordered if each[i] > each[ordered[0]] - TIED)
+    value, std, _ = estimated(_columns(base, lead.name), base.basis, base.residual)
     moved = tuple(
-        Moved(p.name, float(v * scale * p.size), float(s * scale * p.size), p.unit)
-        for p, v, s in zip(parameters, value, std, strict=False)
-    )
-    return (lead,), (ties,) if len(ties) > 1 else (), moved
+        Moved(p.name, float(v * p.size), float(s * p.size), p.unit)
+        for p, v, s in zip(lead.effect.qualified(), value, std, strict=True) if s > 0
+    )  # fmt: skip
+    return (lead.name,), (ties,) if len(ties) > 1 else (), moved
 
 
-def _power(evidence: Evidence, one: Candidate) -> float:
+def _power(base: Base, name: str) -> float:
     """The chance that a change of plausible size is seen."""
-    if one.name not in evidence.place:
+    if name not in base.family.names:
         return 0.0
-    h = evidence.family.by_name[one.name]
-    left = evidence.left((one.name, h.settings[0]))
-    squares = left.T @ left
-    noise = float(np.sqrt(max(float(evidence.residual @ evidence.residual) / max(evidence.free, 1), 1e-300)))
-    grown = min(float(np.linalg.slogdet(np.eye(len(squares)) + s**2 * squares)[1]) for s in SIZES)
-    least = 2.0 * (ALARM + np.log(len(SIZES) / h.weight)) + grown
-    # a plausible size is a coefficient of one over the scale
-    times = 1.0 / float(h.settings[0] or 1.0) / noise
-    rng = np.random.default_rng(0)
-    signs = rng.choice([-1.0, 1.0], (16, len(squares)))
-    shown = times**2 * np.einsum("di,ij,dj->d", signs, squares, signs)
-    return float(np.mean(scipy.stats.ncx2.sf(least, len(squares), shown.clip(1e-12))))
+    number = base.family.names.index(name)
+    columns = _columns(base, name)
+    left = columns - base.basis @ (base.basis.T @ columns)
+    noise = float(np.sqrt(base.rss / max(base.free, 1))) or 1.0
+    level = float(np.exp(base.family.log_weight[number] - ALARM))
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (16, left.shape[1]))
+    return float(np.mean([base.power(number, float(np.linalg.norm(left @ one)) / noise, level) for one in signs]))
 
 
 def _advice(

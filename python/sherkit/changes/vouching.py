@@ -20,7 +20,8 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..errors import SherkitError
 from ..evidence.whitening import orthonormal
-from .joined import Joined, SeenRun
+from .joined import Joined
+from .runs import SeenRun
 from .stand import stand_of
 
 #: Places that stand for the workspace.
@@ -93,16 +94,18 @@ class Gate:
         work = Work.of(joined.model, joined.runs[0].data, values, joined.axes)
         at = joined.columns_at(work.rows)
         self._there = work.errors({one.name: at[one.name] for one in joined.candidates})
-        self._basis = orthonormal(joined.base)
-        self._free = len(joined.residual) - self._basis.shape[1]
-        left = joined.residual - self._basis @ (self._basis.T @ joined.residual)
-        self._noise = max(joined.noise, float(np.sqrt(left @ left / max(self._free, 1))))
+        self._run = run = joined.run()
+        self._free = len(run.residual) - run.basis.shape[1]
+        left = run.residual - run.basis @ (run.basis.T @ run.residual)
+        self._noise = max(1.0, float(np.sqrt(left @ left / max(self._free, 1))))
 
     def power(self, at: int) -> Power:
         """Of one run: a change in it alone."""
         factors = np.eye(len(self.joined.runs))[at]
-        columns = {one.name: self.joined.columns_of(one.name, factors) for one in self.joined.candidates}
-        sights = sights_of(columns, self._there, self._basis, self._noise, len(self.joined.runs) - 1)
+        columns = {
+            one.name: self._run.flat(self.joined.columns_of(one.name, factors)) for one in self.joined.candidates
+        }
+        sights = sights_of(columns, self._there, self._run.basis, self._noise, len(self.joined.runs) - 1)
         return power_of(sights, self.required, self._free, self.alarm)
 
     def first(self) -> Silent | None:
@@ -135,6 +138,11 @@ class Gate:
     def later(self, at: int, power: Power, before: float) -> Silent | None:
         """Why a later run cannot say that nothing has changed."""
         run, unit = self.joined.runs[at], self._unit.unit
+        if not power.speaks and self.joined.is_apart(at):
+            return Silent(
+                "it stands at other places than the first run: what the model lacks differs there too",
+                "measure once more where the first run was read",
+            )
         if not power.speaks:
             noise = (run.sigma or self.joined.noise) * float(np.sqrt(len(self.joined.axes))) * self._unit.per_unit
             return unable(power, noise, unit)

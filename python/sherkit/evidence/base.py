@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -30,7 +31,7 @@ _ALL = 1.0 - 1e-12
 _ROUNDING = 1e-8
 
 
-def log_bayes(part: Floats, rank: Floats, free: int, count: int, scales: Floats = SCALES) -> Floats:
+def log_bayes(part: Floats, rank: Floats, free: int | Floats, count: int, scales: Floats = SCALES) -> Floats:
     """Logarithm of the Bayes factor (…) of columns of ``rank`` (…) that take this ``part`` (…) of what is left of
     ``count`` numbers, ``free`` of them not used up; -inf for columns of no rank.
 
@@ -105,7 +106,7 @@ class Base:
     right: Floats
 
     @classmethod
-    def of(cls, family: Family, run: Run) -> Base:
+    def of(cls, family: Family, run: Run) -> Self:
         """What a fit of the family's rows has in its model."""
         q = run.basis
         residual = run.residual - q @ (q.T @ run.residual)
@@ -113,7 +114,7 @@ class Base:
         left = _down(family, [gram for _, _, gram in family.groups], products[:, :-1])
         return cls(family, q, residual, left, products[:, -1])
 
-    def beside(self, *blocks: Block) -> Base:
+    def beside(self, *blocks: Block) -> Self:
         """The same with these blocks in the model, at any size."""
         out = self
         for block in blocks:
@@ -121,17 +122,17 @@ class Base:
             out = out.with_columns(self.family.columns.of(block.at), float(least))
         return out
 
-    def with_columns(self, columns: Floats, least: float = HELD_EFFECT**0.5) -> Base:
+    def with_columns(self, columns: Floats, least: float = HELD_EFFECT**0.5) -> Self:
         """The same with these columns (N, k), of unit length, in the model: what is ``least`` of them is none."""
         q = self._beyond(columns, least)
         size = q.T @ self.residual
         products = self.family.columns.products(q)
-        return Base(
-            self.family,
-            np.concatenate([self.basis, q], axis=1),
-            self.residual - q @ size,
-            _down(self.family, self.left, products),
-            self.right - products @ size,
+        return replace(
+            self,
+            basis=np.concatenate([self.basis, q], axis=1),
+            residual=self.residual - q @ size,
+            left=_down(self.family, self.left, products),
+            right=self.right - products @ size,
         )
 
     @cached_property

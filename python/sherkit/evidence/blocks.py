@@ -27,7 +27,8 @@ class Block:
     (smooth, periodic, step, hysteretic, interaction) of the variables it ``depends_on``.
 
     ``at`` (k,) are the numbers of its columns in the family. Of a shape ``axis`` is the reading it is on, None for all;
-    ``pattern`` the joint as whose error it arrives; ``order`` that of a polynomial and ``period`` that of a wave.
+    ``pattern`` the joint as whose error it arrives; ``order`` that of a polynomial and ``period`` that of a wave. Where
+    runs of one machine are joined, ``since`` is the number of the course in which it changes over them.
     """
 
     shape: str
@@ -39,6 +40,7 @@ class Block:
     pattern: str | None = None
     order: int | None = None
     period: float | None = None
+    since: int = 0
 
     @property
     def name(self) -> str:
@@ -159,18 +161,22 @@ class Columns:
 
     def of(self, numbers: Ints) -> Floats:
         """Columns (N, k) by number (k,)."""
-        n, m = len(self.run), self.run.axes
-        out = np.zeros((n, m, len(numbers)))
+        return np.asarray(self.run.flat(self.raw(numbers)) * self._per_length[numbers])
+
+    def raw(self, numbers: Ints) -> Floats:
+        """Columns (n, m, k) by number (k,), as they were made."""
+        out = np.zeros((len(self.run), self.run.axes, len(numbers)))
         of = np.searchsorted(self.starts, numbers, side="right") - 1
         for p in np.unique(of):
             part, at = self.parts[p], np.flatnonzero(of == p)
             local = numbers[at] - self.starts[p]
-            values = self._white(part, part.values(local))
+            values = part.values(local)
+            values = values[self.visits.pose] if part.posed else values
             if part.alone:
                 out[:, part.split(local)[2], at] = values[:, 0]
             else:
                 out[:, :, at] = values
-        return out.reshape(n * m, -1) * self._per_length[numbers]
+        return out
 
     def grams(self, numbers: Ints) -> Floats:
         """Products (b, k, k) within blocks of columns, by number (b, k)."""
@@ -202,7 +208,7 @@ class Columns:
         return np.where(self.length > 0, 1.0 / np.where(self.length > 0, self.length, 1.0), 0.0)
 
     def _rows(self, part: Part) -> int:
-        return len(self.visits) if part.posed and self.run.white.rho == 0.0 else len(self.run)
+        return len(self.visits) if part.posed and self.run.white.is_plain else len(self.run)
 
     def _white(self, part: Part, values: Floats) -> Floats:
         """Of values (r, …) at rows or poses, those of all rows under the filter."""
@@ -210,7 +216,7 @@ class Columns:
 
     def _weighed(self, part: Part, values: Floats) -> Floats:
         """Values whose products are those of all rows under the filter, one for each pose where that is enough."""
-        if part.posed and self.run.white.rho == 0.0:
+        if part.posed and self.run.white.is_plain:
             return np.asarray(values * np.sqrt(self.visits.count).reshape((-1,) + (1,) * (values.ndim - 1)))
         return self._white(part, values)
 
@@ -220,7 +226,7 @@ class Columns:
         carried = np.square(part.carriers) if part.alone else np.square(part.carriers).sum(axis=1)
         repeated = self.run.axes if part.alone else 1
         power = np.tile(np.repeat(weights @ carried, repeated), part.functions.shape[1])
-        if self.run.white.rho == 0.0:
+        if self.run.white.is_plain:
             squares = np.repeat((np.square(part.functions).T @ (weights[:, None] * carried)).ravel(), repeated)
         else:
             squares, rows = np.empty(len(part)), len(self.run) * (1 if part.alone else part.axes)

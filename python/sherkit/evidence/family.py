@@ -34,15 +34,16 @@ class Family:
     before the rows are read.
     """
 
-    def __init__(self, run: Run, reference: Reference | None = None, *, shapes: bool = True) -> None:
-        made = Maker(run, Visits.of(run), reference)
-        self.reference = reference
-        blocks_of_effects(made)
-        if shapes:
-            blocks_of_shapes(made)
-        parts, blocks = made.done()
-        self.run = run
-        self.columns = Columns(run, made.visits, parts)
+    def __init__(
+        self,
+        run: Run,
+        reference: Reference | None = None,
+        *,
+        shapes: bool = True,
+        made: tuple[Columns, Sequence[Block]] | None = None,
+    ) -> None:
+        self.run, self.reference = run, reference
+        self.columns, blocks = made or _everything(run, reference, shapes=shapes)
         there = self.columns.length > 0
         if reference is None:
             every = [b if there[b.at].all() else replace(b, at=b.at[there[b.at]]) for b in blocks]
@@ -63,6 +64,11 @@ class Family:
 
     def __len__(self) -> int:
         return len(self.blocks)
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Names of the blocks, empty ones of shapes."""
+        return [block.name for block in self.blocks]
 
     @cached_property
     def groups(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
@@ -106,10 +112,10 @@ class Family:
     def where(self, block: Block) -> int:
         """The number of the block that says the same at the nearest setting. Raises ``KeyError`` for none."""
 
-        def off(i: int) -> tuple[int, float]:
+        def off(i: int) -> tuple[bool, int, float]:
             mine, setting, period = self.blocks[i], block.setting or 0.0, block.period or 0.0
             apart = abs((mine.setting or 0.0) - setting) + abs((mine.period or 0.0) - period)
-            return abs(len(mine.at) - len(block.at)), apart
+            return mine.since != block.since, abs(len(mine.at) - len(block.at)), apart
 
         return min(self._alike[_sort_of(block)], key=off)
 
@@ -140,6 +146,16 @@ class Family:
             for which, at, _ in self.groups:
                 twin[which] |= (by_effect[at].sum(axis=1) > TWIN * left[which][:, None]).any(axis=1) & (left[which] > 0)
         self.log_weight[twin & ~self.is_effect] = -np.inf
+
+
+def _everything(run: Run, reference: Reference | None, *, shapes: bool) -> tuple[Columns, Sequence[Block]]:
+    """All effects and shapes of a run: their columns, and the blocks."""
+    made = Maker(run, Visits.of(run), reference)
+    blocks_of_effects(made)
+    if shapes:
+        blocks_of_shapes(made)
+    parts, blocks = made.done()
+    return Columns(run, made.visits, parts), blocks
 
 
 def log_weights(blocks: Sequence[Block], is_effect: Bools) -> Floats:

@@ -110,7 +110,7 @@ def _refused(names: Names, one: Told) -> str:
     # three or more with many numbers imitate anything
     partly = not names.lead.explains or names.shapes_say_more or len(names.lead.blocks) > 2
     # where one or two explain all, what follows no cause may do a little better, but not clearly
-    least = NEEDED if partly else -ALARM
+    least = NEEDED if partly else -SURE
     steps = [block for block in names.lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"

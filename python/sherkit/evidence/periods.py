@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from ..base import linalg
 from ..base.names import listed
 from ..base.types import Floats, Ints
 from ..model.effect import Effect
@@ -147,7 +148,7 @@ def _taken(base: Base, effect: Effect, period: float) -> float:
     pairs = np.square(columns).sum(axis=0).reshape(-1, 2).mean(axis=1)
     columns = columns / np.sqrt(np.maximum(np.repeat(pairs, 2), np.finfo(float).tiny))
     over = columns - base.basis @ (base.basis.T @ columns)
-    left, directions = np.linalg.eigh(over.T @ over)
+    left, directions = linalg.eigh(over.T @ over)
     seen = left > _SEEN
     return float(((directions[:, seen].T @ (over.T @ base.residual)) ** 2 / left[seen]).sum())
 

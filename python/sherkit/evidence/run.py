@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,8 @@ class Run:
     Vectors (N,) and columns (N, k) of rows are n·m long, the m axes of a row one after another.
     """
 
-    of: FittedRun
+    #: A fitted run, or changes in the model of joined ones.
+    of: Any
     rows: Ints
     sigma: Floats
     view: Linearised

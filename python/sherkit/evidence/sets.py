@@ -81,7 +81,7 @@ class Sets:
             left[which] = np.einsum("bkk->b", grams)
         if family.reference is None:
             family.without_twins(base.basis, left)
-        self._fitted: dict[tuple[tuple[str, float], ...], EffectSet | None] = {}
+        self._fitted: dict[tuple[tuple[str, float, int], ...], EffectSet | None] = {}
         self._described: dict[tuple[int, int, int], Described] = {}
 
     @cached_property
@@ -93,7 +93,7 @@ class Sets:
         """The set in a full fit; None where it cannot be fitted."""
         key = _key(blocks)
         if key not in self._fitted:
-            self.step(f"refitting with {' and '.join(name for name, _ in key)}")
+            self.step(f"refitting with {' and '.join(name for name, *_ in key)}")
             self._fitted[key] = self._fit(tuple(blocks))
         return self._fitted[key]
 
@@ -246,8 +246,8 @@ def _each(base: Base) -> Iterator[tuple[float, Block]]:
     return zip(base.each.tolist(), base.family.blocks, strict=True)
 
 
-def _key(blocks: Sequence[Block]) -> tuple[tuple[str, float], ...]:
-    return tuple(sorted((block.name, block.setting or 0.0) for block in blocks))
+def _key(blocks: Sequence[Block]) -> tuple[tuple[str, float, int], ...]:
+    return tuple(sorted((block.name, block.setting or 0.0, block.since) for block in blocks))
 
 
 def _likeliest(family: Family, each: Floats, most: int, without: Collection[str] = ()) -> list[Block]:

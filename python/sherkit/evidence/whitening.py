@@ -43,6 +43,11 @@ class Whitening:
 
     __hash__ = None  # type: ignore[assignment]
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether it leaves everything as it is."""
+        return self.rho == 0.0
+
     def __call__(self, values: Floats) -> Floats:
         """Values (n, …) filtered."""
         if self.rho == 0.0:

@@ -94,8 +94,8 @@ def mechanism_with_change(found: Comparison) -> tuple[Scene, str] | None:
     by = {one.name: one.change for one in found.parameters}
     model, inside = joined.model, {e.name for e in joined.model.effects}
     for one in joined.candidates:
-        if one.effect is not None and one.effect.name not in inside and any(p.name in by for p in one.parameters):
-            model = model.adopting(one.effect)
+        if not one.frees and one.name not in inside and any(p.name in by for p in one.qualified()):
+            model = model.adopting(one)
     known = dict(zip((p.name for p in joined.model.parameters), joined.fit.values, strict=True))
     values = np.array([known.get(p.name, 0.0) for p in model.parameters])
     change = np.array([by.get(p.name, 0.0) for p in model.parameters])

@@ -1,0 +1,231 @@
+"""Evidence that something has changed: every block of columns twice, as all runs have it and in a course over the runs.
+
+What all runs lack is a nuisance that they share: a change is what its own columns say beside the common ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from .._core import blocks_taken as taken
+from ..base import linalg
+from ..base.types import Floats, Ints
+from ..errors import SherkitError
+from ..evidence.base import Base, log_bayes, total
+from ..evidence.blocks import Block, Columns, Part, Visits
+from ..evidence.effects import blocks_of_effects
+from ..evidence.family import Family
+from ..evidence.made import Maker
+from ..evidence.sets import EffectSet, Sets
+from ..evidence.shapes import blocks_of_shapes
+from ..evidence.sizes import is_plausible
+from ..evidence.thresholds import ALARM, TIED
+from .joined import Change, Joined
+
+#: Shapes and effects that all runs may lack alike, changes beside which they are looked for.
+_MOST_LASTING, _MOST_BESIDE = 8, 3
+#: Prior odds of one more change, as of one more effect; steps of a fit in full.
+_ONE_MORE, _REFITS = float(np.log(0.1)), 3
+
+
+@dataclass(frozen=True, eq=False)
+class Courses:
+    """What may change in these ``courses`` (S, R), the factors of each run: a ``family`` of which each block has the
+    columns of the change, then as many that all runs have in common."""
+
+    joined: Joined
+    courses: Floats
+    family: Family
+
+    @classmethod
+    def of(cls, joined: Joined, courses: Sequence[Floats], *, waves: bool = True) -> Courses:
+        """Every candidate and every shape, without ``waves`` those alone that have no period."""
+        run = joined.run()
+        made = Maker(run, Visits.of(run))
+        blocks_of_effects(made)
+        blocks_of_shapes(made)
+        parts, blocks = made.done()
+        kept = [block for block in blocks if waves or block.period is None]
+        factors = [joined.by_row(list(course), 0.0) for course in (*courses, np.ones(len(joined.runs)))]
+        # a function of a reading itself, of one unit in all runs, over the noise of each
+        over = joined.by_row([joined.noise / joined.sigma(one) for one in joined.runs], 0.0)
+        columns, twice = _times(Columns(run, made.visits, parts), kept, np.array(factors, dtype=float), over)
+        return cls(joined, np.array(courses, dtype=float), Family(run, made=(columns, twice)))
+
+    @cached_property
+    def base(self) -> Changed:
+        """What is free of all runs."""
+        return Changed.of(self.family, self.family.run)
+
+    @property
+    def evidence(self) -> float:
+        """By how much the readings favour that something has changed: at other places a shape says no more than what
+        the model lacks there."""
+        apart = any(self.joined.is_apart(k) for k in range(len(self.joined.runs)))
+        return total(self.base.each[self.family.is_effect]) if apart else self.base.evidence
+
+    def sets(self) -> ChangeSets:
+        """Sets of changes."""
+        return ChangeSets(self)
+
+
+def _times(
+    columns: Columns, blocks: Sequence[Block], factors: Floats, over: Floats
+) -> tuple[Columns, list[Block]]:  # fmt: skip
+    """Every block in each course but the last of ``factors`` (S + 1, n), beside itself in the last; what acts on one
+    axis alone times ``over`` (n,)."""
+    parts, number = [], np.full(len(columns), -1, dtype=np.int64)
+    stride = np.zeros(len(columns), dtype=np.int64)
+    asked = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(block.at for block in blocks)]))
+    starts = [*columns.starts.tolist(), len(columns) + 1]
+    first = 0
+    for part, begin, end in zip(columns.parts, starts[:-1], starts[1:], strict=False):
+        mine = asked[(asked >= begin) & (asked < end)]
+        function, _, _ = part.split(mine - begin)
+        used = np.unique(function)
+        wide = len(part) // max(part.functions.shape[1], 1)
+        number[mine] = first + np.searchsorted(used, function) * wide + (mine - begin) % max(wide, 1)
+        stride[mine] = len(used) * wide
+        mine_by = factors * over if part.alone else factors
+        at = columns.visits.first if part.posed else slice(None)
+        every = np.concatenate([part.functions[:, used] * one[at, None] for one in mine_by], axis=1)
+        parts.append(Part(every, part.carriers, part.axes, part.posed))
+        first += len(parts[-1])
+    made = Columns(columns.run, columns.visits, parts)
+    out, last = [], len(factors) - 1
+    for since in range(last):
+        for block in blocks:
+            change, common = (number[block.at] + k * stride[block.at] for k in (since, last))
+            there = (made.length[change] > 0) & (made.length[common] > 0)
+            both = np.concatenate([change[there], common[there]])
+            out.append(replace(block, at=both, since=since))
+    return made, out
+
+
+class Changed(Base):
+    """What a change says beside what all runs have of it: of each block the first half of its columns beside the last
+    half."""
+
+    @cached_property
+    def _found(self) -> Floats:
+        """Gain and rank of each block (3, 2, B): of what is common, of the change by itself, of it beside the first."""
+        out = np.zeros((3, 2, len(self.family)))
+        for (which, at, _), gram in zip(self.family.groups, self.left, strict=True):
+            k, least, right = at.shape[1] // 2, self.family.least[which], self.right[at]
+            there = np.einsum("bkk->bk", gram)[:, k:] > least[:, None]
+            common = np.where(there[:, :, None] & there[:, None, :], gram[:, k:, k:], 0.0)
+            across = np.where(there[:, None, :], gram[:, :k, k:], 0.0)
+            ridge = least[:, None, None] * np.eye(k)
+            part = linalg.solve(common + ridge, across.transpose(0, 2, 1)).transpose(0, 2, 1)
+            mine = right[:, :k] - np.einsum("bij,bj->bi", part, np.where(there, right[:, k:], 0.0))
+            out[0][:, which] = taken(gram[:, k:, k:], right[:, k:], least)
+            out[1][:, which] = taken(gram[:, :k, :k], right[:, :k], least)
+            out[2][:, which] = taken(gram[:, :k, :k] - part @ across.transpose(0, 2, 1), mine, least)
+        return out
+
+    @cached_property
+    def gains(self) -> tuple[Floats, Floats]:
+        """Of each change beside what is common."""
+        return self._found[2][0], self._found[2][1]
+
+    @cached_property
+    def log_bf(self) -> Floats:
+        """Logarithm of the Bayes factor of each change (B,) beside what is common."""
+        return self._log_bf(2, *self._found[0])
+
+    def _log_bf(self, number: int, less: Floats | float = 0.0, used: Floats | float = 0.0) -> Floats:
+        gain, rank = self._found[number]
+        left = np.maximum(self.rss - less, 1e-12 * self.rss + 1e-300)
+        return log_bayes(gain / left, rank, np.asarray(self.free - used), len(self.residual))
+
+    @cached_property
+    def common(self) -> Floats:
+        """What of each block (B,) all runs have in common says, with its prior weight."""
+        return self.family.log_weight + self._log_bf(0)
+
+    def lasting(self) -> Block | None:
+        """What all runs lack, where that is likelier than any change, or nearly; None where nothing is."""
+        i, change = int(np.argmax(self.common)), self.family.log_weight + self._log_bf(1)
+        return self.family.blocks[i] if self.common[i] > max(ALARM, float(change.max()) - TIED) else None
+
+
+def lacking(joined: Joined) -> Joined:
+    """The same runs, and free in all of them alike what the model lacks from the first on: as long as something that
+    lasts is nearly as likely as all that may have begun with a later run, beside the changes that are far likelier."""
+    made = Courses.of(joined, joined.steps)
+    base, columns = made.base, made.family.columns
+    lasting: list[Ints] = []
+    beside = 0
+    while len(lasting) < _MOST_LASTING:
+        block = base.lasting()
+        if block is not None:
+            lasting.append(block.at[len(block.at) // 2 :])
+            base = base.with_columns(columns.of(lasting[-1]))
+            continue
+        effects = np.where(base.family.is_effect, base.each, -np.inf)
+        i, beside = int(np.argmax(effects)), beside + 1
+        if effects[i] < ALARM or beside > _MOST_BESIDE:
+            break
+        at = base.family.blocks[i].at
+        base = base.with_columns(columns.of(at[: len(at) // 2]))
+    return joined.lacking(columns.raw(np.concatenate(lasting))) if lasting else joined
+
+
+class ChangeSets(Sets):
+    """Sets of changes of joined runs, each fitted in full."""
+
+    def __init__(self, made: Courses) -> None:
+        super().__init__(made.family, made.base)
+        self.made = made
+
+    @property
+    def every(self) -> list[EffectSet]:
+        """All that were fitted, the likeliest first."""
+        return sorted((one for one in self._fitted.values() if one is not None), key=lambda one: -one.value)
+
+    def changes(self, blocks: Sequence[Block]) -> list[Change]:
+        """The effects of blocks, each with its course."""
+        return [(block.effect, self.made.courses[block.since]) for block in blocks if block.effect is not None]
+
+    @property
+    def _of_effects(self) -> Base:
+        return self.base
+
+    def _of_the_instrument(self, lead: EffectSet) -> EffectSet:
+        # each run has a pose of the sensor of its own
+        return lead
+
+    @cached_property
+    def _still(self) -> float:
+        return max(float(self.made.base.common.max(initial=0.0)), 0.0)
+
+    def _fit(self, blocks: tuple[Block, ...]) -> EffectSet | None:
+        joined, changes = self.made.joined, self.changes(blocks)
+        best: tuple[float, EffectSet] | None = None
+        weight = sum(float(self.family.log_weight[self.family.where(block)]) for block in blocks)
+        # as large as they are to first order, then about that
+        for k in range(_REFITS + 1):
+            try:
+                about, run = joined.about(changes)
+                base = Changed.of(self.family, run)
+            except (SherkitError, np.linalg.LinAlgError):
+                # as far as that the robot does not reach its own poses
+                break
+            if best is None or base.rss < best[0]:
+                rank = np.array([max(base.basis.shape[1] - self.base.basis.shape[1], 1)])
+                part = np.array([1.0 - base.rss / self.base.rss])
+                # all against what says most without a change
+                bf = float(log_bayes(part, rank, self.base.free, len(base.residual))[0]) - self._still
+                value = bf + weight + _ONE_MORE * (len(blocks) - 1)
+                plausible = all(is_plausible(about, effect) for effect, _ in changes)  # type: ignore[arg-type]
+                best = base.rss, EffectSet(blocks, run, base, bf, value, plausible)
+            if k < _REFITS:
+                try:
+                    joined = joined.at(about)
+                except SherkitError:
+                    break
+        return None if best is None else best[1]

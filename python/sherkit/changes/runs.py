@@ -1,0 +1,171 @@
+"""One run of a machine as the model of another sees it: where its sensor stands, its noise, its wrong rows, and columns
+of everything that may change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..base.types import Bools, Floats, Ints
+from ..data import Measurements
+from ..data.columns import TEMPERATURE
+from ..data.noise import MAD
+from ..evidence.whitening import correlation_in_time, orthonormal
+from ..model.base import ModelWithEffects
+from ..model.effect import Effect
+from ..model.set_ups import SETUP_PREFIX
+from .stand import Stand, stand_of
+
+#: A row farther off than so many robust deviations is left out; rounds in which such rows are looked for.
+_GROSS, _ROUNDS = 7.0, 8
+#: Readings beyond what is free from which a run tells its own noise, and that it follows itself.
+OWN_NOISE, _OWN_COURSE = 10, 40
+#: Parameters that say where the sensor stands, by how their names begin.
+_OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip", SETUP_PREFIX)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenRun:
+    """One run in the order of time: rows of which all readings are ``used`` (n, m), its stand, the derivatives ``own``
+    (n, m, p) by what all runs share and ``inputs`` (n, m, j) by the joints, ``columns`` (n, m, k) of candidates, the
+    noise ``sigma`` that it shows by itself (zero where it is too short), whether that is of ``repeats``, how much one
+    row hands on to the next, and the rows ``aside`` that are wrong."""
+
+    data: Measurements
+    used: Bools
+    stand: Stand
+    own: Floats
+    inputs: Floats | None
+    columns: Mapping[str, Floats]
+    sigma: float
+    repeats: bool
+    rho: float
+    aside: Ints
+
+    @property
+    def rows(self) -> Ints:
+        """The rows that are looked at."""
+        return np.flatnonzero(self.used[:, 0])
+
+
+def seen(
+    model: ModelWithEffects, values: Floats, data: Measurements, axes: tuple[int, ...], shared: Sequence[str],
+    candidates: Sequence[Effect], *, first: bool, before: SeenRun | None = None,
+) -> SeenRun:  # fmt: skip
+    """A run by a model at these values, of whose parameters all runs have the ``shared`` ones; the sensor of the
+    ``first`` stands where the model has it. What is wrong and what is noise is as it was seen ``before``: beside a
+    change that is none, good rows would look wrong."""
+    chosen = list(axes)
+    used = data.used[:, chosen] if before is None else before.used
+    used = used & np.all(used, axis=1, keepdims=True)
+    places = {p.name: k for k, p in enumerate(model.parameters)}
+    derivatives = model.linearised(data, values)
+    every = derivatives.parameters[:, chosen]
+    columns = columns_of(model, values, data, axes, candidates, every)
+    inputs = None if derivatives.inputs is None else derivatives.inputs[:, chosen]
+    own = every[:, :, [places[name] for name in shared]]
+
+    def standing() -> Stand:
+        if not first:
+            return stand_of(model, data, values, axes, used)
+        left = np.where(used, data.readings[:, chosen] - model.predict(data, values)[:, chosen], 0.0)
+        return Stand(left, np.zeros((*used.shape, 0)), {})
+
+    if before is not None:
+        return SeenRun(
+            data, used, standing(), own, inputs, columns, before.sigma, before.repeats, before.rho, before.aside
+        )
+    aside, sigma, rho = np.zeros(0, dtype=np.int64), 0.0, 0.0
+    for _ in range(_ROUNDS):
+        stand = standing()
+        free = orthonormal(np.where(used[:, :, None], np.concatenate([every, stand.columns], axis=2), 0.0))
+        flat = np.where(used, stand.residual, 0.0).reshape(-1)
+        left = (flat - free @ (free.T @ flat)).reshape(used.shape)
+        freedom = int(used.sum()) - free.shape[1]
+        sigma = float(np.sqrt(np.square(left[used]).sum() / freedom)) if freedom >= OWN_NOISE else 0.0
+        if freedom < 2 * OWN_NOISE:
+            break
+        if data.time_s is not None and used.all() and freedom >= _OWN_COURSE:
+            rho = correlation_in_time(np.where(used, stand.residual, 0.0), free)
+        lever = np.square(free).sum(axis=1).reshape(used.shape)
+        each = np.where(used, np.abs(left) / np.sqrt((1.0 - lever).clip(0.05)), 0.0)
+        # the worst first: what they did to the fit makes others look wrong
+        limit = max(_GROSS * MAD * float(np.median(each[used])), 0.5 * float(each.max(initial=0.0)))
+        wrong = np.flatnonzero((each > limit).any(axis=1))
+        if not len(wrong):
+            break
+        aside = np.union1d(aside, wrong)
+        used = used & ~np.isin(np.arange(len(used)), wrong)[:, None]
+    told = noise_of_repeats(data.mark_outliers(aside), axes)
+    return SeenRun(data, used, standing(), own, inputs, columns, told or sigma, told > 0, rho, aside)
+
+
+def noise_of_repeats(data: Measurements, axes: Sequence[int]) -> float:
+    """The noise of a reading as repeats of poses show it: what differs between poses is none; 0 where too few do."""
+    repeats = data.repeatability
+    if repeats is None:
+        return 0.0
+    names = [data.layout.readings[a] for a in axes]
+    free = np.array([repeats.degrees_of_freedom.get(name, 0) for name in names], dtype=float)
+    if free.sum() < 2 * OWN_NOISE:
+        return 0.0
+    squares = np.array([np.nan_to_num(repeats.sigma[name]) ** 2 if name in repeats.sigma else 0.0 for name in names])
+    return float(np.sqrt((free * squares).sum() / free.sum()))
+
+
+# -- What may change ---------------------------------------------------------------------------------------------------
+
+
+def candidates_of(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Effect]:
+    """Every parameter that does not say where the sensor stands, as an effect that frees it, and every effect that does
+    not live in time."""
+    inside = {e.name: model.owns(e) for e in model.effects}
+    out = [
+        Effect(p.name, "structure", (p,), frees=True) for k, p in enumerate(model.parameters)
+        if not p.name.startswith(_OF_STAND) and not any(at.start <= k < at.stop for at in inside.values())
+    ]  # fmt: skip
+    for effect in (*model.effects, *model.known_effects.values(), *model.held.values()):
+        if any(one.name == effect.name for one in out):
+            continue
+        # a moment or a delay belongs to one run; a period is the robot's
+        if effect.search is not None and not (effect.is_periodic and model.setting_of(effect) is not None):
+            continue
+        if TEMPERATURE in effect.needs or "time_s" in effect.needs:
+            continue
+        if effect.name in inside or _possible(model, effect, runs):
+            out.append(effect)
+    return out
+
+
+def growth_of(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Effect]:
+    """Effects of the temperature that are not in the model, where every run recorded it."""
+    if not all(TEMPERATURE in data.covariates for data in runs):
+        return []
+    inside = {e.name for e in model.effects}
+    every = [e for e in model.known_effects.values() if TEMPERATURE in e.needs and e.name not in inside]
+    return [e for e in every if e.search is None and _possible(model, e, runs)]
+
+
+def _possible(model: ModelWithEffects, effect: Effect, runs: Sequence[Measurements]) -> bool:
+    return all(bool(model.can_be_tried([effect], data)[0]) for data in runs)
+
+
+def columns_of(
+    model: Any, values: Floats, data: Measurements, axes: Sequence[int], candidates: Sequence[Effect],
+    own: Floats | None = None,
+) -> dict[str, Floats]:  # fmt: skip
+    """Columns (n, m, k) of candidates by plausible sizes; ``own`` (n, m, p) are those of the model's parameters."""
+    if own is None:
+        own = model.linearised(data, values).parameters[:, list(axes)]
+    places = {p.name: k for k, p in enumerate(model.parameters)}
+    asked = [one for one in candidates if one.qualified()[0].name not in places]
+    tried = model.tried(data, values, asked)
+    columns = tried.columns(slice(0, len(data)))[:, list(axes)]
+    out = {e.name: columns[:, :, at] for e, at in tried.effects}
+    for one in candidates:
+        if one not in asked:
+            out[one.name] = own[:, :, [places[p.name] for p in one.qualified()]]
+    return {one.name: out[one.name] * [p.size for p in one.parameters] for one in candidates}
