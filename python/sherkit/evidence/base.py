@@ -31,7 +31,7 @@ _ALL = 1.0 - 1e-12
 _ROUNDING = 1e-8
 
 
-def log_bayes(part: Floats, rank: Floats, free: int | Floats, count: int, scales: Floats = SCALES) -> Floats:
+def log_bayes(part: Floats, rank: Floats, free: float | Floats, count: int, scales: Floats = SCALES) -> Floats:
     """Logarithm of the Bayes factor (…) of columns of ``rank`` (…) that take this ``part`` (…) of what is left of
     ``count`` numbers, ``free`` of them not used up; -inf for columns of no rank.
 
@@ -168,7 +168,7 @@ class Base:
                     out[which] = log_bayes_of(squares, self.right[at] * prior, self.rss, self.free)
             return out
         gain, rank = self.gains
-        return log_bayes(gain / max(self.rss, 1e-300), rank, self.free, len(self.residual))
+        return log_bayes(gain / max(self.rss, 1e-300), rank, self.free / self.family.run.shared, len(self.residual))
 
     @cached_property
     def each(self) -> Floats:
@@ -192,7 +192,8 @@ class Base:
         if family.reference is None:
             rank = max(after.basis.shape[1] - self.basis.shape[1], 1)
             part = np.array([1.0 - after.rss / self.rss])
-            return float(log_bayes(part, np.array([rank]), self.free, len(self.residual))[0])
+            free = self.free / family.run.shared
+            return float(log_bayes(part, np.array([rank]), free, len(self.residual))[0])
         owns = [run.of.owns(block.effect) for block in blocks if block.effect is not None]
         at = np.concatenate([np.arange(own.start, own.stop) for own in owns])
         scale = np.concatenate([np.full(own.stop - own.start, family.scale_of(block))
@@ -236,7 +237,7 @@ class Base:
         grown = 1.0 + np.square(_OWN)[:, None] * times
         each = -0.5 * free_between * np.log(grown)
         each = each + 0.5 * (free_between + free_within) * np.log((between + within) / (between / grown + within))
-        evidence = total(each.sum(axis=1)) - float(np.log(len(_OWN)))
+        evidence = total(each.sum(axis=1) / self.family.run.shared) - float(np.log(len(_OWN)))
         part = float(np.sqrt(max(own.sum(), 0.0) / (noise + declared).sum()))
         return OwnErrors(evidence, np.sqrt(np.maximum(own, 0.0)), part, len(count))
 

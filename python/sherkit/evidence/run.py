@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,8 @@ class Run:
     """Rows of a fit over noise, whitened.
 
     ``rows`` (n,) are those of the run that are looked at, in the order of time; ``sigma`` (columns,) is the noise of
-    each reading in its unit; ``view`` has all to first order over that noise; ``white`` is the filter from row to row.
+    each reading in its unit; ``view`` has all to first order over that noise; ``white`` is the filter from row to row;
+    what targets that are read at one visit share makes noise in some direction ``shared`` times as large as in the mean.
     Vectors (N,) and columns (N, k) of rows are n·m long, the m axes of a row one after another.
     """
 
@@ -38,6 +40,7 @@ class Run:
     sigma: Floats
     view: Linearised
     white: Whitening
+    shared: float = 1.0
 
     @classmethod
     def plain(cls, fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Run:
@@ -84,7 +87,7 @@ class Run:
     def seen_by(self, fit: FittedRun) -> Run:
         """The same rows with the same noise as another fit of them sees them."""
         view = fit.linearised(self.rows, (), self.sigma[list(fit.axes)])
-        return Run(fit, self.rows, self.sigma, view, self.white)
+        return Run(fit, self.rows, self.sigma, view, self.white, self.shared)
 
 
 def run_of(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Run:
@@ -96,13 +99,31 @@ def run_of(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats)
     rows = in_time(fit, rows)
     view = fit.linearised(rows, effects, sigma[list(fit.axes)])
     lag, back = one_after_another(fit.data.order, fit.data.series, rows)
-    rho, loud = _noise_in(view, back)
+    rho, left = _noise_in(view, back)
+    loud = np.sqrt(np.square(left).mean(axis=0)).clip(1e-300)
     if not fit.is_exact and (np.abs(np.log(loud / loud.mean())) > UNEVEN).any():
         sigma = sigma.copy()
         sigma[list(fit.axes)] *= np.clip(loud, 1e-6, 1e6)
         fit = fit.on(np.arange(len(fit.data)), sigma)
         view = fit.linearised(rows, effects, sigma[list(fit.axes)])
-    return Run(fit, rows, sigma, view, Whitening(rho, lag, back))
+    return Run(fit, rows, sigma, view, Whitening(rho, lag, back), _shared(left, fit.data.series[rows]))
+
+
+def _shared(left: Floats, series: Ints) -> float:
+    """How many times as much noise (n, m) there is in the direction in which targets of one visit err together, as in
+    the mean of all: three witnesses may be one. ``series`` (n,) are their numbers, rows in the order of time."""
+    numbers = np.unique(series)
+    if len(numbers) == 1:
+        return 1.0
+    # a visit ends where a target comes again
+    first = np.flatnonzero(series == series[0])
+    visits = [np.arange(a, b) for a, b in pairwise([*first.tolist(), len(series)])]
+    whole = [rows[np.argsort(series[rows])] for rows in visits if len(rows) == len(numbers)]
+    whole = [rows for rows in whole if np.array_equal(series[rows], numbers)]
+    if len(whole) < len(numbers) * left.shape[1]:
+        return float(len(numbers))
+    each = np.stack([left[rows].ravel() for rows in whole])
+    return float(np.linalg.norm(each / np.sqrt(np.square(each).mean(axis=0)).clip(1e-300), 2) ** 2 / len(each))
 
 
 def in_time(fit: FittedRun, rows: Ints) -> Ints:
@@ -142,8 +163,8 @@ def unit(values: Floats) -> Floats:
 
 
 def _noise_in(view: Linearised, back: Ints | None) -> tuple[float, Floats]:
-    """How much noise carries over from row to row, and how loud each axis is (m,) in noises: of what is left beside
-    all that is fitted, all effects, and what is smooth in any variable or slow in time."""
+    """How much noise carries over from row to row, and what is left (n, m), in noises, beside all that is fitted, all
+    effects, and what is smooth in any variable or slow in time; where that takes much of an axis, made up for."""
     n, m = view.residual.shape
     smooth = [unit(v)[:, None] ** np.arange(1, 4) for v in view.variables.values()]
     if view.time is not None:
@@ -162,5 +183,4 @@ def _noise_in(view: Linearised, back: Ints | None) -> tuple[float, Floats]:
     residual = view.residual.reshape(-1)
     left = (residual - every @ (every.T @ residual)).reshape(n, m)
     free = 1.0 - np.square(basis).sum(axis=2).mean(axis=0)
-    loud = np.sqrt(np.square(left).mean(axis=0) / np.maximum(free, 0.05))
-    return correlation_in_time(view.residual, every, back), np.maximum(loud, 1e-300)
+    return correlation_in_time(view.residual, every, back), left / np.sqrt(np.maximum(free, 0.05))
