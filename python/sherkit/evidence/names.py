@@ -10,7 +10,7 @@ from .base import Base, log_bayes
 from .described import MOST, Described
 from .sets import EffectSet, Sets
 from .sizes import ABSURD, sizes_of
-from .thresholds import ALARM, IMPLAUSIBLE, NEEDED, SURE, TELLS, TIED
+from .thresholds import ALARM, NEEDED, SURE, TELLS, TIED
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
@@ -116,8 +116,6 @@ def _refused(names: Names, one: Told) -> str:
         return "steps at three moments or more are no accident each: something switches to and fro"
     if one.needed < least:
         return "shapes that follow no cause say as much in its place"
-    if not names.lead.plausible and one.needed < IMPLAUSIBLE and one.tells < TELLS:
-        return "its size is not plausible, and shapes that follow no cause say nearly as much"
     if partly and one.tells < TELLS:
         return "it says nothing beside the shapes that describe this run without it"
     return ""

@@ -9,17 +9,20 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..base.types import Floats, Ints
 from ..errors import FitError
 from ..model.effect import Effect
 from .fitted_run import FittedRun
-from .linearised import Linearised
-from .thresholds import UNEVEN
+from .linearised import Linearised, step_gains, within
+from .thresholds import HELD_SHAPE, UNEVEN
 from .whitening import Whitening, correlation_in_time, independent, orthonormal
 
 #: Fewest rows of which anything can be said.
 _FEWEST = 10
+#: Chance that pure noise has a step.
+_STEPS = 1e-6
 #: Waves of time in the basis that tells noise: slower than them, nothing counts as noise.
 _SLOW_WAVES = 24
 
@@ -30,7 +33,7 @@ class Run:
 
     ``rows`` (n,) are those of the run that are looked at, in the order of time; ``sigma`` (columns,) is the noise of
     each reading in its unit; ``view`` has all to first order over that noise; ``white`` is the filter from row to row;
-    what targets that are read at one visit share makes noise in some direction ``shared`` times as large as in the mean.
+    what targets of one visit share makes noise in some direction ``shared`` times as large as in the mean of all.
     Vectors (N,) and columns (N, k) of rows are n·m long, the m axes of a row one after another.
     """
 
@@ -162,6 +165,24 @@ def unit(values: Floats) -> Floats:
     return np.asarray(2.0 * (values - values.min()) / max(float(np.ptp(values)), 1e-300) - 1.0)
 
 
+def _largest_step(view: Linearised) -> Floats:
+    """The step (n, 1) that takes most beside what is fitted: neighbours on one side of it are alike, and axes are loud,
+    whatever the noise is. Nothing (n, 0) where chance may have taken it."""
+    n, m = view.residual.shape
+    basis, cuts = orthonormal(view.fitted(view.whole)), np.arange(2, n - 2)
+    free = n * m - basis.shape[1]
+    if view.time is None or not len(cuts) or free <= m:
+        return np.zeros((n, 0))
+    flat = view.residual.reshape(-1)
+    left = (flat - basis @ (basis.T @ flat)).reshape(n, m)
+    inside = within((column.reshape(n, m) for column in np.ascontiguousarray(basis.T)), cuts)
+    gain = step_gains(left, inside, cuts, HELD_SHAPE)
+    variance = max(float((left**2).sum() - gain.max()) / (free - m), 1e-300)
+    if scipy.special.chdtrc(m, float(gain.max()) / variance) * len(cuts) > _STEPS:
+        return np.zeros((n, 0))
+    return (np.arange(n) >= cuts[np.argmax(gain)]).astype(float)[:, None]
+
+
 def _noise_in(view: Linearised, back: Ints | None) -> tuple[float, Floats]:
     """How much noise carries over from row to row, and what is left (n, m), in noises, beside all that is fitted, all
     effects, and what is smooth in any variable or slow in time; where that takes much of an axis, made up for."""
@@ -169,7 +190,7 @@ def _noise_in(view: Linearised, back: Ints | None) -> tuple[float, Floats]:
     smooth = [unit(v)[:, None] ** np.arange(1, 4) for v in view.variables.values()]
     if view.time is not None:
         smooth.append(np.cos(np.pi / 2 * np.outer(unit(view.time) + 1, np.arange(1, min(_SLOW_WAVES, n // 8) + 1))))
-    few = np.concatenate([np.zeros((n, 0)), *smooth], axis=1)[:, : n // 4]
+    few = np.concatenate([_largest_step(view), *smooth], axis=1)[:, : n // 4]
     f = orthonormal(few - few.mean(axis=0), 1e-6)
     last = view.effects[-1][1].stop if view.effects else 0
     rest = np.concatenate([view.fitted(view.whole), view.effects_in(view.whole)[:, :, :last]], axis=2)
