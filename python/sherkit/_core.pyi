@@ -565,4 +565,3 @@ def spherical_camera_placement(
 
 def play(motion: _Floats, width: float) -> _Floats:
     """What follows ``motion`` (n,) with a dead zone of ``width``."""
-
