@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,7 +22,7 @@ _SETTINGS = ("required_um", "budget", "span_min", "box", "level", "batch", "seed
 _OPEN = {"required_um", "minutes", "box"}
 
 
-class Kept(Task):
+class Kept(Task, ABC):
     """What a loop holds in a file, and in a pickle: all of it follows from robot, settings and rows, but for the batch
     that was asked for."""
 
@@ -31,13 +32,13 @@ class Kept(Task):
     _lock: FileLock | None = None
 
     @property
+    @abstractmethod
     def done(self) -> bool:
         """Whether it has ended."""
-        raise NotImplementedError
 
+    @abstractmethod
     def tell(self, rows: Any) -> None:
         """Takes what was read."""
-        raise NotImplementedError
 
     @as_annotated
     def save(self, path: str | Path) -> None:

@@ -20,7 +20,7 @@ from ..evidence.blocks import Block, Columns, Part, Visits
 from ..evidence.effects import blocks_of_effects
 from ..evidence.family import Family
 from ..evidence.made import Maker
-from ..evidence.sets import EffectSet, Sets
+from ..evidence.sets import ONE_MORE, EffectSet, Sets
 from ..evidence.shapes import blocks_of_shapes
 from ..evidence.sizes import is_plausible
 from ..evidence.thresholds import ALARM, TIED
@@ -28,8 +28,8 @@ from .joined import Change, Joined
 
 #: Shapes and effects that all runs may lack alike, changes beside which they are looked for.
 _MOST_LASTING, _MOST_BESIDE = 8, 3
-#: Prior odds of one more change, as of one more effect; steps of a fit in full.
-_ONE_MORE, _REFITS = float(np.log(0.1)), 3
+#: Steps of a fit in full.
+_REFITS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +220,7 @@ class ChangeSets(Sets):
                 part = np.array([1.0 - base.rss / self.base.rss])
                 # all against what says most without a change
                 bf = float(log_bayes(part, rank, self.base.free, len(base.residual))[0]) - self._still
-                value = bf + weight + _ONE_MORE * (len(blocks) - 1)
+                value = bf + weight + ONE_MORE * (len(blocks) - 1)
                 plausible = all(is_plausible(about, effect) for effect, _ in changes)  # type: ignore[arg-type]
                 best = base.rss, EffectSet(blocks, run, base, bf, value, plausible)
             if k < _REFITS:

@@ -116,12 +116,6 @@ class FittedRun(Saved):
             out[a] = max(DIGITS * float(np.ptp(used)) if len(used) else 0.0, 1e-12)
         return out
 
-    def beyond_noise(self, sigma: Floats) -> float:
-        """What is left beyond the noise ``sigma`` (columns,), in variances of it, however few the poses are."""
-        axes = list(self.axes)
-        left = self.residuals[self.whole][:, axes] / sigma[axes]
-        return float((left**2).sum()) / max(left.size - self.fit.rank, 1) - 1.0
-
     def owns(self, effect: Effect) -> slice:
         """Where the parameters of an effect that is in the model stand among the fitted ones."""
         return self.model.owns(effect)
@@ -194,15 +188,6 @@ class FittedRun(Saved):
         # outlying repeats told of too much noise
         noise = noise_of(data) if self.fit.noise.origin == "repeats" else self.fit.noise
         return FittedRun(identify(self.model, data, noise=noise))
-
-    def with_data(self, data: Measurements) -> FittedRun:
-        """The same fit of the same rows, with other columns beside them."""
-        return self if data is self.data else FittedRun(replace(self.fit, data=data))
-
-    def residuals_on(self, rows: Ints, other: FittedRun) -> Floats:
-        """What the fit of ``other`` leaves on these rows (rows, columns). Raises as :meth:`refit`."""
-        data = self.data.select(rows)
-        return data.readings - other.model.predict(data, other.fit.values)
 
     # -- what can be looked at ---------------------------------------------------------------------------
 

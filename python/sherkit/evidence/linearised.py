@@ -129,22 +129,6 @@ class Linearised:
         return {name: np.ascontiguousarray(every[:, :, k]) for k, name in enumerate(self.inputs)}
 
 
-@dataclass(frozen=True)
-class FittedAnew:
-    """Derivatives of a refit by what it has of its own, and by what was tried those of the fit before it."""
-
-    own: Derivatives
-    before: Linearised
-
-    def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
-        """As the fit has it."""
-        return self.own.fitted(rows)
-
-    def effects(self, rows: slice) -> Floats:
-        """As before."""
-        return self.before.effects_in(rows)
-
-
 # -- What a step in time takes of residuals, wherever it stands ----------------------------------------------------
 
 

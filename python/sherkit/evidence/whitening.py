@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -34,14 +34,6 @@ class Whitening:
             self.early = self.late - back[self.late]
         self.here = 1.0 / np.sqrt(1.0 - carried**2)
         self.before = -carried * self.here
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Whitening) or self.rho != other.rho or (self.back is None) != (other.back is None):
-            return False
-        same = self.back is None or np.array_equal(self.back, other.back)  # type: ignore[arg-type]
-        return same and np.array_equal(self.lag, other.lag)
-
-    __hash__ = None  # type: ignore[assignment]
 
     @property
     def is_plain(self) -> bool:
@@ -79,14 +71,6 @@ class Whitening:
         out[late] += led * self.before[rows][late].reshape(shape)
         return out
 
-    def parts(self, rows: slice) -> Iterator[tuple[slice | Ints, slice | Ints, Floats]]:
-        """The rows of which these consist under the filter: themselves, and those before them where there are some.
-        Each time which of these rows (counted from the first of them) consist of which of all, with what factors."""
-        yield slice(None), rows, self.here[rows]
-        if self.rho != 0.0:
-            late, early = self._within(rows)
-            yield late, early, self.before[rows][late]
-
     def _within(self, rows: slice) -> tuple[slice | Ints, slice | Ints]:
         """Which of these rows, counted from the first of them, follow another, and which of all they follow."""
         if self.back is None:
@@ -94,18 +78,6 @@ class Whitening:
             return slice(first - rows.start, None), slice(first - 1, rows.stop - 1)
         late = np.flatnonzero(self.back[rows])
         return late, rows.start + late - self.back[rows][late]
-
-    @property
-    def diagonal(self) -> Floats:
-        """Diagonal (n,) of the filter's transpose times the filter."""
-        out = self.here**2
-        out[self.early] += self.before[self.late] ** 2
-        return out
-
-    @property
-    def beside(self) -> Floats:
-        """Of the same, what stands in each row's place (n,) of the row before it."""
-        return self.here * self.before
 
 
 def whiten(values: Floats, rho: float, back: Ints | None = None) -> Floats:
