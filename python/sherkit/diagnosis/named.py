@@ -91,7 +91,7 @@ def searched(
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
     first = StepReport(None, error_of(run, sigma, repeated_folds))
     step("evidence")
-    family = family_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma))
+    family = family_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma), effects)
     sets = Sets(family, Base.of(family, family.run), step)
     base = sets.base
     nothing = Named(base, base, Described((), 0.0, base), None, run, steps=(first,))

@@ -1,4 +1,4 @@
-"""Noise that carries over from row to row, told apart from what is missing: the two look alike where rows are few.
+"""Noise that carries over from row to row, and axes of more noise, told apart from what is missing.
 
 A step in a short run makes neighbours alike, and a filter that takes this for noise hides the step and breeds waves.
 So the correlation of the noise is chosen together with what is missing, by the likelihood of both.
@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..base.types import Floats
+from ..model.effect import Effect
 from .base import Base, log_bayes
 from .blocks import Block
 from .family import Family
@@ -22,39 +23,55 @@ from .whitening import Whitening, correlation_in_time, orthonormal
 _MOST = 4
 
 
-def family_of(run: Run) -> Family:
-    """The family of a run, under the filter in time that goes best with what may be missing."""
-    if run.white.rho == 0.0:
-        return Family(run)
+def family_of(run: Run, effects: Sequence[Effect]) -> Family:
+    """The family of a run, under the filter in time and the weights of axes that go best with what may be missing.
+
+    Where an effect moves one axis, that axis is as loud as the effect until it is in the model.
+    """
     plain = replace(run, white=Whitening(0.0, run.white.lag, run.white.back))
     family = Family(plain)
     first = now = Base.of(family, plain)
+    even = np.ones(run.axes)
+    if run.of.is_exact:
+        return family
+    best = _score(first, now, [], run.white, even), run.white, even
     found: list[Block] = []
-    best = _score(first, now, found, run.white), run.white
     while len(found) < _MOST:
         i = int(np.argmax(now.each))
         if now.each[i] < 0:
             break
         found.append(family.blocks[i])
         now = now.beside(found[-1])
-        rho = correlation_in_time(plain.view.residual, now.basis, run.white.back)
-        white = Whitening(rho, run.white.lag, run.white.back)
-        best = max(best, (_score(first, now, found, white), white), key=lambda one: one[0])
-    return family if best[1].rho == 0.0 else Family(replace(run, white=best[1]))
+        rho = correlation_in_time(plain.view.residual, now.basis, run.white.back) if run.white.rho else 0.0
+        white, loud = Whitening(rho, run.white.lag, run.white.back), loudness(now)
+        best = max(best, (_score(first, now, found, white, loud), white, loud), key=lambda one: one[0])
+    _, white, loud = best
+    weighed = plain.weighed(loud, effects)
+    return family if white.rho == 0.0 and weighed is plain else Family(replace(weighed, white=white))
 
 
-def _score(first: Base, now: Base, found: Sequence[Block], white: Whitening) -> float:
-    """Logarithm of the likelihood of a run under a filter, with the prior weights of what was ``found``."""
+def loudness(base: Base) -> Floats:
+    """Root mean square of what is left on each axis (m,), in noises."""
+    m = base.family.run.axes
+    held = np.square(base.basis).sum(axis=1).reshape(-1, m).mean(axis=0)
+    left = np.square(base.residual).reshape(-1, m).mean(axis=0)
+    return np.sqrt(left / np.maximum(1.0 - held, 0.05)).clip(1e-300)
+
+
+def _score(first: Base, now: Base, found: Sequence[Block], white: Whitening, loud: Floats) -> float:
+    """Logarithm of the likelihood of a run under a filter and loudness of axes (m,), with the prior weights of what was
+    ``found``."""
     run = first.family.run
 
     def left(basis: Floats) -> float:
-        flat = white(run.view.residual).reshape(-1)
-        q = orthonormal(white(basis.reshape(len(run), run.axes, -1)))
+        flat = (white(run.view.residual) / loud).reshape(-1)
+        q = orthonormal(white(basis.reshape(len(run), run.axes, -1)) / loud[:, None])
         return float(np.square(flat - q @ (q.T @ flat)).sum())
 
     alone = left(first.basis)
-    # the filter's determinant, on each axis
-    out = run.axes * float(np.log(white.here).sum()) - 0.5 * first.free * np.log(max(alone, 1e-300))
+    # the filter's determinant, on each axis, and that of the weights
+    out = run.axes * float(np.log(white.here).sum()) - len(run) * float(np.log(loud).sum())
+    out -= 0.5 * first.free * np.log(max(alone, 1e-300))
     if found:
         rank, count = np.array([now.basis.shape[1] - first.basis.shape[1]]), len(first.residual)
         out += float(log_bayes(np.array([1.0 - left(now.basis) / max(alone, 1e-300)]), rank, first.free, count)[0])

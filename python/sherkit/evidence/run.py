@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -87,6 +87,17 @@ class Run:
         n, m = columns.shape[:2]
         return self.white(columns).reshape(n * m, *columns.shape[2:])
 
+    def weighed(self, loud: Floats, effects: Sequence[Effect]) -> Run:
+        """The same rows with axes that are louder (m,) than the others by much weighing less, fitted anew."""
+        loud = np.clip(loud, 1e-6, 1e6)
+        if (np.abs(np.log(loud / loud.mean())) < UNEVEN).all():
+            return self
+        sigma = self.sigma.copy()
+        sigma[list(self.of.axes)] *= loud
+        fit = self.of.on(np.arange(len(self.of.data)), sigma)
+        view = fit.linearised(self.rows, effects, sigma[list(fit.axes)])
+        return replace(self, of=fit, sigma=sigma, view=view)
+
     def seen_by(self, fit: FittedRun) -> Run:
         """The same rows with the same noise as another fit of them sees them."""
         view = fit.linearised(self.rows, (), self.sigma[list(fit.axes)])
@@ -103,13 +114,8 @@ def run_of(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats)
     view = fit.linearised(rows, effects, sigma[list(fit.axes)])
     lag, back = one_after_another(fit.data.order, fit.data.series, rows)
     rho, left = _noise_in(view, back)
-    loud = np.sqrt(np.square(left).mean(axis=0)).clip(1e-300)
-    if not fit.is_exact and (np.abs(np.log(loud / loud.mean())) > UNEVEN).any():
-        sigma = sigma.copy()
-        sigma[list(fit.axes)] *= np.clip(loud, 1e-6, 1e6)
-        fit = fit.on(np.arange(len(fit.data)), sigma)
-        view = fit.linearised(rows, effects, sigma[list(fit.axes)])
-    return Run(fit, rows, sigma, view, Whitening(rho, lag, back), _shared(left, fit.data.series[rows]))
+    run = Run(fit, rows, sigma, view, Whitening(rho, lag, back), _shared(left, fit.data.series[rows]))
+    return run if fit.is_exact else run.weighed(np.sqrt(np.square(left).mean(axis=0)), effects)
 
 
 def _shared(left: Floats, series: Ints) -> float:
