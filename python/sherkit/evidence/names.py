@@ -119,16 +119,14 @@ def _told(sets: Sets, lead: EffectSet, beside: Described, alone: Described, k: i
 
 def _refused(lead: EffectSet, one: Told, *, partly: bool) -> str:
     """Why an effect of a set is not named; empty where it may be. ``partly`` where the set does not explain all."""
-    # where one or two explain all, what follows no cause may do a little better, but not clearly; sizes that no robot
-    # has are as unlikely as those of Cauchy's distribution, and have to do better
-    huge = one.size > PLAUSIBLE
-    least = NEEDED if partly else SURE + 2.0 * np.log(one.size / PLAUSIBLE) if huge else -SURE
+    # where one or two explain all, what follows no cause may do a little better, but not clearly
+    least = NEEDED if partly else -SURE
     steps = [block for block in lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"
     if one.needed < least:
         return "shapes that follow no cause say as much in its place"
-    if partly and huge:
+    if partly and one.size > PLAUSIBLE:
         return "its size is more than any robot's, and something is left that it does not explain"
     if partly and one.tells < TELLS:
         return "it says nothing beside the shapes that describe this run without it"

@@ -16,11 +16,11 @@ from ..model.effect import Effect
 from .base import Base, log_bayes
 from .blocks import Block
 from .family import Family
-from .run import Run
+from .run import Run, shared_by_targets
 from .whitening import Whitening, correlation_in_time, orthonormal
 
 #: Most blocks beside which the correlation is looked at.
-_MOST = 4
+_MOST = 6
 
 
 def family_of(run: Run, effects: Sequence[Effect]) -> Family:
@@ -28,26 +28,27 @@ def family_of(run: Run, effects: Sequence[Effect]) -> Family:
 
     Where an effect moves one axis, that axis is as loud as the effect until it is in the model.
     """
-    plain = replace(run, white=Whitening(0.0, run.white.lag, run.white.back))
-    family = Family(plain)
-    first = now = Base.of(family, plain)
-    even = np.ones(run.axes)
+    family = Family(run)
     if run.of.is_exact:
         return family
-    best = _score(first, now, [], run.white, even), run.white, even
+    first = now = Base.of(family, run)
     found: list[Block] = []
-    while len(found) < _MOST:
+    best = -np.inf, run.white, np.ones(run.axes), now
+    while True:
+        loud = loudness(now)
+        rho = correlation_in_time(run.view.residual, now.basis, run.white.back)
+        for white in [run.white, Whitening(rho, run.white.lag, run.white.back)][: 2 if rho else 1]:
+            best = max(best, (_score(first, now, found, white, loud), white, loud, now), key=lambda one: one[0])
         i = int(np.argmax(now.each))
-        if now.each[i] < 0:
+        if len(found) == _MOST or now.each[i] < 0:
             break
         found.append(family.blocks[i])
         now = now.beside(found[-1])
-        rho = correlation_in_time(plain.view.residual, now.basis, run.white.back) if run.white.rho else 0.0
-        white, loud = Whitening(rho, run.white.lag, run.white.back), loudness(now)
-        best = max(best, (_score(first, now, found, white, loud), white, loud), key=lambda one: one[0])
-    _, white, loud = best
-    weighed = plain.weighed(loud, effects)
-    return family if white.rho == 0.0 and weighed is plain else Family(replace(weighed, white=white))
+    _, white, loud, now = best
+    shared = shared_by_targets(now.residual.reshape(len(run), run.axes), run.of.data.series[run.rows])
+    weighed = replace(run.weighed(loud, effects), shared=shared)
+    made = (family.columns, family.blocks) if white.rho == 0.0 and weighed.of is run.of else None
+    return Family(replace(weighed, white=white), made=made)
 
 
 def loudness(base: Base) -> Floats:
@@ -62,6 +63,7 @@ def _score(first: Base, now: Base, found: Sequence[Block], white: Whitening, lou
     """Logarithm of the likelihood of a run under a filter and loudness of axes (m,), with the prior weights of what was
     ``found``."""
     run = first.family.run
+    loud = loud / np.exp(np.log(loud).mean())
 
     def left(basis: Floats) -> float:
         flat = (white(run.view.residual) / loud).reshape(-1)
@@ -69,8 +71,8 @@ def _score(first: Base, now: Base, found: Sequence[Block], white: Whitening, lou
         return float(np.square(flat - q @ (q.T @ flat)).sum())
 
     alone = left(first.basis)
-    # the filter's determinant, on each axis, and that of the weights
-    out = run.axes * float(np.log(white.here).sum()) - len(run) * float(np.log(loud).sum())
+    # the filter's determinant, on each axis; that of weights is one
+    out = run.axes * float(np.log(white.here).sum())
     out -= 0.5 * first.free * np.log(max(alone, 1e-300))
     if found:
         rank, count = np.array([now.basis.shape[1] - first.basis.shape[1]]), len(first.residual)
