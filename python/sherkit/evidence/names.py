@@ -83,7 +83,7 @@ def names_of(sets: Sets) -> Names:
     kept: EffectSet | None = lead
     while kept is not None:
         # what is named is told without the help of what is not
-        left = beside if kept is lead else sets.described(kept.base, MOST, 1)
+        left = beside if kept is lead else sets.described(kept.base, MOST, _STARTS)
         those = [_told(sets, kept, left, alone, k) for k in range(len(kept.blocks))]
         told |= {one.name: one for one in those}
         why = {one.name: reason for one in those if (reason := _refused(kept, one, partly=partly))}
