@@ -261,10 +261,10 @@ def identify(
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
     weights = np.where(data.used, 1.0 / noise.sigma, 0.0)
     problem = LeastSquares(model, data)
-    values = model.start(data) if start is None else model.starting_at(start)
 
     known = priors or any(p.known for p in model.parameters)
     try:
+        values = _begin(model, data, weights) if start is None else model.starting_at(start)
         if known and noise.origin == "unknown":
             # a prior is weighed against the noise, which only the residuals tell
             loose, _ = problem.solve(weights, values, linear=linear)
@@ -328,6 +328,19 @@ def identify(
         converged=at_minimum,
         evaluations=evaluations,
     )
+
+
+def _begin(model: ModelWithEffects, data: Measurements, weights: Floats) -> Floats:
+    """Where a fit begins: at the drawing; with effects at the fit without them, beside which none of them can end
+    worse."""
+    plain = model
+    for name in {effect.name for effect in model.effects} - set(model.within):
+        plain = plain.without_effect(name)
+    if plain is model:
+        return model.start(data)
+    before, _ = LeastSquares(plain, data).solve(weights, plain.start(data))
+    known = dict(zip((p.name for p in plain.parameters), before.trial.tolist(), strict=True))
+    return np.array([known.get(p.name, 0.0) for p in model.parameters])
 
 
 def _over_the_wall(

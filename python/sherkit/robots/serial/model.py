@@ -213,6 +213,11 @@ class SerialModel(ChainModel):
         return (self.robot.layout,)
 
     @cached_property
+    def targets_anywhere(self) -> tuple[str, ...]:  # type: ignore[override]
+        """As of any model: x, y, z of each target."""
+        return tuple(p.name for p in self.parameters if p.name.startswith(("tool_", "target_")) and not p.known)
+
+    @cached_property
     def known_effects(self) -> Mapping[str, Effect]:
         """Those of its own joints."""
         return effects_of(self.robot)
