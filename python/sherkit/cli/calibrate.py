@@ -43,7 +43,12 @@ NOT_CONVERGED = 3
 @click.option("--free", default="", help="Parameters to identify, separated by commas; default: those of its kind.")
 @click.option("--effect", "added", multiple=True, help="A physical effect to identify too; see sherkit effects.")
 @click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")
-@click.option("--priors", is_flag=True, help="Take plausible sizes as knowledge, not only where nothing is observed.")
+@click.option(
+    "--priors/--no-priors",
+    default=None,
+    help="Take the drawing, with plausible sizes, as one more measurement: always, or never. Left out: where the "
+    "readings alone would leave something less sure than the drawing does.",
+)
 @click.option("--linear", is_flag=True, help="The paper's single linear step instead of the nonlinear minimum.")
 @click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
 @click.option("--exclude", default="", help="Lines of RUN to leave out as outliers, separated by commas.")
@@ -60,7 +65,7 @@ def calibrate(
     free: str,
     added: tuple[str, ...],
     files: tuple[Path, ...],
-    priors: bool,
+    priors: bool | None,
     linear: bool,
     correction: str,
     exclude: str,

@@ -18,7 +18,7 @@ from ..errors import SherkitError
 from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
 from ..evidence.run import in_time
-from ..fit.error import ErrorSize, held_out_error
+from ..fit.error import ErrorSize, held_out_error, known_of
 from ..fit.folds import Folds, roots_of
 from ..model.effect import Effect
 
@@ -40,9 +40,9 @@ def rms(squares: Floats, scale: Floats) -> float:
     return float(np.sqrt(np.mean(squares * scale**2)))
 
 
-def folds_of(view: Linearised, fold: Ints) -> Folds:
+def folds_of(view: Linearised, fold: Ints, known: Floats | None = None) -> Folds:
     """What was fitted, by folds (repetitions, n)."""
-    return Folds.of(view.fitted, view.residual, fold)
+    return Folds.of(view.fitted, view.residual, fold, known)
 
 
 def squares_of(view: Linearised, fold: Ints) -> Floats:
@@ -64,7 +64,11 @@ def by_noise_alone(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]
     rows = in_time(run, np.flatnonzero(run.whole))
     if len(rows) * len(run.axes) > _ENOUGH * run.fit.rank:
         return 1.0
-    folds = folds_of(run.linearised(rows, (), sigma[list(run.axes)]), np.stack([fold[rows] for fold in repeated_folds]))
+    folds = folds_of(
+        run.linearised(rows, (), sigma[list(run.axes)]),
+        np.stack([fold[rows] for fold in repeated_folds]),
+        known_of(run.fit),
+    )
     rng = np.random.default_rng(seed)
     each = [_drawn(folds.repetition(k), rng) for k in range(len(repeated_folds))]
     told = run.data.repeatability if run.noise[1] == "repeats" else None

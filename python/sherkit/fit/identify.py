@@ -40,6 +40,8 @@ from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
 _ROBUST_ROUNDS = 30
+#: Noise that falls by less than to this part has settled.
+_NEARLY_SETTLED = 0.9
 #: It has settled when no value moves by more than this part of its plausible size; and it may still move by this part
 #: of its deviation when the rounds are over.
 _SETTLED = 1e-7
@@ -230,7 +232,7 @@ def identify(
     free: Sequence[str] = (),
     effects: Sequence[str | Effect] = (),
     loss: str = "linear",
-    priors: bool = False,
+    priors: bool | None = None,
     linear: bool = False,
     start: Sequence[float] | Floats | None = None,
     noise: Noise | None = None,
@@ -240,8 +242,10 @@ def identify(
     Robot and run may be given by their files, the run as a frame too.
     ``free`` names them (default: those of the kind of robot). ``effects`` are identified besides: names of the
     catalogue, or the user's own. ``loss`` is ``linear``, ``huber``, ``cauchy`` or ``tukey``.
-    ``priors`` treats the plausible sizes as Gaussian knowledge. ``linear`` takes the paper's single step of
-    Eq. 11. ``noise`` overrides what :func:`~sherkit.data.noise.noise_of` finds.
+    ``priors`` takes the drawing, with the plausible sizes as deviations, as one more measurement. Left out, that is so
+    where the readings alone would leave combinations of parameters less sure than the drawing does, or reach no
+    minimum. ``linear`` takes the paper's single step of Eq. 11. ``noise`` overrides what
+    :func:`~sherkit.data.noise.noise_of` finds.
 
     Raises :class:`~sherkit.errors.FitError` for rows out of reach, an unknown loss, or too few readings, and
     :class:`~sherkit.errors.EffectError` for an effect that is not known.
@@ -259,16 +263,30 @@ def identify(
     noise = noise or noise_of(data)
     if not data.used.any():
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
+    fit = _fitted(model, data, noise, start, loss=loss, priors=bool(priors), linear=linear)
+    if priors is None and not linear and not (fit.converged and fit.supported == fit.rank):
+        # what readings do not decide the drawing does
+        fit = _fitted(model, data, noise, start, loss=loss, priors=True, linear=False)
+    return fit
+
+
+def _fitted(
+    model: ModelWithEffects,
+    data: Measurements,
+    noise: Noise,
+    start: Sequence[float] | Floats | None,
+    *,
+    loss: str,
+    priors: bool,
+    linear: bool,
+) -> Fit:
     weights = np.where(data.used, 1.0 / noise.sigma, 0.0)
     problem = LeastSquares(model, data)
-
     known = priors or any(p.known for p in model.parameters)
     try:
         values = _begin(model, data, weights) if start is None else model.starting_at(start)
         if known and noise.origin == "unknown":
-            # a prior is weighed against the noise, which only the residuals tell
-            loose, _ = problem.solve(weights, values, linear=linear)
-            weights = weights / max(scale(problem.residuals(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
+            weights = weights / max(_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear), 1e-12)
         solver, ended = problem.solve(weights, values, priors=priors, linear=linear)
         result = solver.result()
         if not reached(ended, result):
@@ -341,6 +359,22 @@ def _begin(model: ModelWithEffects, data: Measurements, weights: Floats) -> Floa
     before, _ = LeastSquares(plain, data).solve(weights, plain.start(data))
     known = dict(zip((p.name for p in plain.parameters), before.trial.tolist(), strict=True))
     return np.array([known.get(p.name, 0.0) for p in model.parameters])
+
+
+def _ratio(problem: LeastSquares, weights: Floats, values: Floats, *, loss: str, priors: bool, linear: bool) -> float:
+    """By how much the noise is larger than was assumed, where only residuals tell it: a prior is weighed against it."""
+    if not priors:
+        loose, _ = problem.solve(weights, values, linear=linear)
+        return scale(problem.residuals(loose.trial), weights, loose.result()["rank"], loss)
+    # from the drawing down: without it a fit may leave nothing, as where constant distances make a robot shrink
+    ratio = max(scale(problem.residuals(values), weights, 0, loss), 1e-12)
+    for _ in range(_ROBUST_ROUNDS):
+        solver, _ = problem.solve(weights / ratio, values, priors=True)
+        values, before = solver.trial, ratio
+        ratio = max(scale(problem.residuals(values), weights, solver.result()["rank"], loss), 1e-12)
+        if ratio > _NEARLY_SETTLED * before:
+            break
+    return ratio
 
 
 def _over_the_wall(

@@ -147,8 +147,8 @@ def of_set_up(model: ModelWithEffects) -> Bools:
 
 
 def may_be_anything(model: ModelWithEffects, data: Measurements) -> Bools:
-    """Parameters (p,) that may be anything: where a sensor stands that is free, where targets sit, and those whose derivative is the same
-    in every row, zeros of an instrument.
+    """Parameters (p,) that may be anything: where a sensor stands that is free, where targets sit, and those whose
+    derivative is the same in every row, zeros of an instrument.
 
     Raises as the model's ``derivatives``.
     """

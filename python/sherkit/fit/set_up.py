@@ -38,8 +38,13 @@ def constant(data: Measurements) -> Ints:
 def held(data: Measurements) -> tuple[str, ...]:
     """What a constant reading leaves open, in a sentence for each."""
     return tuple(
-        f"{data.layout.readings[k]} is constant, the same in all {int(data.used[:, k].sum())} rows: whatever lets the "
-        "robot move less would fit it, so that gains and scales cannot be told from it"
+        f"{data.layout.readings[k]} is constant, the same in all {int(data.used[:, k].sum())} rows: "
+        + (
+            "lengths are known up to one factor, which is the drawing's here; a known distance between two of the "
+            "places that were touched would tell it"
+            if data.layout.readings[k] == data.layout.distance
+            else "whatever lets the robot move less would fit it, so that gains and scales cannot be told from it"
+        )
         for k in constant(data)
     )
 
