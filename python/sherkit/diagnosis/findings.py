@@ -255,8 +255,13 @@ def _which(d: Diagnosis) -> Iterator[Finding]:
         told = f"{sentence(d.signature)} {indistinguishable(d.signature)}".rstrip()
         yield Finding(
             WHICH, "shape", told,
-            to_do=f"write a template of an effect with this shape: {_TEMPLATE}",
+            to_do="" if _is_of_instrument(d) else f"write a template of an effect with this shape: {_TEMPLATE}",
         )  # fmt: skip
+
+
+def _is_of_instrument(d: Diagnosis) -> bool:
+    """Whether what is left differs in every other row: no robot does."""
+    return d.signature is not None and d.signature["shape"] == "alternating"
 
 
 def _apart(d: Diagnosis) -> Iterator[Finding]:
@@ -295,6 +300,8 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
         # a model of another sort may say itself where what is named is written to
         into = getattr(getattr(d.fit.model, "plain", None), "writes", None)
         yield "add it", f"sherkit {into or f'calibrate {FILES} {named} -o calibrated.toml'}"
+    elif _is_of_instrument(d):
+        yield "take the mean of both (two faces, two heads), or record in a column which of them read each row", ""
     elif d.signature is not None:
         yield "write a template of an effect with the shape of what is left", _TEMPLATE
         yield "or repeat the run in another order and at another temperature: what moves with them is named by them", ""
