@@ -45,9 +45,9 @@ def folds_of(view: Linearised, fold: Ints, known: Floats | None = None) -> Folds
     return Folds.of(view.fitted, view.residual, fold, known)
 
 
-def squares_of(view: Linearised, fold: Ints) -> Floats:
+def squares_of(view: Linearised, fold: Ints, known: Floats | None = None) -> Floats:
     """Squared errors (repetitions, n, m) of rows that were held out in turn."""
-    folds = folds_of(view, fold)
+    folds = folds_of(view, fold, known)
     parts = [folds.errors(view.fitted(rows), view.residual[rows], rows) for rows in view.blocks]
     return np.concatenate(parts, axis=1) ** 2
 
@@ -140,16 +140,16 @@ def held_out_gain(
     try:
         full = run.without_effects(also) if also else run
         less = full.without_effects((effect.name,))
-        more, plain = (one.linearised(rows, (), scale) for one in (full, less))
+        views = tuple(one.linearised(rows, (), scale) for one in (full, less))
     except SherkitError:
         return HeldOutGain(effect.name, np.inf, 0.0, 0.0)
-    with_it, without = (squares_of(one, fold) for one in (more, plain))
+    with_it, without = (squares_of(v, fold, known_of(one.fit)) for v, one in zip(views, (full, less), strict=True))
     gain = without.sum(axis=2) - with_it.sum(axis=2)
     return HeldOutGain(
         effect.name,
         without=rms(without, scale) * run.per_row,
         with_it=rms(with_it, scale) * run.per_row,
-        p=_by_chance(gain.mean(axis=0), more.group),
+        p=_by_chance(gain.mean(axis=0), views[0].group),
     )
 
 

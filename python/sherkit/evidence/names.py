@@ -10,7 +10,7 @@ from .base import Base, log_bayes
 from .described import MOST, Described
 from .sets import EffectSet, Sets
 from .sizes import ABSURD, PLAUSIBLE, sizes_of
-from .thresholds import ALARM, NEEDED, SURE, TELLS, TIED
+from .thresholds import ALARM, NEEDED, PLAINLY, SURE, TELLS, TIED
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
@@ -128,7 +128,7 @@ def _refused(lead: EffectSet, one: Told, *, partly: bool) -> str:
         return "shapes that follow no cause say as much in its place"
     if partly and one.size > PLAUSIBLE:
         return "its size is more than any robot's, and something is left that it does not explain"
-    if partly and one.tells < TELLS:
+    if partly and one.tells < TELLS and one.needed < PLAINLY:
         return "it says nothing beside the shapes that describe this run without it"
     return ""
 
