@@ -194,6 +194,7 @@ def concluded(pool: Pool) -> Comparison:
         where=_where(made.base) if names else "",
         advice="; ".join(
             [
+                *([] if verdict == "unchanged" else differing(data, called)),
                 unchanged_advice(float(before.rms), pool.needed, before.unit)
                 if verdict == "unchanged"
                 else _doubt(large) + _advice(verdict, named, tied, bool(poses), lead.run.of.left if lead else 1.0),
@@ -206,6 +207,23 @@ def concluded(pool: Pool) -> Comparison:
         aside={name: len(joined.runs[k].aside) + int(data[k].outlier.sum()) for k, name in enumerate(called)},
         joined=joined,
     )
+
+
+def differing(data: Sequence[Measurements], called: Sequence[str]) -> list[str]:
+    """Columns of the runs that were never in one what they were in another: what follows them may be all the change."""
+    out = []
+    for name, first in data[0].covariates.items():
+        if name in data[0].layout.velocities or name in data[0].layout.apart:
+            continue
+        for one, then in zip(data[1:], called[1:], strict=True):
+            values = one.covariates.get(name)
+            if values is None or first.min() <= values.max() and values.min() <= first.max():
+                continue
+            out.append(
+                f"{name} is {np.mean(first):.4g} in {called[0]} and {np.mean(values):.4g} in {then}: what follows it "
+                "shows as a change; compare runs in which it is the same, or diagnose both in one run"
+            )
+    return out
 
 
 def _nothing_said(pool: Pool) -> Comparison:

@@ -17,6 +17,7 @@ import polars as pl
 from ..base.names import brief, closest, listed
 from ..errors import FitError, MeasurementError, SherkitWarning
 from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, known_layouts, meanings, stated, unit_in
+from .doubts import doubts
 from .frames import clean
 from .raw_table import NOTHING, WITH_UNIT, RawTable, Wrong, is_number, raw_table
 from .reader import checked
@@ -158,6 +159,9 @@ class _Checking:
                     why = f"is not read as '{ours}': {refused.removeprefix(f'{self.source}: ')}"
                     self.wrong.append(Wrong(why, f"name it '{ours}' if it is", column=theirs))
             refused = refused if data is None else ""
+        if data is not None:
+            told = (doubt.sentence for doubt in doubts(data) if not doubt.poses)
+            self.wrong += [Wrong(one, "look at it; it is read as it stands", mended=False) for one in told]
         return FileCheck(
             self.source, tuple(self.wrong), columns, further,
             {name: what for name, what in unused.items() if name in self.words or what}, data, refused,

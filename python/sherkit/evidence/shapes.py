@@ -50,8 +50,9 @@ def blocks_of_shapes(made: Maker) -> None:
     if made.reference is None:
         for name, values in view.way.items():
             made.on_axes("smooth", (name,), [made.function(unit(values))], order=1)
-        if not made.run.of.data.series.any():
-            every_other = made.run.of.data.order[made.run.rows] % 2
+        fit = made.run.of
+        if fit is not None and not fit.data.series.any():
+            every_other = fit.data.order[made.run.rows] % 2
             made.on_axes("alternating", ("row",), [made.function(2.0 * every_other - 1.0)])
     for moment in made.moments:
         step = made.function(made.since(moment))

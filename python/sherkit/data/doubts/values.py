@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...base import linalg
+from ...base.names import listed
 from ...base.types import Floats, Ints
 from .. import columns as c
 from ..columns import TEMPERATURE, TIME, unit_in
@@ -140,6 +141,28 @@ def _line(places: Floats) -> Floats | None:
     if length[0] == 0 or length[1] > _BESIDE * length[0]:
         return None
     return np.asarray(turn[0])
+
+
+#: How far readings of a robot that stands still never scatter, by the unit of a reading.
+_NEVER_STILL = {"mm": 1.0, "rad": 0.02, "deg": 1.0, "px": 20.0}
+
+
+def frozen(data: Measurements) -> Iterator[Doubt]:
+    """Joints that are the same in every row while readings scatter from row to row as those of other places."""
+    rows = np.flatnonzero(~data.outlier)
+    if not data.joints.shape[1] or len(rows) < FEWEST or np.ptp(data.joints[rows], axis=0).any():
+        return
+    for k, name in enumerate(data.layout.coordinates):
+        values = data.readings[rows[data.used[rows, k]], k]
+        least = _NEVER_STILL.get(unit_in(name) or "")
+        # half of how far neighbours lie apart, so that no slow course counts
+        if least is not None and len(values) >= FEWEST and np.median(np.abs(np.diff(values))) > 2.0 * least:
+            yield Doubt(
+                f"{listed(list(data.layout.joints))}: the same in all {len(rows)} rows, while {name} scatters by "
+                f"{float(np.std(values)):.3g} {unit_in(name)}: the source of the joints froze, it seems; look at what "
+                "writes them (a topic that was not renewed, a stopped recorder), and measure again"
+            )
+            return
 
 
 # -- Temperatures and angles of another unit -------------------------------------------------------------------------
