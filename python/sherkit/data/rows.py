@@ -17,7 +17,7 @@ from ..base.names import listed, nearest
 from ..base.types import Bools, Floats, Ints
 from ..errors import EffectError, ShapeError, SherkitWarning
 from . import columns as c
-from .in_time import begin_of, directions, order_in_time
+from .in_time import begin_of, directions, order_in_time, velocities
 from .lagged import Room
 from .row_checks import check_rows
 from .set_up import SetUp, names_of
@@ -110,6 +110,8 @@ class Measurements:
         whole = {k: values[k].astype(np.int64) if k in values else None for k in (c.POSE, c.REPEAT)}
         known = set(layout.known)
         rest = {k: v for k, v in values.items() if k not in known}
+        if not {*layout.velocities} & {*rest} and (moving := velocities(joints, values.get(c.TIME))) is not None:
+            rest |= dict(zip(layout.velocities, moving.T, strict=False))
         if c.SETUP in rest:
             rest[c.SETUP] = names_of(rest[c.SETUP], f"{source}: {counted}", line)
         data = cls(
