@@ -27,7 +27,7 @@ from ..study import Study
 from . import output
 from .file_kinds import CALIBRATION, TOOL
 from .machine_file import own_way_of
-from .output import out, report_option, table
+from .output import columns_option, out, report_option, table
 from .paths import InputFile, OutputFile, require_kind
 
 NOT_CONVERGED = 3
@@ -50,6 +50,7 @@ NOT_CONVERGED = 3
 @click.option("--with-outliers", is_flag=True, help="Use the rows that a diagnosis leaves out as gross errors too.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of random splits.")
 @report_option
+@columns_option
 def calibrate(
     robot: Path,
     run: Path,

@@ -17,7 +17,7 @@ from ..model.robot_file import columns_of
 from ..robots.machine import is_machine, robot_at
 from . import output
 from .file_kinds import TABLE
-from .output import out, table
+from .output import columns_option, out, table
 from .paths import InputFile, OutputFile
 
 
@@ -27,6 +27,7 @@ from .paths import InputFile, OutputFile
 @click.option("--write", "destination", type=OutputFile(TABLE), metavar="CLEAN.CSV",
               help="Write the rows, all mended, under the names and in the units that sherkit reads.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+@columns_option
 def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool) -> None:
     """List all that is wrong with the file RUN, with its lines and cures, and what its columns could be.
 

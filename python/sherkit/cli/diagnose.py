@@ -23,7 +23,7 @@ from ..model.effect import effects_by_name, load_effects
 from . import output
 from .file_kinds import TEMPLATE, TOOL
 from .machine_file import machine_at
-from .output import out, report_option, table
+from .output import columns_option, out, report_option, table
 from .paths import InputFile, OutputFile
 
 
@@ -40,6 +40,7 @@ from .paths import InputFile, OutputFile
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of random splits.")
 @report_option
+@columns_option
 def diagnose(
     robot: Path, runs: tuple[Path, ...], as_json: bool, every_check: bool, files: tuple[Path, ...],
     added: tuple[str, ...], written: Path | None, destination: Path | None, level: float, seed: int,

@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..data.files import is_output
+from ..data.head import columns_called
 from ..errors import SherkitError
 from .file_kinds import PAGE
 from .paths import InputFile, OutputFile
@@ -37,6 +38,18 @@ err = Console(stderr=True, highlight=False)
 OWN_INSTRUMENTS = click.option(
     "--python", type=InputFile(), multiple=True, help="Python file of your instruments; it is run."
 )
+
+
+def _called(ctx: click.Context, _: click.Parameter, value: str) -> None:
+    if value:
+        ctx.with_resource(columns_called(value.split(",")))
+
+
+#: For verbs that read tables of text: names for columns that have none, as long as the verb goes on.
+columns_option = click.option(
+    "--columns", metavar="A,B,C", default="", callback=_called, expose_value=False,
+    help="Names of the columns, in the order of the file, where it has none or others.",
+)  # fmt: skip
 
 
 def say_that_code_runs(files: tuple[Path, ...]) -> None:

@@ -15,6 +15,7 @@ import polars as pl
 from ..base import built_in
 from ..base.names import closest, listed
 from ..errors import MeasurementError, SherkitWarning
+from .called import DRIVEN, READ, in_order
 
 TIME = "time_s"
 TEMPERATURE = "temperature_c"
@@ -119,9 +120,9 @@ def know(*layouts: Layout, of_robot: bool = False) -> None:
     known.extend(one for one in layouts if one not in known)
 
 
-def layout_of(names: Collection[str]) -> Layout:
+def layout_of(names: Collection[str], own: Sequence[Layout] = ()) -> Layout:
     """The kind of run that these columns belong to: whose joints and coordinates they name most of; of several, that
-    with the fewest joints that they do not name."""
+    with the fewest joints that they do not name. Where they name no joint of any robot, the first of its ``own``."""
 
     def named(one: Layout) -> tuple[float, int]:
         joints = sum(n in names for n in one.joints)
@@ -129,7 +130,8 @@ def layout_of(names: Collection[str]) -> Layout:
         missing = len(one.joints) - joints if joints else len(names)
         return joints + 0.5 * sum(n in names for n in one.readings), -missing
 
-    return max(known_layouts(), key=named)
+    nearest = max(known_layouts(), key=named)
+    return nearest if not own or any(name in names for name in nearest.joints) else own[0]
 
 
 def layout_to_come(names: Collection[str]) -> Layout | None:
@@ -183,16 +185,19 @@ def check_unique(names: list[str], where: str) -> None:
         raise MeasurementError(f"{where}: column {listed(twice)} appears more than once")
 
 
-def check_columns(names: list[str], where: str, *, to_come: bool = True) -> Layout:
+def check_columns(names: list[str], where: str, own: Sequence[Layout] = (), *, to_come: bool = True) -> Layout:
     """The layout of a table. Refuses one that lacks what every run of its kind has, or holds a reading in another unit.
 
-    ``to_come``: the robot may be read later. Raises ``MeasurementError``; warns of a covariate whose name looks like a
+    ``own`` are those of the robot whose run it is; ``to_come``: it may be read later. Raises ``MeasurementError``; warns of a covariate whose name looks like a
     misspelt column.
     """
-    layout = (to_come and layout_to_come(names)) or layout_of(names)
+    layout = (to_come and layout_to_come(names)) or layout_of(names, own)
     for needed in layout.joints:
         if needed not in names:
-            raise MeasurementError(_missing(needed, names, where, "the reading of a joint", layout))
+            what = "the reading of a joint"
+            if not own and not any(name in names for name in layout.joints):
+                what += "; which ones a robot has its file says: sherkit check RUN ROBOT"
+            raise MeasurementError(_missing(needed, names, where, what, layout))
     if not any(r in names for r in layout.readings):
         what = f"at least one of {' or '.join([', '.join(layout.readings[:-1]), layout.readings[-1]])}"
         raise MeasurementError(_missing(layout.readings[0], names, where, what, layout))
@@ -333,9 +338,9 @@ def in_toml(columns: Columns) -> str:
     return f"columns = {{ {', '.join(f'{ours} = {_quoted(theirs)}' for ours, theirs in columns.items())} }}"
 
 
-def proposal(names: Sequence[str]) -> str:
+def proposal(names: Sequence[str], own: Sequence[Layout] = ()) -> str:
     """What could be meant by foreign names, as a mapping to be looked at: for the sentence that refuses them."""
-    found = meanings(names)[1]
+    found = meanings(names, own)[1]
     if not found:
         return ""
     bare_ones = [theirs for theirs in found.values() if not stated(theirs)[1]]
@@ -371,7 +376,11 @@ def _matched(names: Sequence[str], layout: Layout) -> dict[str, str]:
     rows: list[Any] = [w for w in words.values() if w.keys() == wanted.keys()]
     fitting = [w for w in rows if all(_fits(w[k], ours) for k, ours in wanted.items())]
     if len(fitting) == 1:
-        out = {ours: fitting[0][k] for k, ours in wanted.items()} | out
+        return {ours: fitting[0][k] for k, ours in wanted.items()} | out
+    for ours, called in ((layout.joints, DRIVEN), (layout.coordinates, READ)):
+        if not any(name in names or name in out for name in ours):
+            left = [name for name in free if name not in out.values()]
+            out |= in_order(left, ours, called, _fits)
     return out
 
 
