@@ -160,10 +160,24 @@ def is_known(layout: Layout) -> bool:
 _ENDINGS = ("mm", "um", "rad", "mrad", "deg", "px", "mN", "nm", "kg", "s")
 
 
+#: Columns whose owner says that they end in their unit, whatever it is.
+_OF_OWNERS: set[str] = set()
+
+
+def know_unit(name: str) -> bool:
+    """Makes known that a column's name ends in its unit, whatever text that is (``lamp_V``, ``scale_counts``); false
+    where it has no such end, or one that is a number or an axis."""
+    stem, _, unit = name.rpartition("_")
+    if not stem or not unit or unit.isdigit() or unit.lower() in ("x", "y", "z"):
+        return False
+    _OF_OWNERS.update((name, f"sigma_{name}", f"pose_sigma_{name}"))
+    return True
+
+
 def bare(name: str) -> str:
     """A column's name without its unit."""
     stem, _, unit = name.rpartition("_")
-    return stem if stem and unit in _ENDINGS else name
+    return stem if stem and (unit in _ENDINGS or name in _OF_OWNERS) else name
 
 
 def unit_in(name: str) -> str:
@@ -248,7 +262,8 @@ _HEADER = re.compile(r"^(?P<stem>.*?)[\s_]*(?:\[(?P<square>[^\[\]]*)\]|\((?P<rou
 #: How much of the unit of a column is one of another, by what they measure.
 _BY_UNIT: tuple[dict[str, float], ...] = (
     {"m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3, "nm": 1e-6, "in": 25.4},
-    {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": math.pi / 180.0},
+    {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": math.pi / 180.0, "arcmin": math.pi / 10_800.0,
+     "arcsec": math.pi / 648_000.0},
     {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     {"px": 1.0},
     {"c": 1.0},

@@ -16,9 +16,9 @@ from ...base.names import listed
 from ...base.notebook import Shown
 from ...base.saved import Saved
 from ...base.types import Floats
-from ...data.columns import TEMPERATURE, TIME, Layout, unit_in
+from ...data.columns import TEMPERATURE, TIME, Layout, know_unit, unit_in
 from ...data.toml import Table
-from ...errors import NotConverged, RobotError
+from ...errors import FitError, NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
 from ...model.effect import Parameter
 from ...model.sensor_pose import FREE, OWN_AXES, POSE, SensorPose
@@ -65,8 +65,10 @@ class Described(Saved, Shown):
         doubled = [*self.joint_names, *self.readings]
         if wrong := [n for n in doubled if doubled.count(n) > 1 or n in _RESERVED]:
             raise RobotError(f"the column '{wrong[0]}' is named twice, or has a meaning of its own")
-        if wrong := [n for n in doubled if not unit_in(n)]:
-            raise RobotError(f"the column '{wrong[0]}' names no unit: expected an end such as _mm, _rad, _deg or _px")
+        if wrong := [n for n in doubled if not unit_in(n) and not know_unit(n)]:
+            raise RobotError(
+                f"the column '{wrong[0]}' names no unit: expected an end such as _mm, _rad, _deg, _px, _V or _counts"
+            )
         units = {unit_in(name) for name in self.readings}
         if len(units) > 1:
             raise RobotError(f"readings: expected one unit for all, got {listed(sorted(units))}")
@@ -132,9 +134,19 @@ class Described(Saved, Shown):
         """What its chain has beside its function: the numbers of the sensor's pose that are open, and the effects that
         every machine can have, for these joints and readings, but for what its function has already."""
         spans, pose = np.ptp(self.box, axis=1).tolist(), self.pose
-        every = generic_effects(self.joint_names, tuple(self.readings), spans, pose is not None)
+        every = generic_effects(self.joint_names, tuple(self.readings), spans, self._shown, pose is not None)
         sd = np.zeros(len(POSE)) if pose is None else pose.sd(FREE, FREE)
         return not_in(self.asked, pose, [name for name, one in zip(POSE, sd, strict=True) if one > 0], every)
+
+    @property
+    def _shown(self) -> list[float]:
+        """How far each reading goes over the ranges of the joints; zero where that cannot be told."""
+        try:
+            shown = self.asked(self.asked.somewhere, np.zeros(len(self.own)))
+        except FitError:  # who asks next says it
+            return [0.0] * len(self.readings)
+        known = shown[np.isfinite(shown).all(axis=1)]
+        return np.ptp(known, axis=0).tolist() if len(known) else [0.0] * len(self.readings)
 
     @property
     def effects(self) -> tuple[Generic, ...]:
