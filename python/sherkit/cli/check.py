@@ -17,6 +17,7 @@ from ..model.robot_file import columns_of
 from ..robots.machine import is_machine, robot_at
 from . import output
 from .file_kinds import TABLE
+from .next_command import completed
 from .output import columns_option, out, table
 from .paths import InputFile, OutputFile
 
@@ -90,15 +91,16 @@ def _next(found: FileCheck, robot: Path | None, written: Path | None) -> None:
     machine = shlex.quote(str(robot)) if robot is not None else "ROBOT"
     if written is not None:
         output.say(f"{written}: {len(found.data or ())} rows, none lost")
+        # what was written has names of its own
         out.print(f"Next:\n     sherkit diagnose {machine} {shlex.quote(str(written))}", soft_wrap=True, markup=False)
     elif found.is_good:
-        run = shlex.quote(found.source)
-        out.print(f"Next:\n     sherkit diagnose {machine} {run}", soft_wrap=True, markup=False)
+        asked = completed(f"sherkit diagnose {machine} {shlex.quote(found.source)}")
+        out.print(f"Next:\n     {asked}", soft_wrap=True, markup=False)
     elif found.is_mended:
         if found.unsaid and not found.wrong:
             out.print("The names can stay: write at the beginning of the robot file")
             out.print(f"     {in_toml(found.unsaid)}", soft_wrap=True, markup=False)
         asked = f"sherkit check {shlex.quote(found.source)} {'' if robot is None else machine + ' '}--write clean.csv"
-        out.print(f"All of it can be mended:\n     {asked}", soft_wrap=True, markup=False)
+        out.print(f"All of it can be mended:\n     {completed(asked)}", soft_wrap=True, markup=False)
     else:
         out.print("What is to be done by hand comes first; then ask again.")

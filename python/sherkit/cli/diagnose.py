@@ -23,6 +23,7 @@ from ..model.effect import effects_by_name, load_effects
 from . import output
 from .file_kinds import TEMPLATE, TOOL
 from .machine_file import machine_at
+from .next_command import completed, in_json
 from .output import columns_option, out, report_option, table
 from .paths import InputFile, OutputFile
 
@@ -67,7 +68,7 @@ def diagnose(
             machine.report(report, title, found, own=own, added=added, seed=seed, sources=(robot, *runs, *files))
     said = [] if written is None else machine.write(written, found)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(in_json(found.to_json(), shlex.join(map(str, machine.told(runs)))))
     else:
         print_diagnosis(found, *machine.told(runs), every_check=every_check)
         if said:
@@ -102,7 +103,7 @@ _WIDE = 105
 
 
 def _long(d: Diagnosis, value: float) -> str:
-    return f"{value:.2f}" if d.unit == "µm" else f"{value:.4g}"
+    return f"{value:.2f}" if d.unit == "µm" and not 0 < abs(value) < 0.01 else f"{value:.4g}"
 
 
 def _with_unit(column: str) -> str:
@@ -157,7 +158,7 @@ def _say(findings: Iterable[Finding], files: str = FILES) -> None:
         out.print(Padding(said, (0, 0, 0, 3), expand=False))
         if one.command:
             # a line of its own, which is copied as one however wide the screen is
-            out.print(Text(f"     {one.command.replace(FILES, files)}"), soft_wrap=True)
+            out.print(Text(f"     {completed(one.command, files)}"), soft_wrap=True)
 
 
 def _checks(checks: Sequence[Check]) -> Table:

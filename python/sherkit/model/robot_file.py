@@ -42,6 +42,11 @@ def load_robot(path: str | os.PathLike[str]) -> Robot:
             "of a machine, and in Python it is imported"
         )
     tables = read_toml(Path(path), "robot")
+    if "kind" not in tables and isinstance(tables.get("calibration"), dict):
+        raise RobotError(
+            f"{path}: is a calibration, where the file of a robot is expected: give that which it was made from; "
+            "sherkit verify asks whether the calibration still holds"
+        )
     _columns_in(tables, path)
     robot = robot_from_tables({key: value for key, value in tables.items() if key != _COLUMNS}, str(path))
     for asked in kind_of(robot).asks:

@@ -395,10 +395,8 @@ class Study(Shown):
         """Reads a study, with what can be undone. User effects must be given again; no code is loaded from the folder.
 
         Raises :class:`~sherkit.errors.EffectError` where one is missing, :class:`~sherkit.errors.SherkitError` naming
-        file and key for what is no study.
-        """
-        folder = Path(folder)
-        state = files.read_state(folder)
+        file and key for what is no study."""
+        state = files.read_state(folder := Path(folder))
         study = cls.__new__(cls)
         with state.table("robot") as r:
             study.robot = robot_from_table(r)
@@ -410,7 +408,10 @@ class Study(Shown):
         study._judged = judged[(judged >= 0) & (judged < len(study.data))]
         for effect in effects:
             study._register(effect)
-        study.model = study._model_from(state)
+        try:
+            study.model = study._model_from(state)
+        except EffectError as error:
+            raise EffectError(f"{error}; your own are given again: Study.load(folder, effects=[...])") from None
         study.data = study.model.as_declared(study.data)
         for undone in state.tables("undo"):
             before = files.rows_from(undone, study.data)

@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...base.figures import in_small_units
 from ...base.names import listed
 from ...base.notebook import Shown
 from ...base.saved import Saved
@@ -28,8 +29,6 @@ from .same import not_in
 
 #: Where joints range whose limits nobody gives, by unit: so far from zero on both sides.
 _RANGE = {"mm": 100.0, "um": 1e5, "m": 0.1, "rad": 1.0, "mrad": 1e3, "deg": 60.0}
-#: Units in which people read errors, and how many make one of the readings'.
-_SHOWN = {"mm": ("µm", 1e3), "m": ("µm", 1e6), "um": ("µm", 1.0), "rad": ("mrad", 1e3), "deg": ("mdeg", 1e3)}
 #: What a machine says of where its instrument stands, in one word.
 _POSES = {"free": SensorPose(shift_sd_mm=FREE, turn_sd_deg=FREE), "held": OWN_AXES}
 _RESERVED = (TIME, TEMPERATURE, "pose", "repeat", "outlier")
@@ -118,7 +117,7 @@ class Described(Saved, Shown):
     def layout(self) -> Layout:
         """The columns of its runs."""
         unit = unit_in(self.readings[0])
-        shown, per_unit = _SHOWN.get(unit, (unit, 1.0))
+        shown, per_unit = in_small_units(unit)
         velocities = tuple(f"{name}_per_s" for name in self.joint_names)
         return Layout(self.joint_names, tuple(self.readings), shown, per_unit, velocities=velocities)
 
