@@ -20,8 +20,9 @@ from ..data.stream import joined
 from ..errors import MeasurementError, SherkitError
 from ..fit.least_squares import LOSSES
 from ..model.effect import effects_by_name, load_effects
-from ..model.kinds import catalogue_of, required_um
+from ..model.kinds import catalogue_of, model_of, required_um
 from ..model.robot_file import run_for
+from ..model.thermometers import thermometers_of
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..robots.delta import paper
@@ -95,7 +96,7 @@ def calibrate(
         data = reduce(joined, (run_for(for_runs, one) for one in more), first)
         inner = run_for(for_runs, local) if local else None
         names = [name.strip() for name in free.split(",") if name.strip()]
-        chosen = effects_by_name(catalogue_of(nominal), added, own)
+        chosen = effects_by_name(catalogue_of(nominal), added, [*own, *thermometers_of(model_of(nominal), data)])
         result = run_calibration(
             nominal,
             data,

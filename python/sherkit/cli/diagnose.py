@@ -20,6 +20,7 @@ from ..diagnosis.findings import figure, p_value, plausibility
 from ..diagnosis.next_poses import SEPARATION
 from ..fit.identify import identify
 from ..model.effect import effects_by_name, load_effects
+from ..model.thermometers import thermometers_of
 from . import output
 from .file_kinds import TEMPLATE, TOOL
 from .machine_file import machine_at
@@ -59,8 +60,9 @@ def diagnose(
     with output.steps(12) as step:
         step(f"reading {runs[0]}")
         model, data = machine.read(runs)
+        every = (*own, *thermometers_of(model, data))
         step("identifying the model as it is")
-        fit = identify(model, data, effects=effects_by_name(model.known_effects, added, own))
+        fit = identify(model, data, effects=effects_by_name(model.known_effects, added, every))
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
         if report is not None:
             step("writing the report")

@@ -41,7 +41,8 @@ class Layout:
     ``loads`` are covariates that are zero for a robot that carries nothing. ``own_joints``: each robot names its joints
     itself, so that its columns are known no sooner than it is.
     ``joints_tell_pose``: rows with the same joint readings stand at the same pose. ``follows``: readings move with the
-    joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake.
+    joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake. ``by_time``:
+    rows of a run in which no joint moves are no repeats of one pose, but a course in time.
     """
 
     joints: tuple[str, ...]
@@ -57,6 +58,7 @@ class Layout:
     from_fixed: bool = False
     loads: tuple[str, ...] = ()
     own_joints: bool = False
+    by_time: bool = False
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
@@ -262,8 +264,14 @@ _HEADER = re.compile(r"^(?P<stem>.*?)[\s_]*(?:\[(?P<square>[^\[\]]*)\]|\((?P<rou
 #: How much of the unit of a column is one of another, by what they measure.
 _BY_UNIT: tuple[dict[str, float], ...] = (
     {"m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3, "nm": 1e-6, "in": 25.4},
-    {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": math.pi / 180.0, "arcmin": math.pi / 10_800.0,
-     "arcsec": math.pi / 648_000.0},
+    {
+        "rad": 1.0,
+        "mrad": 1e-3,
+        "urad": 1e-6,
+        "deg": math.pi / 180.0,
+        "arcmin": math.pi / 10_800.0,
+        "arcsec": math.pi / 648_000.0,
+    },
     {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     {"px": 1.0},
     {"c": 1.0},

@@ -20,6 +20,7 @@ from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
 from ..fit.set_up import held, set_up_mistakes, unread
+from ..model.thermometers import thermometers_of
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
@@ -75,6 +76,8 @@ def diagnose(
             )
     step("mistakes of the set-up")
     run = FittedRun(fit)
+    given = {one.name for one in (*effects, *run.model.effects)}
+    effects = (*effects, *(one for one in thermometers_of(run.model, run.data) if one.name not in given))
     mistakes = () if run.is_exact else set_up_mistakes(fit.model, fit.data, fit.values)
     table = () if run.is_exact else tuple(doubt for doubt in doubts(fit.data) if doubt.poses)
     # what a mistake leaves says nothing on physics, nor do poses that cannot tell it

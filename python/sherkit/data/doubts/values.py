@@ -33,7 +33,7 @@ def time_in_milliseconds(data: Measurements) -> Iterator[Doubt]:
     gaps = np.diff(np.sort(data.time_s))
     velocities = [v for v in (data.covariates.get(name) for name in data.layout.velocities) if v is not None]
     usual = float(np.median(gaps))
-    if len(velocities) == data.joints.shape[1]:
+    if velocities and len(velocities) == data.joints.shape[1]:
         # joints tell how fast time runs, where their speeds are known
         order = np.argsort(data.time_s, kind="stable")
         way = np.abs(np.diff(data.joints[order], axis=0)).sum()

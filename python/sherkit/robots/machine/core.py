@@ -170,7 +170,7 @@ def generic_effects(
         row["parameters"]),
                            lambda x, at: _diagonal(_late(at, at.sensor_slip_time_s)[:, None] + 0 * x), ("time_s",),
                            "time_s", by_pose=True))  # fmt: skip
-    return tuple(out)
+    return tuple(one for one in out if one.parameters)
 
 
 def sensor_pose(names: Collection[str]) -> Generic:

@@ -59,7 +59,8 @@ class Described(Saved, Shown):
         object.__setattr__(self, "name", self.name or _called(self.function))
         object.__setattr__(self, "kind", self.name)
         for what, names in (("joints", self.joint_names), ("readings", tuple(self.readings))):
-            if isinstance(self.joints, str) or isinstance(self.readings, str) or not names:
+            # nothing moves of a spindle that warms, of a mast in the wind: it has readings alone
+            if isinstance(self.joints, str) or isinstance(self.readings, str) or not (names or what == "joints"):
                 raise RobotError(f"{what}: expected a tuple of column names, got {getattr(self, what)!r}")
         doubled = [*self.joint_names, *self.readings]
         if wrong := [n for n in doubled if doubled.count(n) > 1 or n in _RESERVED]:
@@ -110,8 +111,10 @@ class Described(Saved, Shown):
     def box(self) -> Floats:
         """Where each joint may stand (k, 2), in its unit."""
         if isinstance(self.joints, Mapping):
-            return np.array([tuple(map(float, one)) for one in self.joints.values()])
-        return np.array([(-1.0, 1.0)] * len(self.joints)) * [[_RANGE.get(unit_in(n), 1.0)] for n in self.joints]
+            ranges = [tuple(map(float, one)) for one in self.joints.values()]
+        else:
+            ranges = [(-_RANGE.get(unit_in(n), 1.0), _RANGE.get(unit_in(n), 1.0)) for n in self.joints]
+        return np.array(ranges, dtype=float).reshape(-1, 2)
 
     @cached_property
     def layout(self) -> Layout:
@@ -119,7 +122,7 @@ class Described(Saved, Shown):
         unit = unit_in(self.readings[0])
         shown, per_unit = in_small_units(unit)
         velocities = tuple(f"{name}_per_s" for name in self.joint_names)
-        return Layout(self.joint_names, tuple(self.readings), shown, per_unit, velocities=velocities)
+        return Layout(self.joint_names, tuple(self.readings), shown, per_unit, velocities=velocities, by_time=True)
 
     @property
     def pose(self) -> SensorPose | None:
@@ -168,8 +171,8 @@ class Described(Saved, Shown):
 
     @property
     def joint_unit(self) -> str:
-        """Unit of the first joint."""
-        return unit_in(self.joint_names[0])
+        """Unit of the first joint; empty where there is none."""
+        return unit_in(self.joint_names[0]) if self.joint_names else ""
 
     @property
     def joint_limits(self) -> tuple[float, float] | None:
