@@ -196,7 +196,7 @@ def _first_row(cells: Sequence[tuple[int, list[str]]], count: int) -> int:
     if not data:
         return len(cells)
     first = data[0][0]
-    if not count and first and len([cell for cell in cells[first - 1][1] if cell]) > 1:
+    if not count and first and 2 * len([cell for cell in cells[first - 1][1] if cell]) > data[0][1]:
         return first  # below names
     most = count or Counter(n for _, n in data).most_common(1)[0][0]
     return next((k for k, n in data if n == most), first)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ...base.types import Floats
+from ...base.types import Floats, Ints
 from ...data.columns import stated
 from ...errors import MeasurementError, SherkitWarning
 
@@ -38,9 +38,9 @@ _MATRIX = re.compile(r"(?:t|r|m|rot|h|a)_?(\d)_?(\d)")
 _SCALES = {"rad": 1.0, "deg": np.pi / 180.0, "": np.pi / 180.0}
 #: A quaternion is of length one, and a matrix turns, but for its digits.
 _LENGTH = 1e-3
-#: Pairs of poses that are compared; an arm whose zeros are off turns by other angles, but not by so many rad; by so
+#: Sets of poses that are compared; an arm whose zeros are off turns by other angles, but not by so many rad; by so
 #: much better must a convention fit than what the names say, where that is off by more than this.
-_PAIRS, _FITS, _BETTER, _OFF = 2000, 0.06, 4.0, 0.004
+_PAIRS, _FITS, _BETTER, _OFF, _ALIKE = 2000, 0.06, 4.0, 0.004, 1.001
 
 
 def _rotation() -> Any:
@@ -58,9 +58,9 @@ class Turns:
 def turns_of(
     numbers: Callable[[Sequence[str]], Floats], names: Sequence[str], drawn: Floats, source: str
 ) -> Turns | None:
-    """The turns that columns of a table tell, ``numbers`` giving those of some (n, ·), for an arm whose tool as drawn is
-    turned by ``drawn`` (n, 3, 3); None where none do. What names leave open, and what they say and does not fit the arm,
-    is said in a :class:`~sherkit.errors.SherkitWarning`.
+    """The turns that columns of a table tell, ``numbers`` giving those of some (n, ·), for an arm whose tool as drawn
+    is turned by ``drawn`` (n, 3, 3); None where none do. What names leave open, and what they say and does not fit the
+    arm, is said in a :class:`~sherkit.errors.SherkitWarning`.
 
     Raises :class:`~sherkit.errors.MeasurementError` for a quaternion that is not of length one and a matrix that does
     not turn.
@@ -84,7 +84,8 @@ def turns_of(
         apart = np.abs(m @ m.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         if (off := (apart > 10 * _LENGTH) | (np.linalg.det(m) < 0)).any():
             raise MeasurementError(
-                f"{source}: {', '.join(columns)}: expected the matrix of a turn; that of row {int(np.argmax(off))} is none"
+                f"{source}: {', '.join(columns)}: expected the matrix of a turn; that of row {int(np.argmax(off))} is "
+                "none"
             )
         return Turns(_checked({"a matrix": _rotation().from_matrix(m).as_matrix()}, drawn, source, columns), columns)
     for wanted in (VECTOR, *_NAMED):
@@ -151,17 +152,15 @@ def _ways() -> Mapping[str, Convention]:
 
 def _checked(ways: Mapping[str, Floats], drawn: Floats, source: str, columns: Sequence[str]) -> Floats:
     """The turns of the way that fits the arm: the first unless another fits far better, the other way round too."""
-    every = {name: m for name, m in ways.items()} | {
+    every = dict(ways) | {
         f"{name}, from the instrument's axes to the tool's": m.transpose(0, 2, 1) for name, m in ways.items()
     }
     usual = next(iter(every))
-    pairs = np.random.default_rng(0).integers(len(drawn), size=(_PAIRS, 2))
-    i, j = pairs[pairs[:, 0] != pairs[:, 1]].T
-    if not len(i):
-        return every[usual]
-    wanted = _angles(drawn, i, j)
-    off = {name: float(np.median(np.abs(_angles(m, i, j) - wanted))) for name, m in every.items()}
-    best = min(off, key=lambda name: off[name])
+    few = np.random.default_rng(0).integers(len(drawn), size=(_PAIRS, 4))
+    wanted = _angles(drawn, few)
+    off = {name: float(np.median(np.abs(_angles(m, few) - wanted))) for name, m in every.items()}
+    # of two that differ by how axes are called alone, the first
+    best = next(name for name in every if off[name] <= _ALIKE * min(off.values()))
     said = f"{source}: {', '.join(columns)}: read as {usual} the tool turns otherwise than the joints of this arm do"
     if off[usual] > _OFF and _BETTER * off[best] < off[usual] and off[best] < _FITS:
         message = (
@@ -172,14 +171,16 @@ def _checked(ways: Mapping[str, Floats], drawn: Floats, source: str, columns: Se
         return every[best]
     if off[usual] > _FITS:
         message = (
-            f"{said} (by {np.rad2deg(off[usual]):.2g}° in the middle), and so it does in every other convention: are the "
-            "joints those of this arm, in the order and the unit of its file?"
+            f"{said} (by {np.rad2deg(off[usual]):.2g}° in the middle), and so it does in every other convention: are "
+            "the joints those of this arm, in the order and the unit of its file?"
         )
         warnings.warn(message, SherkitWarning, stacklevel=2)
     return every[usual]
 
 
-def _angles(m: Floats, i: Floats, j: Floats) -> Floats:
-    """By how much one turns from row i to row j, rad."""
-    cosine = 0.5 * (np.einsum("nab,nab->n", m[i], m[j]) - 1.0)
+def _angles(m: Floats, few: Ints) -> Floats:
+    """By how much one turns from the first to the second and on by as much as from the third to the fourth of ``few``
+    (k, 4) rows, rad: of two rows alone the turn back would be as large."""
+    i, j, k, l = (m[rows] for rows in few.T)
+    cosine = 0.5 * (np.einsum("nab,nac,ndc,ndb->n", i, j, k, l, optimize=True) - 1.0)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
