@@ -1,5 +1,5 @@
-"""What people really have, tried as they would: inputs after public reports, made by the generators in ``people/``, which
-share no code with sherkit.
+"""What people really have, tried as they would: inputs after public reports, made by the generators in ``people/``,
+which share no code with sherkit.
 
 A case is a folder there and a test here. ``case`` makes its files; each test runs verbs on them and asks for what a
 right answer says.
@@ -25,8 +25,8 @@ from scipy.spatial.transform import Rotation
 import sherkit as sk
 from running import command
 from sherkit.base.figures import number, stated
-from sherkit.data.head import columns_called
 from sherkit.cli.next_command import completed
+from sherkit.data.head import columns_called
 from sherkit.errors import EffectError, MeasurementError, RobotError
 from sherkit.model.effect import load_effects
 from sherkit.robots.machine import load_machine
@@ -168,8 +168,8 @@ def test_a_reading_in_any_unit(unit: str, tmp_path: Path) -> None:
     (tmp_path / "lamp.py").write_text(
         "import sherkit as sk\n"
         "def forward(q, p):\n    return 3.0 + (0.001 + p.gain) * q[:, :1] + p.zero\n"
-        f"machine = sk.Machine(forward, joints={{'knob_mm': (0, 100)}}, readings=('lamp_{unit}',), name='lamp_{unit[:1]}',\n"
-        f"    parameters={{'zero': ('{unit}', 0.1), 'gain': ('{unit}/mm', 1e-3)}})\n"
+        f"machine = sk.Machine(forward, joints={{'knob_mm': (0, 100)}}, readings=('lamp_{unit}',),\n"
+        f"    name='lamp_{unit[:1]}', parameters={{'zero': ('{unit}', 0.1), 'gain': ('{unit}/mm', 1e-3)}})\n"
     )
     rng = np.random.default_rng(3)
     q = rng.uniform(0, 100, 60).round(2)
@@ -234,21 +234,20 @@ def test_the_report_of_a_plain_g33(tmp_path: Path) -> None:
 
 # -- Turns -----------------------------------------------------------------------------------------------------------
 
-#: How others write a pose: columns of joints, place and turn, of joints (rad), places (mm) and turns.
-FORMS = {
-    "KUKA": lambda q, x, r: dict(
-        zip((f"A{k}" for k in range(1, 7)), np.rad2deg(q).T, strict=True)
-    ) | dict(zip("XYZ", x.T, strict=True)) | dict(zip("ABC", r.as_euler("ZYX", degrees=True).T, strict=True)),
-    "FANUC": lambda q, x, r: dict(
-        zip((f"J{k}" for k in range(1, 7)), np.rad2deg(q).T, strict=True)
-    ) | dict(zip("XYZ", x.T, strict=True)) | dict(zip("WPR", r.as_euler("xyz", degrees=True).T, strict=True)),
-    "ABB": lambda q, x, r: dict(
-        zip((f"joint_{k}_rad" for k in range(1, 7)), q.T, strict=True)
-    ) | dict(zip("xyz", x.T, strict=True)) | dict(zip(("q1", "q2", "q3", "q4"), np.roll(r.as_quat(), 1, axis=1).T, strict=True)),
-    "matrix": lambda q, x, r: dict(
-        zip((f"joint_{k}_rad" for k in range(1, 7)), q.T, strict=True)
-    ) | {f"t{i + 1}{j + 1}": (r.as_matrix()[:, i, j] if j < 3 else x[:, i]) for i in range(3) for j in range(4)},
-}  # fmt: skip
+
+def poses_in(form: str, q: np.ndarray, x: np.ndarray, turn: Rotation) -> dict[str, np.ndarray]:
+    """Joints (n, 6), rad, places (n, 3), mm, and turns as a controller names and writes them."""
+    ours = dict(zip((f"joint_{k}_rad" for k in range(1, 7)), q.T, strict=True))
+    if form == "matrix":
+        m = np.concatenate([turn.as_matrix(), x[:, :, None]], axis=2)
+        return ours | {f"t{i + 1}{j + 1}": m[:, i, j] for i in range(3) for j in range(4)}
+    if form == "ABB":
+        real_first = np.roll(turn.as_quat(), 1, axis=1).T
+        return ours | dict(zip("xyz", x.T, strict=True)) | dict(zip(("q1", "q2", "q3", "q4"), real_first, strict=True))
+    letter, names, axes = {"KUKA": ("A", "ABC", "ZYX"), "FANUC": ("J", "WPR", "xyz")}[form]
+    joints = dict(zip((f"{letter}{k}" for k in range(1, 7)), np.rad2deg(q).T, strict=True))
+    angles = turn.as_euler(axes, degrees=True).T
+    return joints | dict(zip("XYZ", x.T, strict=True)) | dict(zip(names, angles, strict=True))
 
 
 def points(folder: Path) -> np.ndarray:
@@ -264,13 +263,13 @@ def test_turns_that_are_no_rotation_vectors(tmp_path: Path) -> None:
     np.testing.assert_allclose(points(made / "read"), points(made / "right"), atol=1e-3)
 
 
-@pytest.mark.parametrize("form", list(FORMS))
+@pytest.mark.parametrize("form", ["KUKA", "FANUC", "ABB", "matrix"])
 def test_poses_as_controllers_write_them(form: str, tmp_path: Path) -> None:
     """Catches a convention of a controller that is mistaken for another."""
     made = case("euler", tmp_path)
     table = pl.read_csv(made / "rotvec.csv").to_numpy()
     turn = Rotation.from_rotvec(table[:, 9:], degrees=True)
-    pl.DataFrame(FORMS[form](table[:, :6], table[:, 6:9], turn)).write_csv(made / "poses.csv")
+    pl.DataFrame(poses_in(form, table[:, :6], table[:, 6:9], turn)).write_csv(made / "poses.csv")
     said = ran(made, "import poses arm.toml poses.csv -o read")
     assert "turns otherwise" not in said
     ran(made, "import poses arm.toml rotvec.csv -o right")
@@ -327,7 +326,8 @@ def test_two_thermometers_of_one_more_machine(tmp_path: Path) -> None:
     (tmp_path / "mast.py").write_text(
         "import numpy as np\nimport sherkit as sk\n"
         "def forward(q, p):\n    return np.zeros((len(q), 1)) + p.zero\n"
-        "machine = sk.Machine(forward, joints=(), readings=('tip_mm',), parameters={'zero': ('mm', 1.0)}, name='mast')\n"
+        "machine = sk.Machine(forward, joints=(), readings=('tip_mm',), name='mast',\n"
+        "    parameters={'zero': ('mm', 1.0)})\n"
     )
     rng, t = np.random.default_rng(5), 300.0 * np.arange(200)
     air = 12 + 6 * np.sin(2 * np.pi * t / 43_200) + rng.normal(0, 0.1, 200)

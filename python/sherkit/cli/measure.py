@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 import contextlib
 import os
 import select
+import shlex
 import signal
 import sys
 import threading

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any
 
 import click
@@ -21,8 +22,8 @@ _SHOWN = ("--json", "--checks", "--help")
 
 
 def completed(command: str, files: str = "") -> str:
-    """A proposed command with ``files`` (quoted) in their place, and every option that was typed and that its verb takes
-    as well."""
+    """A proposed command with ``files`` (quoted) in their place, and every option that was typed and that its verb
+    takes as well."""
     whole = command.replace(FILES, files) if files else command
     ctx = click.get_current_context(silent=True)
     words = shlex.split(command)
@@ -37,9 +38,8 @@ def completed(command: str, files: str = "") -> str:
         whole = whole.replace(f"--template {_OWN}", f"--template more_{_OWN}")
     for typed in every:
         name, *value = typed
-        if name not in takes or (name in words and (not value or (name, *value) in list(zip(words, words[1:])))):
-            continue
-        if name in words and not _repeats(verb, name):
+        there = name in words and (not _repeats(verb, name) or [name, *value] in map(list, pairwise(words)))
+        if name not in takes or there:
             continue
         whole += f" {shlex.join(typed)}"
     return whole
@@ -70,9 +70,10 @@ def _typed(ctx: click.Context) -> Iterator[tuple[str, ...]]:
         name = max(one.opts, key=len)
         if name in _SHOWN or ctx.get_parameter_source(one.name) is not ParameterSource.COMMANDLINE:
             continue
-        value = ctx.params.get(one.name, kept.get(one.name))
+        value: Any = ctx.params.get(one.name, kept.get(one.name))
         if one.is_flag:
             yield (name,) if value else (min(one.secondary_opts, key=len, default=name),)
         else:
-            for each in value if one.multiple else (value,):
+            every: tuple[Any, ...] = tuple(value) if one.multiple else (value,)
+            for each in every:
                 yield name, str(each)

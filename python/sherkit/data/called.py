@@ -17,7 +17,8 @@ READ = frozenset((
 ))  # fmt: skip
 #: Of the difference of the two, which is neither.
 _DIFFERENCE = frozenset((
-    "error", "fehler", "deviation", "abweichung", "diff", "difference", "differenz", "residual", "err", "erreur", "delta",
+    "error", "fehler", "deviation", "abweichung", "diff", "difference", "differenz", "residual", "err", "erreur",
+    "delta",
 ))  # fmt: skip
 
 

@@ -41,8 +41,8 @@ class Layout:
     ``loads`` are covariates that are zero for a robot that carries nothing. ``own_joints``: each robot names its joints
     itself, so that its columns are known no sooner than it is.
     ``joints_tell_pose``: rows with the same joint readings stand at the same pose. ``follows``: readings move with the
-    joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake. ``by_time``:
-    rows of a run in which no joint moves are no repeats of one pose, but a course in time.
+    joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake.
+    ``by_time``: rows of a run in which no joint moves are no repeats of one pose, but a course in time.
     """
 
     joints: tuple[str, ...]
@@ -204,8 +204,8 @@ def check_unique(names: list[str], where: str) -> None:
 def check_columns(names: list[str], where: str, own: Sequence[Layout] = (), *, to_come: bool = True) -> Layout:
     """The layout of a table. Refuses one that lacks what every run of its kind has, or holds a reading in another unit.
 
-    ``own`` are those of the robot whose run it is; ``to_come``: it may be read later. Raises ``MeasurementError``; warns of a covariate whose name looks like a
-    misspelt column.
+    ``own`` are those of the robot whose run it is; ``to_come``: it may be read later. Raises ``MeasurementError``;
+    warns of a covariate whose name looks like a misspelt column.
     """
     layout = (to_come and layout_to_come(names)) or layout_of(names, own)
     for needed in layout.joints:

@@ -22,8 +22,10 @@ from .head import MARKS, by_spaces, is_number, nameless, names_given, tabbed
 #: Cells that say that nothing was read.
 NOTHING = ("---", "--", "-", "n/a", "na", "nan", "#n/a", "#nv", "null", "none", "?", "k.a.", "x", "*", "err", "error")
 #: First cells of rows that spreadsheets compute below the others, in small letters.
-_SUMMED = ("mittelwert", "mittel", "mw", "mean", "average", "avg", "moyenne", "media", "std", "stdev", "sd", "stabw",
-           "stdabw", "standardabweichung", "min", "max", "minimum", "maximum", "median", "summe", "sum", "total")  # fmt: skip
+_SUMMED = (
+    "mittelwert", "mittel", "mw", "mean", "average", "avg", "moyenne", "media", "std", "stdev", "sd", "stabw",
+    "stdabw", "standardabweichung", "min", "max", "minimum", "maximum", "median", "summe", "sum", "total",
+)  # fmt: skip
 #: A number with its unit behind it, in the same cell.
 WITH_UNIT = re.compile(r"(?P<number>[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\d\s.,:/-][^\d:]*)")
 #: Lines that tell how cells are parted, and where names begin.
@@ -87,7 +89,7 @@ def raw_table(path: Path) -> RawTable:
     cells = list(_cells(path, lines, separator))
     first = _first_row(cells, len(called))
     if called:
-        head, units = list(called), []
+        head, units = list(called), list[str]()
         if first:
             wrong.append(Wrong("above the rows", "put # before it", tuple(n for n, _ in cells[:first])))
     else:
@@ -190,8 +192,8 @@ def _is_data(row: Sequence[str]) -> bool:
 
 
 def _first_row(cells: Sequence[tuple[int, list[str]]], count: int) -> int:
-    """Where rows of measurements begin: below names, or at the first that has as many cells as there are ``count`` names,
-    or as most have."""
+    """Where rows of measurements begin: below names, or at the first that has as many cells as there are ``count``
+    names, or as most have."""
     data = [(k, len(row)) for k, (_, row) in enumerate(cells) if _is_data(row)]
     if not data:
         return len(cells)

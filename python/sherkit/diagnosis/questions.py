@@ -20,10 +20,10 @@ from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
 from ..fit.set_up import held, set_up_mistakes, unread
-from ..model.thermometers import thermometers_of
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
+from ..model.thermometers import thermometers_of
 from .answers import Diagnosis, verdict_of
 from .candidates import candidates_of, strongest
 from .checked import checks_of

@@ -408,8 +408,8 @@ def _accuracy_lines(calibration: Calibration | None) -> list[tuple[str, str, str
             predicted = calibration.predicted_accuracy(place)
             text = (
                 f"{factor * predicted.total_mm:{digits}} {unit} (mean of many visits), of it "
-                f"{factor * predicted.addition_mm:{digits}} unseen; {factor * predicted.visit_mm:{digits}} {unit} for a "
-                "single reading"
+                f"{factor * predicted.addition_mm:{digits}} unseen; {factor * predicted.visit_mm:{digits}} {unit} "
+                "for a single reading"
             )
             text += f": mostly {predicted.effect}. {predicted.advice}" if predicted.matters else ""
             text += "" if calibration.measured(place) else " (extrapolated: no pose was measured there)"

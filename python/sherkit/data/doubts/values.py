@@ -56,8 +56,8 @@ def time_in_milliseconds(data: Measurements) -> Iterator[Doubt]:
 def order_lost(data: Measurements) -> Iterator[Doubt]:
     """Times that rise at even steps over rows that were sorted: by a reading, down to its noise, or by the pose's
     number with all repeats side by side. When what was read first is lost with them, and so are directions."""
-    if data.time_s is None or len(data) < max(FEWEST, _SMALL_STEPS):
-        return
+    if data.time_s is None or len(data) < max(FEWEST, _SMALL_STEPS) or not (data.joints != data.joints[:1]).any():
+        return  # where nothing moves there is but the order in time
     order = np.flatnonzero(~data.outlier)
     steps = np.diff(data.time_s[order])
     usual = float(np.median(steps))

@@ -14,7 +14,7 @@ from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import unit_in
-from ...errors import EffectError
+from ...errors import EffectError, FitError
 from ...model.base import Reachable
 from ...model.chain import ChainModel
 from ...model.effect import Effect
@@ -125,6 +125,15 @@ class MachineModel(ChainModel):
         missed = (seen_from(pose, off, base) - self.predict(rows, values))[reached]
         near = np.sqrt((missed**2).mean()) <= _NEAR * np.sqrt(base[reached].var(axis=0).sum())
         return values if near else start
+
+    def require_own(self, data: Measurements) -> None:
+        """As of any model; and where nothing moves, a course in time or a column is what tells anything."""
+        super().require_own(data)
+        if not data.layout.joints and data.time_s is None and not data.covariates:
+            raise FitError(
+                f"{data.source}: of a machine without joints a run needs time_s, or a column that its readings may "
+                "follow"
+            )
 
     def check_effect(self, effect: Effect, data: Measurements, values: Floats) -> None:
         """As of any model; and a displacement asks for readings that are those of a point."""

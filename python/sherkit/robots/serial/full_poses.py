@@ -37,8 +37,8 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
     Columns beside ``x_mm, y_mm, z_mm``: ``rx_rad, ry_rad, rz_rad``, or ``_deg``, a rotation vector; ``qx, qy, qz, qw``;
     ``roll_deg, pitch_deg, yaw_deg``; those of a 4 × 4 matrix, ``t11`` to ``t34``; or as controllers write a pose, X, Y,
     Z with A, B, C (KUKA), W, P, R (FANUC) or q1 to q4 (ABB) and the joints J1 … or A1 …, mm and degrees. They turn the
-    axes of the tool into those of the instrument; numbers that do so in another convention alone are read in that, and a
-    :class:`~sherkit.errors.SherkitWarning` names it. Target 1 is the place; 2 and 3 lie ``lever_mm``
+    axes of the tool into those of the instrument; numbers that do so in another convention alone are read in that, and
+    a :class:`~sherkit.errors.SherkitWarning` names it. Target 1 is the place; 2 and 3 lie ``lever_mm``
     from it along x and y of the tool (``tool_rpy_deg``), so that a turn counts by what it moves there: the lever at
     which the instrument is as fine in turns as in places is the best one. What an instrument misreads of a place moves
     all three, which a diagnosis takes for one witness; deviations of parameters are up to 1.7 times too small where

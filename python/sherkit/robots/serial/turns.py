@@ -24,16 +24,16 @@ from ...errors import MeasurementError, SherkitWarning
 Convention = Callable[[Floats], Floats]
 
 #: Columns that tell a turn: of angles with their unit at the end, of a quaternion, of a matrix row by row.
-VECTOR = ("rx", "ry", "rz")
-QUATERNION = ("qx", "qy", "qz", "qw")
-_NAMED = {
+VECTOR: tuple[str, ...] = ("rx", "ry", "rz")
+QUATERNION: tuple[str, ...] = ("qx", "qy", "qz", "qw")
+_NAMED: dict[tuple[str, ...], str] = {
     ("roll", "pitch", "yaw"): "xyz",
     # KUKA: A about z, then B about y, then C about x; FANUC: W, P, R about the fixed x, y, z
     ("a", "b", "c"): "ZYX",
     ("w", "p", "r"): "xyz",
 }  # fmt: skip
 #: ABB: the real part first.
-_REAL_FIRST = (("q1", "q2", "q3", "q4"), ("qw", "qx", "qy", "qz"))
+_REAL_FIRST: tuple[tuple[str, ...], ...] = (("q1", "q2", "q3", "q4"), ("qw", "qx", "qy", "qz"))
 _MATRIX = re.compile(r"(?:t|r|m|rot|h|a)_?(\d)_?(\d)")
 _SCALES = {"rad": 1.0, "deg": np.pi / 180.0, "": np.pi / 180.0}
 #: A quaternion is of length one, and a matrix turns, but for its digits.
@@ -181,6 +181,6 @@ def _checked(ways: Mapping[str, Floats], drawn: Floats, source: str, columns: Se
 def _angles(m: Floats, few: Ints) -> Floats:
     """By how much one turns from the first to the second and on by as much as from the third to the fourth of ``few``
     (k, 4) rows, rad: of two rows alone the turn back would be as large."""
-    i, j, k, l = (m[rows] for rows in few.T)
-    cosine = 0.5 * (np.einsum("nab,nac,ndc,ndb->n", i, j, k, l, optimize=True) - 1.0)
+    turns = [m[rows] for rows in few.T]
+    cosine = 0.5 * (np.einsum("nab,nac,ndc,ndb->n", *turns, optimize=True) - 1.0)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
