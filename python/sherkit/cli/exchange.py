@@ -106,6 +106,7 @@ def urdf(urdf: Path, base: str | None, tip: str | None, destination: Path) -> No
 @import_group.command("dh")
 @click.argument("table", type=InputFile())
 @click.option("--convention", type=click.Choice(CONVENTIONS), default=CONVENTIONS[0], show_default=True)
+@output.columns_option
 @_ROBOT_FILE
 def dh(table: Path, convention: str, destination: Path) -> None:
     """An arm: a CSV table of Denavit-Hartenberg or Hayati parameters (d_mm, a_mm, alpha_deg …), as a robot.toml."""
@@ -124,6 +125,7 @@ def _write_arm(robot: Serial, destination: Path) -> None:
 @click.argument("robot", type=InputFile())
 @click.argument("run", type=InputFile())
 @click.option("--lever-mm", type=float, default=100.0, show_default=True, help="How far two more points lie off.")
+@output.columns_option
 @_FOLDER
 def poses(robot: Path, run: Path, lever_mm: float, folder: Path) -> None:
     """An arm's full poses (x_mm … and rx_rad …, rx_deg … or qx …), as the places of three points of its tool."""

@@ -172,10 +172,16 @@ def _output() -> ModuleType:
     return import_module(".output", __package__)
 
 
-def _pointer(error: SherkitError) -> str:
+#: Tables that a check lists the mistakes of.
+_TEXTS = (".csv", ".tsv", ".txt", ".dat")
+
+
+def _pointer(error: SherkitError, typed: list[str]) -> str:
     """Where a person is led who has met the first of a file's mistakes."""
     source = str(error).partition(": ")[0]
-    is_table = isinstance(error, MeasurementError) and source.endswith(".csv") and Path(source).is_file()
+    is_table = isinstance(error, MeasurementError) and source.endswith(_TEXTS) and Path(source).is_file()
+    if typed[:1] == ["check"] or "--columns" in str(error):
+        return ""
     return f"; sherkit check {shlex.quote(source)} lists all that is wrong with it" if is_table else ""
 
 
@@ -183,10 +189,12 @@ def run(typed: list[str]) -> None:
     """Runs what was typed; errors become one sentence and an exit code."""
     try:
         with warnings.catch_warnings():
+            # what libraries have to say of their arrays is nobody's on a screen
+            warnings.simplefilter("ignore", RuntimeWarning)
             warnings.showwarning = lambda message, *_, **__: _output().warn(str(message))
             code = cli.main(args=typed, prog_name="sherkit", standalone_mode=False, obj=typed)
     except SherkitError as error:
-        _output().fail(f"{error}{_pointer(error)}")
+        _output().fail(f"{error}{_pointer(error, typed)}")
         sys.exit(1)
     except (click.exceptions.Abort, KeyboardInterrupt):
         _output().fail("interrupted")

@@ -93,7 +93,7 @@ class Measurements:
         pose and repeat given twice. Warns where units do not fit.
         """
         layout = c.layout_of(list(values)) if layout is None else layout
-        n = len(values[layout.joints[0]])
+        n = len(next(iter(values.values())))
         line = np.arange(n, dtype=np.int64) if line is None else line
 
         def stack(names: Sequence[str]) -> Floats:
@@ -319,7 +319,8 @@ class Measurements:
         if self.pose is not None:
             given = np.column_stack([self.pose, *self.apart])
             return np.unique(given, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
-        if not self.layout.joints_tell_pose:
+        still = self.layout.by_time and self.time_s is not None and not (self.joints != self.joints[:1]).any()
+        if still or not self.layout.joints_tell_pose:
             return np.arange(len(self), dtype=np.int64)
         # The joints alone make a pose, as its number does where one is given. The side from which it was approached,
         # a payload, the temperature may differ between repeats: they move the point by much less than another pose

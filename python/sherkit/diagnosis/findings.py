@@ -49,12 +49,12 @@ def largest(found: Diagnosis, one: CandidateReport) -> str:
     if one.effect in found.known:
         return found.known[one.effect].short
     worst = one.largest
-    return f"{worst['name']} = {stated(worst['value'], worst['std'], worst['unit'])}"
+    return f"{worst['name']} = {stated(worst['value'], worst['std'], worst['unit'], worst['size'])}"
 
 
 def figure(d: Diagnosis, value: float) -> str:
     """A size in the unit of a diagnosis: a tenth of a micrometre is enough, of a pixel it is not."""
-    return f"{value:.1f}" if d.unit == "µm" else f"{value:.3g}"
+    return f"{value:.1f}" if d.unit == "µm" and not 0 < abs(value) < 0.1 else f"{value:.3g}"
 
 
 def p_value(value: float) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import ArrayLike
 
+from ..base.figures import in_small_units
 from ..base.types import Bools, Floats
 from ..data.columns import TEMPERATURE, TIME, bare, unit_in
 from ..fit.error import radius_95
@@ -48,6 +49,8 @@ class PredictedAccuracy:
     advice: str = ""
     temperature_c: float | None = None
     time_s: float | None = None
+    #: Of radius, addition and visit, where the robot's coordinates are no lengths.
+    unit: str = "mm"
 
     @property
     def total_mm(self) -> float:
@@ -62,14 +65,18 @@ class PredictedAccuracy:
     def __str__(self) -> str:
         if math.isnan(self.radius_mm):
             return "out of reach"
-        within, shown = f"within {1e3 * self.total_mm:.1f} µm in 95 of 100 cases", f"{1e3 * self.radius_mm:.1f} µm"
+        within, shown = f"within {self._sized(self.total_mm)} in 95 of 100 cases", self._sized(self.radius_mm)
         if self.visit_mm > self.total_mm:
-            within = f"the mean of many visits {within}, single readings within {1e3 * self.visit_mm:.1f} µm"
+            within = f"the mean of many visits {within}, single readings within {self._sized(self.visit_mm)}"
         within += self._when
         if not self.effect:
             return f"{within}; the poses leave no room for an effect between them"
         text = f"{within}: {shown} by what the poses show, the rest by what they could not, mostly {self.effect}"
         return f"{text}. {self.advice}" if self.matters and self.advice else text
+
+    def _sized(self, value: float) -> str:
+        unit, factor = in_small_units(self.unit)
+        return f"{factor * value:{'.1f' if unit == 'µm' else '.3g'}} {unit}"
 
     @property
     def _when(self) -> str:
@@ -102,6 +109,8 @@ class PredictedAccuracies:
     coordinates: tuple[str, ...]
     temperature_c: float | None = None
     time_s: float | None = None
+    #: Of radius, addition and visit, where the robot's coordinates are no lengths.
+    unit: str = "mm"
 
     @property
     def total_mm(self) -> Floats:
@@ -115,7 +124,7 @@ class PredictedAccuracies:
         one = self.worst[row]
         sizes = (float(self.radius_mm[row]), float(self.addition_mm[row]), float(self.visit_mm[row]))
         said = ("", "") if one is None else (one.name, self._advice(one))
-        return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s)
+        return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s, unit_in(self.coordinates[0]) or "mm")
 
     def _advice(self, one: Hiding) -> str:
         """Where to measure, and what it would bring."""

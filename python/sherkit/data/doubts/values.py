@@ -34,7 +34,7 @@ def time_in_milliseconds(data: Measurements) -> Iterator[Doubt]:
     gaps = np.diff(np.sort(data.time_s))
     velocities = [v for v in (data.covariates.get(name) for name in data.layout.velocities) if v is not None]
     usual = float(np.median(gaps))
-    if len(velocities) == data.joints.shape[1]:
+    if velocities and len(velocities) == data.joints.shape[1]:
         # joints tell how fast time runs, where their speeds are known
         order = np.argsort(data.time_s, kind="stable")
         way = np.abs(np.diff(data.joints[order], axis=0)).sum()
@@ -57,8 +57,8 @@ def time_in_milliseconds(data: Measurements) -> Iterator[Doubt]:
 def order_lost(data: Measurements) -> Iterator[Doubt]:
     """Times that rise at even steps over rows that were sorted: by a reading, down to its noise, or by the pose's
     number with all repeats side by side. When what was read first is lost with them, and so are directions."""
-    if data.time_s is None or len(data) < max(FEWEST, _SMALL_STEPS):
-        return
+    if data.time_s is None or len(data) < max(FEWEST, _SMALL_STEPS) or not (data.joints != data.joints[:1]).any():
+        return  # where nothing moves there is but the order in time
     order = np.flatnonzero(~data.outlier)
     steps = np.diff(data.time_s[order])
     usual = float(np.median(steps))

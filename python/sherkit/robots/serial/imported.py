@@ -15,6 +15,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -22,6 +23,7 @@ import numpy as np
 
 from ...base.names import brief, listed, nearest
 from ...base.types import Floats
+from ...data.head import head_of
 from ...errors import RobotError
 from .frames import Triple, about, as_written, frame, of_rpy
 from .robot import MOST_JOINTS, TYPES, Joint, Serial
@@ -154,7 +156,14 @@ class _Row:
 def _rows(path: Path) -> list[dict[str, str]]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file, restval="", skipinitialspace=True)
+            head = head_of(str(path), enumerate(file, start=1))
+            if head is None:
+                raise RobotError(f"{path}: is empty; expected a table with a row for each joint")
+            rows_below = (line for _, line in head.lines if not line.lstrip().startswith("#"))
+            text = rows_below if head.called else chain([head.names], rows_below)
+            reader = csv.DictReader(
+                text, head.called or None, restval="", skipinitialspace=True, delimiter=head.separator
+            )  # fmt: skip
             names = [name.strip() for name in reader.fieldnames or ()]
             rows = []
             for k, row in enumerate(reader, 1):
