@@ -36,6 +36,10 @@ _FEWEST = 12
 _POSES, _CANDIDATES = 8, 200
 
 
+#: Deviations by which a number moved.
+_MOVED = 2.0
+
+
 @dataclass(frozen=True)
 class Moved:
     """A parameter that has changed: by how much, with its deviation, in its unit, since which run (from 0)."""
@@ -217,7 +221,7 @@ def differing(data: Sequence[Measurements], called: Sequence[str]) -> list[str]:
             continue
         for one, then in zip(data[1:], called[1:], strict=True):
             values = one.covariates.get(name)
-            if values is None or first.min() <= values.max() and values.min() <= first.max():
+            if values is None or (first.min() <= values.max() and values.min() <= first.max()):
                 continue
             out.append(
                 f"{name} is {np.mean(first):.4g} in {called[0]} and {np.mean(values):.4g} in {then}: what follows it "
@@ -251,12 +255,19 @@ def verdict_of(made: Courses, names: Names | None) -> str:
 
 
 def estimated(about: About, names: Sequence[str]) -> tuple[Moved, ...]:
-    """The changes of these names with their deviations."""
-    return tuple(
-        Moved(p.name, value, std, p.unit, int(np.flatnonzero(factors)[0]))
-        for (effect, factors), told in zip(about.changes, about.told, strict=True) if effect.name in names
-        for p, value, std in told
-    )  # fmt: skip
+    """The changes of these names with their deviations: of each the numbers that moved, the surest where none did."""
+    out: list[Moved] = []
+    for (effect, factors), told in zip(about.changes, about.told, strict=True):
+        if effect.name in names:
+            since = int(np.flatnonzero(factors)[0])
+            surest = max(abs(value) / max(std, 1e-300) for _, value, std in told)
+            least = min(_MOVED, surest)
+            out += [
+                Moved(p.name, value, std, p.unit, since)
+                for p, value, std in told
+                if abs(value) / max(std, 1e-300) >= least
+            ]
+    return tuple(out)
 
 
 def _is_large(joined: Joined, names: Sequence[str], one: Moved) -> bool:

@@ -134,6 +134,11 @@ def generic_effects(
         which = [i for i in range(k) if units[i] == unit]
         lines = _waves([joints[i] for i in which], unit, 0.005 if by is None else 1e-3 / by)
         out.append(Generic("encoder_cyclic", "joints", lines, _cyclic(which), search=f"period_{unit}"))
+    # who reads a joint a moment after the point sees it where it was then
+    late = tuple(f"{name}_per_s" for name in joints)
+    out.append(
+        Generic("reading_delay", "joints", (("delay", "s", 0.02),), lambda _, at: -at.velocity[:, :, None], late)
+    )
     widths = _each("width", joints, units, [0.2 * s for s in small])
     out.append(Generic("backlash", "joints", widths, lambda q, at: _diagonal(0.5 * at.direction), ("direction",)))
     out.append(

@@ -65,11 +65,6 @@ _OWN = {
         residuals="The same in every distance, whatever its length and direction.",
         remedy="Calibrate the bar on a gauge of known length.",
     ),
-    "reading_delay": Sentences(
-        physics="A reading shows the robot a little earlier than the joints beside it: filters, transfer, buffers.",
-        residuals="Proportional to the velocity of the joints; none where the robot stands still.",
-        remedy="Trigger instrument and encoders together; or measure at rest.",
-    ),
 }
 
 #: The effects by name, in the order of the chain, for all the joints that an arm may have.
