@@ -208,7 +208,7 @@ class SerialModel(ChainModel):
         return (self.robot.layout,)
 
     @cached_property
-    def targets_anywhere(self) -> tuple[str, ...]:  # type: ignore[override]
+    def targets_anywhere(self) -> tuple[str, ...]:
         """As of any model: x, y, z of each target."""
         return tuple(p.name for p in self.parameters if p.name.startswith(("tool_", "target_")) and not p.known)
 
