@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+import scipy
 
 import sherkit._core as _core
 
@@ -40,6 +41,8 @@ from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
 _ROBUST_ROUNDS = 30
+#: Chance by which readings contradict a drawing that is right.
+_CONTRADICTED = 1e-3
 #: Noise that falls by less than to this part has settled.
 _NEARLY_SETTLED = 0.9
 #: It has settled when no value moves by more than this part of its plausible size; and it may still move by this part
@@ -265,9 +268,20 @@ def identify(
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
     fit = _fitted(model, data, noise, start, loss=loss, priors=bool(priors), linear=linear)
     if priors is None and not linear and not (fit.converged and fit.supported == fit.rank):
-        # what readings do not decide the drawing does
-        fit = _fitted(model, data, noise, start, loss=loss, priors=True, linear=False)
+        # what readings do not decide the drawing does, unless they contradict it
+        drawn = _fitted(model, data, noise, start, loss=loss, priors=True, linear=False)
+        if not fit.converged or not _contradict(fit, drawn):
+            fit = drawn
     return fit
+
+
+def _contradict(plain: Fit, drawn: Fit) -> bool:
+    """Whether the readings of a ``plain`` fit contradict the drawing, with which that ``drawn`` was made: it leaves
+    more than as many numbers as are fitted would by chance."""
+    left = [
+        float(np.square(one.residuals[one.data.used] / one.noise.sigma[one.data.used]).sum()) for one in (plain, drawn)
+    ]
+    return left[1] - left[0] > float(scipy.special.chdtri(plain.rank, _CONTRADICTED)) * plain.scale**2
 
 
 def _fitted(
