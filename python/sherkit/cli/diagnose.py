@@ -36,6 +36,7 @@ from .paths import InputFile, OutputFile
 @click.option("--checks", "every_check", is_flag=True, help="List everything that was checked, not only what fails.")
 @click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model already.")
+@click.option("--free", default="", help="Parameters to identify, separated by commas; default: those of its kind.")
 @click.option("-o", "--output", "written", type=OutputFile(TOOL),
               help="Of a flexible tool: write it with the effects of --effect and those that were named.")  # fmt: skip
 @click.option("--template", "destination", type=OutputFile(TEMPLATE), help="Write an effect of the shape found.")
@@ -45,7 +46,7 @@ from .paths import InputFile, OutputFile
 @columns_option
 def diagnose(
     robot: Path, runs: tuple[Path, ...], as_json: bool, every_check: bool, files: tuple[Path, ...],
-    added: tuple[str, ...], written: Path | None, destination: Path | None, level: float, seed: int,
+    added: tuple[str, ...], free: str, written: Path | None, destination: Path | None, level: float, seed: int,
     report: Path | None,
 ) -> None:  # fmt: skip
     """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet), joined with MORE measured later.
@@ -62,7 +63,8 @@ def diagnose(
         model, data = machine.read(runs)
         every = (*own, *thermometers_of(model, data))
         step("identifying the model as it is")
-        fit = identify(model, data, effects=effects_by_name(model.known_effects, added, every))
+        freed = [name.strip() for name in free.split(",") if name.strip()]
+        fit = identify(model, data, free=freed, effects=effects_by_name(model.known_effects, added, every))
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
         if report is not None:
             step("writing the report")

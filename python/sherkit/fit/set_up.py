@@ -15,13 +15,25 @@ from ..data.doubts import angles, commanded, doubts
 from ..data.noise import noise_of
 from ..errors import SherkitError
 from ..model.base import ModelWithEffects
-from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, may_be_anything, plausible_fit, thinned
+from .plausible import (
+    COUNTED,
+    NOT_COMPUTED,
+    Plausible,
+    as_fitted,
+    may_be_anything,
+    plausible_fit,
+    sizes_of,
+    thinned,
+)
 from .set_up_hypotheses import SetUp, hypotheses, turned_frame
 
 # -- Readings that are the same in every row, and such as no row holds ----------------------------------------------
 
 #: A reading that never changes is a mistake where the place moves it by more than this part of what moves most.
 _MOVES = 0.05
+#: A distance that the drawing moves by fewer deviations, as plausible sizes of its parameters have them, is constant by
+#: design.
+_BY_DESIGN = 10.0
 _FEWEST = 5
 
 
@@ -71,6 +83,13 @@ def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator
     except SherkitError:
         return
     moves = np.ptp(drawn, axis=0)
+    distance = data.layout.distance
+    if distance is not None and data.layout.readings.index(distance) in still:
+        # a probe that touches, a ball in its socket: constant, where an arm a little off its drawing makes it so
+        k = data.layout.readings.index(distance)
+        by_plausible = model.derivatives(data, model.start(data))[:, k] * sizes_of(model)
+        if moves[k] < _BY_DESIGN * np.sqrt(np.square(np.std(by_plausible, axis=0)).sum()):
+            still = still[still != k]
     if model.stands_anywhere:
         # how it is turned is told by the readings that are in doubt: of directions as many as the drawing's must move
         rows = data.taken[:, : data.coordinates].all(axis=1)
