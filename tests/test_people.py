@@ -399,3 +399,147 @@ def test_a_study_with_effects_of_ones_own_says_how_it_is_read(tmp_path: Path) ->
     with pytest.raises(EffectError, match=re.escape("Study.load(folder, effects=[...])")):
         sk.Study.load(made / "study")
     assert sk.Study.load(made / "study", effects=own).effects == ("thread",)
+
+
+# -- Joints that do not move -----------------------------------------------------------------------------------------
+
+
+def test_a_joint_that_stands_still_is_no_candidate(tmp_path: Path) -> None:
+    """Catches a column of zeros that ends a verb, and sizes of what was never moved."""
+    made = case("stilljoint", tmp_path, "1")
+    run = pl.read_csv(made / "run.csv").with_columns(payload_kg=pl.lit(0.0))
+    run.write_csv(made / "pay.csv")
+    a, noise = np.random.default_rng(1).uniform(-2, 2, 80), np.random.default_rng(2).normal(0, 0.01, (2, 80))
+    off = a + 1e-3 * np.sin(a + 0.3)
+    x, y = 250 * np.cos(off) + 200 * np.cos(off + 1.0), 250 * np.sin(off) + 200 * np.sin(off + 1.0)
+    one = pl.DataFrame({"a_rad": a, "b_rad": np.ones(80), "x_mm": x + noise[0], "y_mm": y + noise[1]})
+    one.write_csv(made / "m.csv")
+    for line in ("diagnose arm.toml run.csv", "diagnose arm.toml pay.csv", "compare arm.toml run.csv run.csv"):
+        said = ran(made, line)
+        assert not re.search(r"\d{15}|e\+?\d{3}", said), said
+    assert "The model lacks encoder_eccentricity" in ran(made, "diagnose m.py m.csv")
+    assert "offset_6" in ran(made, "calibrate arm.toml run.csv --free offset_6")
+
+
+def test_joints_that_only_jitter_count_as_still(tmp_path: Path) -> None:
+    """Catches a fit that runs away along what 0.2 mrad of jitter seem to tell."""
+    made = case("twojoints", tmp_path)
+    for robot in ("near.toml", "far.toml"):
+        fit = sk.identify(made / robot, made / "run.csv")
+        assert fit.converged
+        found = ran(made, f"diagnose {robot} run.csv")
+        assert "nothing with structure is missing" in found
+        assert "converge" not in found
+
+
+def test_joints_that_froze_are_said_first(tmp_path: Path) -> None:
+    """Catches a topic that was never renewed taken for one pose."""
+    made = case("frozen", tmp_path)
+    shutil.copy(HERE / "stilljoint" / "arm.toml", made)
+    assert "froze" in ran(made, "check frozen.csv", 1)
+    said = ran(made, "diagnose arm.toml frozen.csv")
+    assert said.index("froze") < said.index("1. Is anything missing?")
+    # readings of one pose are no frozen joints
+    still = pl.read_csv(made / "frozen.csv")
+    rng = np.random.default_rng(1)
+    still = still.with_columns(**{f"{axis}_mm": 100 + 0.01 * rng.normal(size=len(still)) for axis in "xyz"})
+    still.write_csv(made / "still.csv")
+    assert "froze" not in ran(made, "check still.csv")
+
+
+# -- Set-ups that a drawing does not have ----------------------------------------------------------------------------
+
+
+def test_a_target_far_from_the_drawing(tmp_path: Path) -> None:
+    """Catches units blamed for a target that nobody wrote into the file, and an effect that ends in another basin."""
+    made = case("far_target", tmp_path)
+    for robot in ("near.toml", "far.toml"):
+        said = ran(made, f"diagnose {robot} run.csv")
+        assert "The model lacks encoder_eccentricity" in said
+        assert "micrometres" not in said
+        plain, more = (sk.identify(made / robot, made / "run.csv", effects=e) for e in ((), ["encoder_eccentricity"]))
+        assert more.error.rms < 0.3 * plain.error.rms
+
+
+def test_distances_that_are_constant_by_design(tmp_path: Path) -> None:
+    """Catches a touch probe blamed on its cable, and an arm that shrinks until all distances are equal."""
+    made = case("touch", tmp_path)
+    said = ran(made, "diagnose arm.toml touch.csv")
+    assert "cable" not in said
+    assert "up to one factor" in said
+    fit = sk.identify(made / "arm.toml", made / "touch.csv")
+    true = np.deg2rad({"offset_2": 0.25, "offset_3": -0.3, "offset_4": 0.2, "offset_5": 0.15}.__getitem__("offset_2"))
+    assert abs(fit.by_name["offset_2"] - true) < np.deg2rad(0.01)
+    assert abs(fit.by_name["shift_x_3"]) < 1.0
+    said = ran(made, "diagnose arm.toml touch.csv --free offset_2,offset_3,offset_4,offset_5")
+    assert "nothing with structure is missing" in said
+
+
+def test_runs_at_two_places_and_of_one_file(tmp_path: Path) -> None:
+    """Catches what a model lacks taken for a change, because two runs stand at different places."""
+    made = case("compare_regions", tmp_path)
+    assert "unchanged" in ran(made, "compare arm.toml left.csv left.csv")
+    said = ran(made, "compare arm.toml left.csv right.csv")
+    assert "undecided" in said
+    assert "other places" in said
+
+
+def test_a_payload_that_differs_is_said_first() -> None:
+    """Catches a load named as a change of the robot without a word on the load."""
+    machine = load_machine(HERE / "stilljoint" / "m.py")
+    rng = np.random.default_rng(2)
+
+    def run(payload_kg: float, fall_mm: float) -> pl.DataFrame:
+        a, b = rng.uniform(-1.5, 1.5, 60), rng.uniform(0.5, 2.0, 60)
+        x, y = 250 * np.cos(a) + 200 * np.cos(a + b), 250 * np.sin(a) + 200 * np.sin(a + b)
+        noise = rng.normal(0, 0.01, (2, 60))
+        return pl.DataFrame({
+            "a_rad": a, "b_rad": b, "x_mm": x + noise[0], "y_mm": y + noise[1] - fall_mm * x / 450,
+            "payload_kg": payload_kg,
+        })  # fmt: skip
+
+    found = sk.compare(machine, [run(0.0, 0.0), run(2.5, 0.4)])
+    assert found.verdict != "unchanged"
+    assert found.advice.startswith("payload_kg is 0 in ")
+
+
+# -- Effects beside a course, and in the order of rows ---------------------------------------------------------------
+
+
+def test_backlash_beside_a_warm_up(tmp_path: Path) -> None:
+    """Catches 14 µm of backlash that stay unnamed since the screw warms as well (ISO 230-2)."""
+    made = case("screw", tmp_path)
+    said = ran(made, "diagnose screw.py run.csv")
+    assert "The model lacks backlash" in said
+    assert re.search(r"width_axis = -0\.01[34]", said)
+
+
+def test_every_other_row_differs(tmp_path: Path) -> None:
+    """Catches two faces of an instrument, 25 µm apart over 5 µm of noise, called adequate."""
+    made = case("stilljoint", tmp_path, "1")
+    table = pl.read_csv(made / "run.csv")
+    side = np.where(np.arange(len(table)) % 2, 0.06, -0.06)
+    table.with_columns(x_mm=pl.col("x_mm") + side).write_csv(made / "faces.csv")
+    said = ran(made, "diagnose arm.toml faces.csv")
+    assert "every other row" in said
+    assert "two faces" in said
+
+
+def test_a_reading_that_is_late_where_no_velocity_is_recorded() -> None:
+    """Catches a delay that nobody looks for, since velocities are in the times and not in a column."""
+    machine = load_machine(HERE / "stilljoint" / "m.py")
+    t = np.arange(0.0, 40.0, 0.1)
+
+    def at(when: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 0.9 * np.sin(0.7 * when), 1.2 + 0.6 * np.sin(0.43 * when + 1)
+
+    (a, b), (a_then, b_then) = at(t), at(t - 0.037)
+    noise = np.random.default_rng(3).normal(0, 0.05, (2, len(t)))
+    run = pl.DataFrame({
+        "time_s": t, "a_rad": a, "b_rad": b,
+        "x_mm": 250 * np.cos(a_then) + 200 * np.cos(a_then + b_then) + noise[0],
+        "y_mm": 250 * np.sin(a_then) + 200 * np.sin(a_then + b_then) + noise[1],
+    })  # fmt: skip
+    found = sk.diagnose(machine, run)
+    assert "reading_delay" in found.effects
+    assert abs(found.fit.by_name["reading_delay.delay"] - 0.037) < 0.002

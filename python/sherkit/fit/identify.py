@@ -41,6 +41,8 @@ from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
 _ROBUST_ROUNDS = 30
+#: Evaluations of a fit, and of one that begins at the minimum of another.
+_EVALUATIONS, _NEAR = 100, 25
 #: Chance by which readings contradict a drawing that is right.
 _CONTRADICTED = 1e-3
 #: Noise that falls by less than to this part has settled.
@@ -301,7 +303,9 @@ def _fitted(
         values = _begin(model, data, weights) if start is None else model.starting_at(start)
         if known and noise.origin == "unknown":
             weights = weights / max(_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear), 1e-12)
-        solver, ended = problem.solve(weights, values, priors=priors, linear=linear)
+        # what begins at another fit is near its minimum, or has none
+        most = _EVALUATIONS if start is None else _NEAR
+        solver, ended = problem.solve(weights, values, priors=priors, linear=linear, max_evaluations=most)
         result = solver.result()
         if not reached(ended, result):
             solver, ended = _over_the_wall(problem, weights, solver, ended, priors=priors)
@@ -398,7 +402,7 @@ def _over_the_wall(
     one went up. Where that leads nowhere better, all stays."""
     there = problem.solve(weights, solver.trial, priors=priors, linear=True)[0].trial
     try:
-        other, how = problem.solve(weights, there, priors=priors)
+        other, how = problem.solve(weights, there, priors=priors, max_evaluations=_NEAR)
     except (FitError, RobotError):
         return solver, ended
     before, after = solver.result(), other.result()
