@@ -503,6 +503,20 @@ def test_a_payload_that_differs_is_said_first() -> None:
     assert found.advice.startswith("payload_kg is 0 in ")
 
 
+def test_a_zero_that_is_the_sensors_or_the_machines(tmp_path: Path) -> None:
+    """Catches "nothing needs to be done" where a zero moved by 27 arcsec: the model's, or the instrument's."""
+    made = case("tpoint", tmp_path)
+    machine, before = load_machine(made / "tel.py"), pl.read_csv(made / "night.csv")
+    noise = np.random.default_rng(5).normal(0, 2 / 3600, (2, len(before)))
+    again = before.with_columns(encaz_deg=pl.col("encaz_deg") + noise[0], encel_deg=pl.col("encel_deg") + noise[1])
+    assert "nothing needs to be done" in sk.compare(machine, [before, again]).advice
+    moved = again.with_columns(encel_deg=pl.col("encel_deg") + 27 / 3600)
+    told = sk.compare(machine, [before, moved]).advice
+    assert "nothing needs to be done" not in told
+    assert "IE" in told
+    assert "0.0073" in told
+
+
 # -- Effects beside a course, and in the order of rows ---------------------------------------------------------------
 
 

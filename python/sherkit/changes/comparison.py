@@ -14,6 +14,7 @@ from ..base.arguments import as_annotated
 from ..base.figures import finite
 from ..base.notebook import Shown
 from ..data import Measurements
+from ..data.columns import bare, unit_in
 from ..data.reader import RunLike
 from ..errors import FitError
 from ..evidence.base import Base
@@ -36,8 +37,8 @@ _FEWEST = 12
 _POSES, _CANDIDATES = 8, 200
 
 
-#: Deviations by which a number moved.
-_MOVED = 2.0
+#: Deviations by which a number moved; medians by which a zero surely did, and how constant a column is that is one.
+_MOVED, _SURELY, _CONSTANT = 2.0, 10.0, 1e-9
 
 
 @dataclass(frozen=True)
@@ -184,6 +185,11 @@ def concluded(pool: Pool) -> Comparison:
     poses = next_poses(joined, ties) if len(ties) > 1 else ()
     error = {"before": float(before.rms), "after": after, "needed": pool.needed}
     called = [_called(one, number) for one, number in zip(data, pool.numbers, strict=True)]
+    if verdict == "unchanged":
+        to_do = _zeros_moved(joined) or [unchanged_advice(float(before.rms), pool.needed, before.unit)]
+    else:
+        what = _advice(verdict, named, tied, bool(poses), lead.run.of.left if lead else 1.0)
+        to_do = [*differing(data, called), _doubt(large) + what]
     return Comparison(
         verdict=verdict,
         changed=tuple(sorted(named)),
@@ -196,21 +202,35 @@ def concluded(pool: Pool) -> Comparison:
         evidence=made.evidence / float(np.log(10.0)),
         ranked=tuple((" & ".join(one.names), one.value / float(np.log(10.0))) for one in sets.every[:5]),
         where=_where(made.base) if names else "",
-        advice="; ".join(
-            [
-                *([] if verdict == "unchanged" else differing(data, called)),
-                unchanged_advice(float(before.rms), pool.needed, before.unit)
-                if verdict == "unchanged"
-                else _doubt(large) + _advice(verdict, named, tied, bool(poses), lead.run.of.left if lead else 1.0),
-                *pool.to_measure,
-            ]
-        ),
+        advice="; ".join([*to_do, *pool.to_measure]),
         smallest_found=pool.smallest if verdict == "unchanged" else None,
         unseen=pool.unseen if verdict == "unchanged" else (),
         silent={name: str(one) for name, one in pool.silent.items()},
         aside={name: len(joined.runs[k].aside) + int(data[k].outlier.sum()) for k, name in enumerate(called)},
         joined=joined,
     )
+
+
+def _zeros_moved(joined: Joined) -> list[str]:
+    """Readings that are off by a constant since the first run, where the model has a parameter that is no other."""
+    out = []
+    for run in joined.runs[1:]:
+        columns = joined.model.derivatives(run.data, joined.fit.values)[:, list(joined.axes)]
+        for a, reading in enumerate(run.data.layout.readings[k] for k in joined.axes):
+            off = run.stand.moved.get(f"zero_{bare(reading)}_{unit_in(reading)}")
+            noise = float(np.median(np.abs(run.stand.residual[:, a]))) / np.sqrt(len(run.data))
+            if off is None or abs(off) < _SURELY * noise:
+                continue
+            most = np.abs(columns[:, a]).max(axis=0)
+            elsewhere = np.abs(np.delete(columns, a, axis=1)).max(axis=(0, 1), initial=0.0)
+            alike = (most > 0) & (np.maximum(np.ptp(columns[:, a], axis=0), elsewhere) <= _CONSTANT * most)
+            names = [p.name for p, one in zip(joined.fit.parameters, alike, strict=True) if one]
+            if names:
+                out.append(
+                    f"{reading} is off by {off:.4g} {unit_in(reading)} throughout: either its instrument was set anew, "
+                    f"or {' or '.join(names)} changed; these runs cannot tell which, and one of the two is to be set"
+                )
+    return out
 
 
 def differing(data: Sequence[Measurements], called: Sequence[str]) -> list[str]:
