@@ -17,7 +17,7 @@ from ..evidence.described import MOST, Described
 from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
 from ..evidence.names import Names, names_of
-from ..evidence.noise import family_of
+from ..evidence.noise import base_of
 from ..evidence.periods import Period, period_of
 from ..evidence.run import Run, run_of
 from ..evidence.sets import EffectSet, Sets
@@ -91,9 +91,8 @@ def searched(
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
     first = StepReport(None, error_of(run, sigma, repeated_folds))
     step("evidence")
-    family = family_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma), effects)
-    sets = Sets(family, Base.of(family, family.run), step)
-    base = sets.base
+    base = base_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma), effects)
+    sets = Sets(base.family, base, step)
     nothing = Named(base, base, Described((), 0.0, base), None, run, steps=(first,))
     if run.is_exact or not look or base.evidence < -np.log(level):
         return nothing

@@ -23,15 +23,16 @@ from .whitening import Whitening, correlation_in_time, orthonormal
 _MOST = 6
 
 
-def family_of(run: Run, effects: Sequence[Effect]) -> Family:
-    """The family of a run, under the filter in time and the weights of axes that go best with what may be missing.
+def base_of(run: Run, effects: Sequence[Effect]) -> Base:
+    """What is in the model of a run, under the filter in time and the weights of axes that go best with what may be
+    missing.
 
     Where an effect moves one axis, that axis is as loud as the effect until it is in the model.
     """
     family = Family(run)
-    if run.of.is_exact:
-        return family
     first = now = Base.of(family, run)
+    if run.of.is_exact:
+        return first
     found: list[Block] = []
     best = -np.inf, run.white, np.ones(run.axes), now
     while True:
@@ -47,8 +48,13 @@ def family_of(run: Run, effects: Sequence[Effect]) -> Family:
     _, white, loud, now = best
     shared = shared_by_targets(now.residual.reshape(len(run), run.axes), run.of.data.series[run.rows])
     weighed = replace(run.weighed(loud, effects), shared=shared)
-    made = (family.columns, family.blocks) if white.rho == 0.0 and weighed.of is run.of else None
-    return Family(replace(weighed, white=white), made=made)
+    if white.rho == 0.0 and weighed.of is run.of:
+        if shared == run.shared:
+            return first
+        family = Family(weighed, made=(family.columns, family.blocks))
+    else:
+        family = Family(replace(weighed, white=white))
+    return Base.of(family, family.run)
 
 
 def loudness(base: Base) -> Floats:

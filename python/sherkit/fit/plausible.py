@@ -163,11 +163,11 @@ def may_be_anything(model: ModelWithEffects, data: Measurements) -> Bools:
     return of_set_up(model) | np.asarray(same.all(axis=0) & (taken & (np.abs(high) > 0)).any(axis=0))
 
 
-def thinned(data: Measurements) -> Measurements:
-    """Rows enough to see a mistake, spread over the run."""
-    if len(data) <= _MOST_ROWS:
+def thinned(data: Measurements, most: int = _MOST_ROWS) -> Measurements:
+    """Rows enough to see a mistake, at ``most`` so many, spread over the run."""
+    if len(data) <= most:
         return data
-    return data.select(np.unique(np.linspace(0, len(data) - 1, _MOST_ROWS).astype(np.int64)))
+    return data.select(np.unique(np.linspace(0, len(data) - 1, most).astype(np.int64)))
 
 
 def robust_rms(left: Floats, used: Bools, *, centred: bool = False) -> Floats:

@@ -140,7 +140,8 @@ _NEARLY = 0.05
 _SQUARE = 0.1
 #: How often a turned frame is registered anew to what the model predicts.
 _TURNS = 4
-#: So many set-ups that look best at first are fitted to their end.
+#: Rows by which set-ups are looked at first; so many that look best are fitted to their end.
+_AT_FIRST = 100
 _LOOKED_AT = 8
 #: Readings for each parameter, fewer of which fit anything.
 _READINGS = 3
@@ -267,7 +268,7 @@ def _much_better(
     """The set-up that explains the run much better than it ``stands`` or fits ``now``, first, and those that are as
     good: every coordinate that it touches gets better, and none worse."""
     every = list(hypotheses(model, data))
-    first = [plausible_fit(one.model, one.data, datum, rounds=1) for one in every]
+    first = [plausible_fit(one.model, thinned(one.data, _AT_FIRST), datum, rounds=1) for one in every]
     likely = sorted((found.misfit, k) for k, found in enumerate(first) if found is not None)[:_LOOKED_AT]
     fitted = [(every[k], plausible_fit(every[k].model, every[k].data, datum)) for _, k in likely]
     if not model.stands_anywhere:
