@@ -46,7 +46,7 @@ class Run:
         :class:`~sherkit.errors.FitError` for too few rows."""
         rows = in_time(fit, rows)
         view = fit.linearised(rows, effects, sigma[list(fit.axes)])
-        return cls(fit, rows, sigma, view, Whitening(0.0, np.ones(len(rows), dtype=np.int64)))
+        return cls(fit, rows, sigma, view, Whitening.none(len(rows)))
 
     def __len__(self) -> int:
         return len(self.rows)
