@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from typing import Self
+
 import numpy as np
 
 from ..base import linalg
