@@ -18,8 +18,6 @@ import numpy as np
 import polars as pl
 import scipy
 
-import sherkit._core as _core
-
 from ..base import linalg
 from ..base.arguments import Count, Seed, as_annotated
 from ..base.notebook import Shown
@@ -27,7 +25,7 @@ from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.noise import Noise, noise_of
 from ..data.reader import RunLike
-from ..errors import FitError, RobotError
+from ..errors import FitError
 from ..model.any import Model
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter, named_effects
@@ -36,17 +34,16 @@ from ..model.robot_file import RobotLike, load_robot, run_for
 from .error import ErrorSize, held_out_error, of_residuals
 from .folds import blocks_of
 from .least_squares import LOSSES, LeastSquares, reached, scale, spread
+from .minimum import NEAR, beginning, noise_ratio, over_the_wall
 from .set_up import set_up_mistakes
 from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
 _ROBUST_ROUNDS = 30
-#: Evaluations of a fit, and of one that begins at the minimum of another.
-_EVALUATIONS, _NEAR = 100, 25
+#: Evaluations of a fit that begins at the drawing.
+_EVALUATIONS = 100
 #: Chance by which readings contradict a drawing that is right.
 _CONTRADICTED = 1e-3
-#: Noise that falls by less than to this part has settled.
-_NEARLY_SETTLED = 0.9
 #: It has settled when no value moves by more than this part of its plausible size; and it may still move by this part
 #: of its deviation when the rounds are over.
 _SETTLED = 1e-7
@@ -300,15 +297,17 @@ def _fitted(
     problem = LeastSquares(model, data)
     known = priors or any(p.known for p in model.parameters)
     try:
-        values = _begin(model, data, weights) if start is None else model.starting_at(start)
+        values = beginning(model, data, weights) if start is None else model.starting_at(start)
         if known and noise.origin == "unknown":
-            weights = weights / max(_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear), 1e-12)
+            weights = weights / max(
+                noise_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear), 1e-12
+            )
         # what begins at another fit is near its minimum, or has none
-        most = _EVALUATIONS if start is None else _NEAR
+        most = _EVALUATIONS if start is None else NEAR
         solver, ended = problem.solve(weights, values, priors=priors, linear=linear, max_evaluations=most)
         result = solver.result()
         if not reached(ended, result):
-            solver, ended = _over_the_wall(problem, weights, solver, ended, priors=priors)
+            solver, ended = over_the_wall(problem, weights, solver, ended, priors=priors)
             result = solver.result()
     except FitError as error:
         mistakes = set_up_mistakes(model, data) if start is None else ()
@@ -364,52 +363,6 @@ def _fitted(
         converged=at_minimum,
         evaluations=evaluations,
     )
-
-
-def _begin(model: ModelWithEffects, data: Measurements, weights: Floats) -> Floats:
-    """Where a fit begins: at the drawing; with effects at the fit without them, beside which none of them can end
-    worse."""
-    plain = model
-    for name in {effect.name for effect in model.effects} - set(model.within):
-        plain = plain.without_effect(name)
-    if plain is model:
-        return model.start(data)
-    before, _ = LeastSquares(plain, data).solve(weights, plain.start(data))
-    known = dict(zip((p.name for p in plain.parameters), before.trial.tolist(), strict=True))
-    return np.array([known.get(p.name, 0.0) for p in model.parameters])
-
-
-def _ratio(problem: LeastSquares, weights: Floats, values: Floats, *, loss: str, priors: bool, linear: bool) -> float:
-    """By how much the noise is larger than was assumed, where only residuals tell it: a prior is weighed against it."""
-    if not priors:
-        loose, _ = problem.solve(weights, values, linear=linear)
-        return scale(problem.residuals(loose.trial), weights, loose.result()["rank"], loss)
-    # from the drawing down: without it a fit may leave nothing, as where constant distances make a robot shrink
-    ratio = max(scale(problem.residuals(values), weights, 0, loss), 1e-12)
-    for _ in range(_ROBUST_ROUNDS):
-        solver, _ = problem.solve(weights / ratio, values, priors=True)
-        values, before = solver.trial, ratio
-        ratio = max(scale(problem.residuals(values), weights, solver.result()["rank"], loss), 1e-12)
-        if ratio > _NEARLY_SETTLED * before:
-            break
-    return ratio
-
-
-def _over_the_wall(
-    problem: LeastSquares, weights: Floats, solver: _core.Solver, ended: str, *, priors: bool
-) -> tuple[_core.Solver, str]:
-    """Goes on from behind a small step of the cost, where a model is not smooth: a whole step from where every damped
-    one went up. Where that leads nowhere better, all stays."""
-    there = problem.solve(weights, solver.trial, priors=priors, linear=True)[0].trial
-    try:
-        other, how = problem.solve(weights, there, priors=priors, max_evaluations=_NEAR)
-    except (FitError, RobotError):
-        return solver, ended
-    before, after = solver.result(), other.result()
-    variance = before["cost"] / max(before["rows"] - before["rank"], 1)
-    # where the cost jumps, a minimum may lie a little above the point beside the wall
-    better = after["cost"] <= before["cost"] + (variance if reached(how, after) else 0.0)
-    return (other, how) if better else (solver, ended)
 
 
 def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:
