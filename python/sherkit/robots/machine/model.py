@@ -159,7 +159,7 @@ class MachineModel(ChainModel):
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """A function that gives no number, or a column that is not there."""
-        shown = self.robot.asked(data.joints[row : row + 1], np.asarray(values)[: len(self.bare)])
+        shown = self.robot.asked(data.joints[row : row + 1], np.asarray(values)[: len(self.robot.own)])
         if not np.isfinite(shown).all():
             return f"the model's function '{self.robot.name}' gives no number there"
         return "an effect that is at work needs a column that these rows lack"
