@@ -135,7 +135,7 @@ def searched(
 
 def _too_many(run: FittedRun, final: FittedRun) -> str:
     """Why a fit with what was found is no witness; empty where it is one."""
-    left = len(np.unique(run.data.standing[run.whole])) * len(run.axes) - final.fit.rank
+    left = len(np.unique(run.data.groups[run.whole])) * len(run.axes) - final.fit.rank
     if left < final.fit.rank:
         return "all that is fitted takes more numbers than these poses leave to judge it by"
     if run.fit.converged and not final.fit.converged:

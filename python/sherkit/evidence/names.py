@@ -90,7 +90,9 @@ def names_of(sets: Sets) -> Names:
         refused |= why
         partly = True
         stay = [block for block in kept.blocks if block.name not in why]
-        kept = sets.fitted(stay) if why and stay else None
+        less = sets.fitted(stay) if why and stay else None
+        # what says as much without them had no help of them
+        kept = None if less is None or less.value > kept.value - TIED else less
     if any(one.size > ABSURD for one in told.values()):
         refused = dict.fromkeys(told, "its size would be absurd")
     return replace(judged, told=tuple(told.values()), refused=refused)

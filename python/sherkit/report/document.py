@@ -136,6 +136,11 @@ def html(report: Report) -> str:
         "known": stated,
         "given": lambda command: report.completed(command, _given(report)),
     }
+    told = report.found.to_json()
+    told["findings"] = [
+        one | {"command": report.completed(one["command"], _given(report))} if one.get("command") else one
+        for one in told["findings"]
+    ]
     return environment.get_template("report.html").render(
         report=report,
         found=report.found,
@@ -170,7 +175,7 @@ def html(report: Report) -> str:
         variables=[(k, quantity(name)) for k, name in enumerate(swaps["variables"])] if swaps else [],
         titles=list(enumerate(swaps["titles"])) if swaps else [],
         still=maps,
-        machine=_in_script(report.found.to_json()),
+        machine=_in_script(told),
         required=required_um(report.study.robot),
         versions=[("sherkit", _core.__version__), ("Python", platform.python_version()),
                   *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))],
