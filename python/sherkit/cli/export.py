@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 import numpy as np
 
+from ..base.names import listed
 from ..data.files import write_whole
 from ..data.tables import write_table
 from ..errors import RobotError, SherkitError
@@ -16,6 +17,7 @@ from ..model.robot_file import load_robot
 from ..robots.c_header import calibration_header
 from ..robots.calibrated import Calibration, load_calibration
 from ..robots.compensation import axis_table, grid_table
+from ..robots.machine import robot_at
 from ..robots.printer.calibration import PrinterCalibration, commands, held, klipper_config
 from ..robots.printer.robot import FIRMWARES
 from ..robots.serial import Serial, SerialCalibration
@@ -80,7 +82,9 @@ def _calibrated_arm(path: Path) -> SerialCalibration:
     return made
 
 
-def _say_of_arm(asked: _Asked, arm: Serial, made: SerialCalibration | None, called: str, holds: tuple[str, ...]) -> None:
+def _say_of_arm(
+    asked: _Asked, arm: Serial, made: SerialCalibration | None, called: str, holds: tuple[str, ...]
+) -> None:
     """What was written, and what of the calibration is not in it."""
     if made is None:
         output.say(f"{asked.destination}: {len(arm.joints)} joints as drawn; of a calibration they are as identified",
@@ -162,8 +166,8 @@ def _say_of_program(asked: _Asked, program: Program) -> None:
     if reached:
         moved, accuracy = program.moved_mm[program.reached], program.accuracy_mm[program.reached]
         said += (
-            f", moved by {in_words(float(moved.mean()))} in the mean, {in_words(float(moved.max()))} at most; predicted "
-            f"within {in_words(float(accuracy.max()))} at the worst of them"
+            f", moved by {in_words(float(moved.mean()))} in the mean, {in_words(float(moved.max()))} at most; "
+            f"predicted within {in_words(float(accuracy.max()))} at the worst of them"
         )
     output.say(said, asked.destination)
     noted = [(row, note) for row, note in enumerate(program.notes, start=1) if note]
@@ -180,29 +184,35 @@ def _say_of_program(asked: _Asked, program: Program) -> None:
 # -- Axes ---------------------------------------------------------------------------------------------------------
 
 
+def _of_machine(asked: _Asked) -> Calibration:
+    """The calibration of a machine, whose Python file was named before it and is run."""
+    robot, _ = robot_at(asked.file)
+    made = load_calibration(asked.files[1])
+    if made.robot.kind != robot.kind:
+        made_of, found = asked.file, made.robot.kind
+        raise SherkitError(f"{asked.files[1]}: is the calibration of {found}, {made_of} makes {robot.kind}")
+    return made
+
+
 def _comp(asked: _Asked) -> None:
-    made = load_calibration(asked.file)
+    made = _of_machine(asked)
     table = axis_table(made, asked.axis, asked.points or 101)
     write_whole(asked.destination, table.linuxcnc())
     unit = table.unit
     output.say(
         f"{asked.destination}: {table.axis}, {len(table.nominal)} lines, {table.largest:.4g} {unit} at most, "
-        f"{table.reversal:.4g} {unit} between both directions",
+        f"{table.reversal:.4g} {unit} between both directions; {table.left:.2g} {unit} are left between lines",
         asked.destination,
     )
     output.say(f"LinuxCNC reads it with COMP_FILE = {asked.destination.name} and COMP_FILE_TYPE = 0, in {unit}",
                asked.destination)  # fmt: skip
-    if others := [one for one in made.whole.effects if one not in _of_axis(made)]:
-        output.say(f"it cannot hold {' and '.join(others)}: a grid can, as far as it depends on the axes alone",
+    if table.others:
+        output.say(f"it cannot hold {listed(table.others)}: a grid can, as far as that depends on the axes alone",
                    asked.destination)  # fmt: skip
 
 
-def _of_axis(made: Calibration) -> list[str]:
-    return [one.name for one in made.model.built_in if one.link == "joints" and one.name != FOLLOWING]
-
-
 def _grid(asked: _Asked) -> None:
-    made = load_calibration(asked.file)
+    made = _of_machine(asked)
     table = grid_table(made, asked.points or 11)
     write_table(table, asked.destination)
     add = np.abs(table.select(name for name in table.columns if name.startswith("add_")).drop_nulls().to_numpy())
@@ -265,8 +275,8 @@ _WAYS = {
     "dh": _Way(TABLE, _dh, options=("convention",)),
     "kinematics": _Way(KINEMATICS, _kinematics),
     "program": _Way(TABLE, _program, "CALIBRATION TARGETS", ("controller", "payload_kg", "temperature_c")),
-    "comp": _Way(COMPENSATION, _comp, options=("axis", "points")),
-    "grid": _Way(TABLE, _grid, options=("points",)),
+    "comp": _Way(COMPENSATION, _comp, "MACHINE CALIBRATION", ("axis", "points")),
+    "grid": _Way(TABLE, _grid, "MACHINE CALIBRATION", ("points",)),
 } | {
     name: _Way(KLIPPER if name == "klipper" else COMMANDS, _printer(name), options=("config",)) for name in FIRMWARES
 }  # fmt: skip
@@ -275,10 +285,10 @@ _WAYS = {
 @click.command()
 @click.argument(
     "what",
-    type=InputFile(words="|".join(_WAYS)),
+    type=InputFile(words="|".join((*_WAYS, r"kinematics\.yaml"))),
     nargs=-1,
     required=True,
-    metavar="RUN_FILE | WORD CALIBRATION [TARGETS]",
+    metavar="RUN_FILE | WORD [MACHINE] CALIBRATION [TARGETS]",
 )
 @click.option("-o", "--output", "destination", required=True, help="The file to write.",
               type=OutputFile(TABLE, HEADER, KLIPPER, COMMANDS, URDF, KINEMATICS, COMPENSATION))  # fmt: skip
@@ -302,14 +312,16 @@ def export(
     c                  a calibrated robot or a flexible tool as a C header
     urdf, xacro        an arm as identified (a robot file: as drawn), for ROS
     dh                 the same as a table of Denavit and Hartenberg
-    kinematics         the same as kinematics.yaml of ur_description
+    kinematics         the same as kinematics.yaml of ur_description (m, rad)
     program            TARGETS (x_mm … and turns, or joints) as the controller
                        of an arm, which knows its drawing, must be given them
-    comp, grid         compensation of a machine's axis (LinuxCNC), of all axes
+    comp, grid         of MACHINE (its .py) and its calibration: compensation of
+                       an axis (LinuxCNC), of all axes
     klipper, reprapfirmware, marlin
                        a printer's calibration for its firmware
     """
-    word, files = str(what[0]), tuple(Path(one) for one in what[1:])
+    # as that file is called, too
+    word, files = str(what[0]).replace("kinematics.yaml", "kinematics"), tuple(Path(one) for one in what[1:])
     way = _WAYS.get(word)
     wanted = len(way.reads.split()) if way else 0
     if way is None and len(what) == 1:

@@ -308,7 +308,7 @@ class Accurate(Deployed):
     def predicted_accuracies_with(
         self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
     ) -> PredictedAccuracies:
-        """:meth:`predicted_accuracies` where the robot is with ``joints`` (n, j), which a place alone may leave open."""
+        """:meth:`predicted_accuracies` with ``joints`` (n, j), which a place alone may leave open."""
         q, where = matrix(joints, "joint readings", self._joints), self.frame_of(frame)
         x = self.forward_batch(q, temperature_c=temperature_c)
         return self._predicted(x.values, Batch(q, x.reached, x.why), where, temperature_c, None)

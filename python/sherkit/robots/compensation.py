@@ -1,21 +1,20 @@
 """Tables by which a controller sets the errors of a calibrated machine right: axis by axis, or over a grid.
 
-LinuxCNC reads, for each joint, lines of three numbers: where the axis is sent, and where it really is when it came there
-upwards and downwards. It goes further by what is lacking (``COMP_FILE_TYPE = 0``), and stops reading at a line that holds
-anything else, so that no note stands in the file.
+LinuxCNC reads, for each joint, lines of three numbers: where the axis is sent, and where it really is when it came
+there upwards and downwards. It goes further by what is lacking (``COMP_FILE_TYPE = 0``), and stops reading at a line
+that holds anything else, so that no note stands in the file.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import polars as pl
 
 from ..base.names import listed, nearest
-from ..base.types import Floats
+from ..base.types import Bools, Floats
 from ..data.columns import unit_in
 from ..errors import CalibrationError
 from .calibrated import Calibration
@@ -23,9 +22,11 @@ from .deployed import BASE
 
 #: Of effects that an axis by itself has, the link of the chain.
 _JOINTS = "joints"
+#: Those of them that hang on more than where the axis is.
+_BEYOND = ("joint_coupling", "reading_delay")
 #: LinuxCNC holds so many lines of an axis.
 MOST_LINES = 256
-#: Iterations by which the place of a joint is found, and what is near enough, in units of the joint.
+#: Steps by which the place of a joint is found, and what is near enough, in units of the joint.
 _ITERATIONS, _NEAR = 20, 1e-10
 #: A grid has at most so many points.
 _MOST_POINTS = 200_000
@@ -33,14 +34,17 @@ _MOST_POINTS = 200_000
 
 @dataclass(frozen=True)
 class AxisTable:
-    """Of one axis: where it is sent (n,), and where it really is, come upwards and downwards (n,), in its file's unit:
-    mm or degrees."""
+    """Of one axis: where it is sent (n,), and where it really is, come upwards and downwards (n,), mm or degrees;
+    ``left`` is what is left at most halfway between its lines, where a controller interpolates."""
 
     axis: str
     unit: str
     nominal: Floats
     upwards: Floats
     downwards: Floats
+    left: float
+    #: What was identified and is none of an axis by itself.
+    others: tuple[str, ...] = ()
 
     @property
     def largest(self) -> float:
@@ -76,47 +80,66 @@ def axis_table(made: Calibration, axis: str | None = None, points: int = 101) ->
             f"no error of an axis by itself is in this calibration ({what}); calibrate with --effect joint_scale, "
             "encoder_cyclic or backlash, or write a grid"
         )
-    without = replace(made, whole=replace(made.whole, values=np.where(own, 0.0, made.whole.values)))
-    middle, sent = box.mean(axis=1), np.linspace(*box[k], points)
-    # pairs of sent joints and where the axes really are then, which the middle of the others does not change
-    found = {side: np.array([_really(made, without, middle, k, value, side) for value in sent]) for side in (1.0, -1.0)}
+    at = _Axis(made, replace(made, whole=replace(made.whole, values=np.where(own, 0.0, made.whole.values))), box, k)
+    sent = np.linspace(*box[k], points)
+    # what the controller adds is what makes it right there
+    trims = {side: at.trim(sent, side) for side in (1.0, -1.0)}
+    between = 0.5 * (sent[1:] + sent[:-1])
+    left = [at.really(between + np.interp(between, sent, trim), side) - between for side, trim in trims.items()]
     unit, per = ("deg", 180.0 / np.pi) if unit_in(names[k]) == "rad" else (unit_in(names[k]), 1.0)
-    # the controller adds what is lacking where it is sent: that there it is right, not near it
-    trims = {side: _trim(sent, really) for side, really in found.items()}
-    return AxisTable(names[k], unit, per * sent, per * (sent - trims[1.0]), per * (sent - trims[-1.0]))
+    identified = [p.name for p in made.model.parameters[: len(own)]]
+    others = [
+        name.partition(".")[0] for name, mine in zip(identified, own, strict=True)
+        if not mine and name not in made.model.of_sensor
+    ]  # fmt: skip
+    largest = per * float(np.abs(left).max())
+    ways = (per * (sent - trims[1.0]), per * (sent - trims[-1.0]))
+    return AxisTable(names[k], unit, per * sent, *ways, largest, tuple(dict.fromkeys(others)))
 
 
-def _trim(sent: Floats, really: Floats) -> Floats:
-    """What is to be added (n,) where an axis is to be at ``sent`` (n,), for one that is at ``really`` (n,) when it is
-    sent there; beyond the ends it is off as it is at them."""
-    off = really - sent
-    out = -off
-    for _ in range(_ITERATIONS):
-        out = -np.interp(sent + out, sent, off)
-    return out
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """Axis ``k`` of a machine whose others stand in the middle of their ``box``: as it was ``made``, and ``without``
+    the errors of its axes by themselves."""
+
+    made: Calibration
+    without: Calibration
+    box: Floats
+    k: int
+
+    def really(self, sent: Floats, side: float) -> Floats:
+        """Where the axis is (n,) that was sent to places (n,) from one side: the joint at which the machine without its
+        axes' errors does the same."""
+        joints = np.tile(self.box.mean(axis=1), (len(sent), 1))
+        joints[:, self.k] = sent
+        now = [*self.made.whole.now[:2], *(side for _ in self.box)]
+        wanted, there = self.made.core.forward_batch(joints, now)[0], joints.copy()
+        for _ in range(_ITERATIONS):
+            shown, slopes, _ = self.without.core.forward_batch(there, now)
+            step = (np.linalg.pinv(slopes) @ (wanted - shown)[:, :, None])[:, :, 0]
+            there = np.ascontiguousarray(there + step)
+            if np.abs(step).max() < _NEAR:
+                break
+        return there[:, self.k]
+
+    def trim(self, sent: Floats, side: float) -> Floats:
+        """What is to be added (n,) so that it is where it was sent."""
+        out = np.zeros_like(sent)
+        for _ in range(_ITERATIONS):
+            lacking = sent - self.really(sent + out, side)
+            out = out + lacking
+            if np.abs(lacking).max() < _NEAR:
+                break
+        return out
 
 
-def _really(made: Calibration, without: Calibration, middle: Floats, k: int, value: float, side: float) -> float:
-    """Where an axis is that is sent somewhere: the joint at which the machine without its axes' errors does the same."""
-    sent = middle.copy()
-    sent[k] = value
-    direction = np.full(len(sent), side)
-    wanted, there = made.forward(sent, direction=direction), sent.copy()
-    for _ in range(_ITERATIONS):
-        slopes = without.jacobian(there, direction=direction)
-        step = np.linalg.lstsq(slopes, wanted - without.forward(there, direction=direction), rcond=None)[0]
-        there = there + step
-        if np.abs(step).max() < _NEAR:
-            break
-    return float(there[k])
-
-
-def _of_axes(made: Calibration) -> Any:
+def _of_axes(made: Calibration) -> Bools:
     """Which identified values (p,) are errors of axes by themselves."""
     model = made.model
-    own = {e.name for e in model.built_in if e.link == _JOINTS and "velocity" not in e.needs and e.name != "joint_coupling"}
+    own = {effect.name for effect in model.built_in if effect.link == _JOINTS and effect.name not in _BEYOND}
     zeros = {p.name for p in model.base if p.name.startswith("offset_")}
-    return np.array([p.name in zeros or p.name.partition(".")[0] in own for p in model.parameters[: len(made.whole.values)]])
+    names = [p.name for p in model.parameters[: len(made.whole.values)]]
+    return np.array([name in zeros or name.partition(".")[0] in own for name in names])
 
 
 def grid_table(made: Calibration, points: int = 11) -> pl.DataFrame:
@@ -145,8 +168,8 @@ def _axes(made: Calibration) -> tuple[Sequence[str], Floats]:
     box = np.array(getattr(made, "box", ()), dtype=float)
     if box.ndim != 2 or not len(box):
         raise CalibrationError(
-            f"a {made.robot.kind} robot has no axes that a table could compensate one by one: that is for a stage or an "
-            'axis (sk.Machine); of an arm, "sherkit export program" makes the targets'
+            f"a {made.robot.kind} robot has no axes that a table could compensate one by one: that is for a stage or "
+            'an axis (sk.Machine); of an arm, "sherkit export program" makes the targets'
         )
     return made.robot.layout.joints, box
 

@@ -1,7 +1,7 @@
 """Programs for the controller that an arm has: it knows the drawing, and is given other targets for it.
 
-To bring a tool to a pose, the joints are found at which the calibrated arm holds it there; the pose that the drawing has
-for these joints is what the controller must be given, since it goes back to just these joints.
+To bring a tool to a pose, the joints are found at which the calibrated arm holds it there; the pose that the drawing
+has for these joints is what the controller must be given, since it goes back to just these joints.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def _vector(turns: Floats) -> Floats:
 
 
 _XYZ_MM = ("X_mm", "Y_mm", "Z_mm")
-#: By name. KUKA: A about z, then B about the y that this leaves, then C about x; FANUC: W, P, R about the fixed x, y, z;
-#: ABB: a quaternion, the real part first; UR: m and a rotation vector. Their columns are read back as they are.
+#: By name. KUKA: A about z, then B about the y that this leaves, then C about x; FANUC: W, P, R about the fixed x, y,
+#: z; ABB: a quaternion, the real part first; UR: m and a rotation vector. Their columns are read back as they are.
 DIALECTS: Mapping[str, Dialect] = {
     "plain": Dialect(POSITION, 1.0, ("rx_rad", "ry_rad", "rz_rad"), _vector, in_degrees=False),
     "kuka": Dialect(_XYZ_MM, 1.0, ("A_deg", "B_deg", "C_deg"), _euler("ZYX")),
@@ -106,8 +106,8 @@ def read_targets(arm: Serial, path: str | Path) -> Targets:
     named = {ours: ours if ours in frame.columns else by_stem.get(own.lower()) for ours, own in wanted.items()}
     named |= {ours: ours for ours in POSITION if ours in frame.columns}
     named |= {ours: theirs for ours, (theirs, _) in found.items() if not named.get(ours)}
-    usual = {ours: "mm" if ours in POSITION or joint == "mm" else "deg"
-             for ours, joint in zip((*POSITION, *wanted), ("mm",) * 3 + tuple(j.unit for j in arm.joints), strict=True)}  # fmt: skip
+    units = (*(("mm",) * len(POSITION)), *("mm" if joint.slides else "deg" for joint in arm.joints))
+    usual = dict(zip((*POSITION, *wanted), units, strict=True))
 
     def numbers(ours: Sequence[str], what: str) -> Floats | None:
         there = [name for name in ours if named.get(name)]
@@ -202,7 +202,9 @@ class Program:
         turn = np.full((len(ok), len(way.turn)), np.nan)
         if ok.any():
             turn[ok] = way.numbers(self.turns[ok])
-        columns = dict(zip(way.place, self.places.T / way.unit_mm, strict=True)) | dict(zip(way.turn, turn.T, strict=True))
+        columns = dict(zip(way.place, self.places.T / way.unit_mm, strict=True)) | dict(
+            zip(way.turn, turn.T, strict=True)
+        )
         for joint, own in zip(self.arm.joints, self.joints.T, strict=True):
             turns = way.in_degrees and not joint.slides
             columns[f"{joint.name}_{'deg' if turns else joint.unit}"] = np.rad2deg(own) if turns else own
@@ -219,8 +221,12 @@ def program_of(
     """What the controller, which knows the drawing, must be given for ``targets``: places with turns, or alone, where
     the tool turns as it may; joints alone are the poses that the drawing has for them."""
     arm, count = made.robot, len(targets)
-    hold = _Holding(made, [*made._now(temperature_c)[:-1], float(payload_kg)])  # noqa: SLF001
-    joints, places, turns = np.full((count, len(arm.joints)), np.nan), np.full((count, 3), np.nan), np.zeros((count, 3, 3))
+    hold = _Holding(made, [*made._now(temperature_c)[:-1], float(payload_kg)])
+    joints, places, turns = (
+        np.full((count, len(arm.joints)), np.nan),
+        np.full((count, 3), np.nan),
+        np.zeros((count, 3, 3)),
+    )
     moved, notes, before = np.full(count, np.nan), [""] * count, None
     for row in range(count):
         given = None if targets.joints is None else targets.joints[row]

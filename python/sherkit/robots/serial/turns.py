@@ -59,8 +59,8 @@ def turns_of(
     numbers: Callable[[Sequence[str]], Floats], names: Sequence[str], drawn: Floats | None, source: str
 ) -> Turns | None:
     """The turns that columns of a table tell, ``numbers`` giving those of some (n, ·), for an arm whose tool as drawn
-    is turned by ``drawn`` (n, 3, 3), None where no joints tell that; None where no columns do. What names leave open, and what they say and does not fit the
-    arm, is said in a :class:`~sherkit.errors.SherkitWarning`.
+    is turned by ``drawn`` (n, 3, 3), None where no joints tell that; None where no columns do. What names leave open,
+    and what they say and does not fit the arm, is said in a :class:`~sherkit.errors.SherkitWarning`.
 
     Raises :class:`~sherkit.errors.MeasurementError` for a quaternion that is not of length one and a matrix that does
     not turn.

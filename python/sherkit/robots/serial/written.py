@@ -195,7 +195,10 @@ def dh_table(arm: Serial, convention: str = "standard") -> pl.DataFrame:
                 "high": joint.limits[1] if joint and joint.limits else None,
             }
         )
-    table = pl.DataFrame(made).with_columns(pl.col("low", "high").cast(pl.Float64))
+    # no zero that is negative
+    table = (
+        pl.DataFrame(made).with_columns(pl.col("low", "high").cast(pl.Float64)).with_columns(pl.col(pl.Float64) + 0.0)
+    )
     return table if any(joint.follows for joint in arm.joints) else table.drop("follows")
 
 
@@ -242,6 +245,7 @@ _OF_UR = {
     "wrist_1_joint": "wrist_1", "wrist_2_joint": "wrist_2", "wrist_3_joint": "wrist_3",
 }  # fmt: skip
 _UR_LINKS = tuple(_OF_UR.values())
+_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def kinematics_yaml(arm: Serial, name: str = "arm") -> str:
@@ -262,10 +266,13 @@ def kinematics_yaml(arm: Serial, name: str = "arm") -> str:
         cells = (*(v / _MM for v in shift), *np.deg2rad(turn).tolist())
         lines.append(f"  {link}:")
         lines += [
-            f"    {key}: {_yaml(cell)}" for key, cell in zip(("x", "y", "z", "roll", "pitch", "yaw"), cells, strict=True)
+            f"    {key}: {_yaml(cell)}"
+            for key, cell in zip(("x", "y", "z", "roll", "pitch", "yaw"), cells, strict=True)
         ]
     digits = int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:8], "big")
-    head = f"# {_word(name)}: as identified by sherkit; m and rad. The tool is not in it."
+    head = (
+        f"# {_word(name)}: as identified by sherkit; m and rad, each joint about or along its z. The tool is not in it."
+    )
     return "\n".join([head, "kinematics:", *lines, f"  hash: calib_{digits}", ""])
 
 
