@@ -64,7 +64,7 @@ class _Way:
 # -- Arms -----------------------------------------------------------------------------------------------------------
 
 
-def _arm(path: Path) -> tuple[Serial, SerialCalibration | None]:
+def _arm(path: Path, held: tuple[str, ...] = (FOLLOWING,)) -> tuple[Serial, SerialCalibration | None]:
     """The arm of a calibration, as identified, or of a robot file, as drawn."""
     if not CALIBRATION.holds(Look(path)):
         robot = load_robot(path)
@@ -72,7 +72,7 @@ def _arm(path: Path) -> tuple[Serial, SerialCalibration | None]:
             raise RobotError(f'{path}: expected an arm (kind = "serial") or its calibration, found "{robot.kind}"')
         return robot, None
     made = _calibrated_arm(path)
-    return as_identified(made), made
+    return as_identified(made, held), made
 
 
 def _calibrated_arm(path: Path) -> SerialCalibration:
@@ -138,7 +138,7 @@ def _dh(asked: _Asked) -> None:
 
 
 def _kinematics(asked: _Asked) -> None:
-    arm, made = _arm(asked.file)
+    arm, made = _arm(asked.file, ())
     write_whole(asked.destination, kinematics_yaml(arm, asked.file.stem))
     _say_of_arm(asked, arm, made, "kinematics.yaml", ())
     target = ", ".join(f"{value:.4g}" for value in arm.target_mm)
@@ -217,9 +217,8 @@ def _grid(asked: _Asked) -> None:
     write_table(table, asked.destination)
     add = np.abs(table.select(name for name in table.columns if name.startswith("add_")).drop_nulls().to_numpy())
     gone = table.height - len(add)
-    most = ", ".join(
-        f"{size:.4g} of {name}" for name, size in zip(made.robot.layout.joints, add.max(axis=0).tolist(), strict=True)
-    ) if len(add) else "nothing"  # fmt: skip
+    largest = add.max(axis=0, initial=0.0).tolist()
+    most = ", ".join(f"{size:.4g} of {name}" for name, size in zip(made.model.layouts[0].joints, largest, strict=True))
     output.say(f"{asked.destination}: {table.height} points, adding {most} at most", asked.destination)
     if gone:
         output.say(f"{gone} points are empty: beyond what its axes reach", asked.destination)

@@ -81,7 +81,7 @@ def axis_table(made: Calibration, axis: str | None = None, points: int = 101) ->
             "encoder_cyclic or backlash, or write a grid"
         )
     at = _Axis(made, replace(made, whole=replace(made.whole, values=np.where(own, 0.0, made.whole.values))), box, k)
-    sent = np.linspace(*box[k], points)
+    sent = np.linspace(box[k, 0], box[k, 1], points)
     # what the controller adds is what makes it right there
     trims = {side: at.trim(sent, side) for side in (1.0, -1.0)}
     between = 0.5 * (sent[1:] + sent[:-1])
@@ -154,7 +154,7 @@ def grid_table(made: Calibration, points: int = 11) -> pl.DataFrame:
         raise CalibrationError(f"points: expected 2 to {most} along each of {len(names)} axes, got {points}")
     frame = BASE if BASE in made.frames else None
     drawn = replace(made, whole=replace(made.whole, values=np.zeros_like(made.whole.values)))
-    grid = np.stack(np.meshgrid(*(np.linspace(*one, points) for one in box), indexing="ij"), axis=-1)
+    grid = np.stack(np.meshgrid(*(np.linspace(low, high, points) for low, high in box), indexing="ij"), axis=-1)
     joints = np.ascontiguousarray(grid.reshape(-1, len(names)))
     wanted = drawn.forward_batch(joints, frame=frame)
     found = made.inverse_batch(wanted.values, frame=frame)
@@ -171,7 +171,7 @@ def _axes(made: Calibration) -> tuple[Sequence[str], Floats]:
             f"a {made.robot.kind} robot has no axes that a table could compensate one by one: that is for a stage or "
             'an axis (sk.Machine); of an arm, "sherkit export program" makes the targets'
         )
-    return made.robot.layout.joints, box
+    return made.model.layouts[0].joints, box
 
 
 def _which(names: Sequence[str], axis: str | None) -> int:

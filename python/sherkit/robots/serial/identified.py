@@ -26,12 +26,14 @@ _POSTURES, _ENOUGH = 4000, 100
 _NOTHING = 1e-9
 
 
-def as_identified(made: SerialCalibration) -> Serial:
-    """The arm whose drawing is the geometry that was identified; its effects but ``joint_coupling`` are left out."""
+def as_identified(made: SerialCalibration, held: Collection[str] = (FOLLOWING,)) -> Serial:
+    """The arm whose drawing is the geometry that was identified; its effects are left out, but ``joint_coupling`` where
+    that is ``held``."""
     robot, values = made.robot, made.by_name
     before, joints = None, []
     for k, joint in enumerate(robot.joints, start=1):
         off, share = values.get(f"offset_{k}", 0.0), values.get(f"{FOLLOWING}.share_{k}", 0.0)
+        share = share if FOLLOWING in held else 0.0
         follows = joint.follows + share
         if before is not None:
             home = before.reading(before.home)

@@ -83,8 +83,14 @@ class Targets:
     others: pl.DataFrame
 
     def __len__(self) -> int:
-        given = self.joints if self.places is None else self.places
-        return 0 if given is None else len(given)
+        return self.others.height
+
+    def wanted(self, arm: Serial, row: int) -> tuple[Floats, Floats | None]:
+        """Place (3,) and turn (3, 3) of a row, the turn None where it is open; of joints alone those as drawn."""
+        if self.places is not None:
+            return self.places[row], None if self.turns is None else self.turns[row]
+        posed = arm.tool_frame(np.zeros(0) if self.joints is None else self.joints[row])
+        return posed[:3, 3], posed[:3, :3]
 
 
 def read_targets(arm: Serial, path: str | Path) -> Targets:
@@ -170,6 +176,9 @@ _HELD = 1e-6
 _STEP, _LAST, _MARGIN = 1e-6, 3, 1e-9
 #: A turn that an arm of few joints cannot make is told from so many rad on.
 _TURN = 1e-5
+#: An arm that stands otherwise by more than this, rad, has another posture.
+_ANOTHER = 0.5
+_REACHED = "reached, "
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,22 +231,14 @@ def program_of(
     the tool turns as it may; joints alone are the poses that the drawing has for them."""
     arm, count = made.robot, len(targets)
     hold = _Holding(made, [*made._now(temperature_c)[:-1], float(payload_kg)])
-    joints, places, turns = (
-        np.full((count, len(arm.joints)), np.nan),
-        np.full((count, 3), np.nan),
-        np.zeros((count, 3, 3)),
-    )
+    joints, places = np.full((count, len(arm.joints)), np.nan), np.full((count, 3), np.nan)
+    turns, slides = np.zeros((count, 3, 3)), np.array([joint.slides for joint in arm.joints])
     moved, notes, before = np.full(count, np.nan), [""] * count, None
     for row in range(count):
         given = None if targets.joints is None else targets.joints[row]
-        if targets.places is None and given is not None:
-            wanted = arm.tool_frame(given)
-            place, turn = wanted[:3, 3], wanted[:3, :3]
-        elif targets.places is not None:
-            place, turn = targets.places[row], None if targets.turns is None else targets.turns[row]
-        start = before if given is None else given
+        place, turn = targets.wanted(arm, row)
         try:
-            joints[row], notes[row] = hold.joints_for(place, turn, start)
+            joints[row], notes[row] = hold.joints_for(place, turn, before if given is None else given)
         except OutOfReach as error:
             notes[row] = f"not reached: {error}"
             continue
@@ -245,8 +246,12 @@ def program_of(
         sent = arm.tool_frame(before)
         places[row], turns[row] = sent[:3, 3], sent[:3, :3]
         moved[row] = np.linalg.norm(sent[:3, 3] - place)
+        said = [notes[row].removeprefix(_REACHED)] if notes[row] else []
+        if given is not None and np.abs(before - given)[~slides].max(initial=0.0) > _ANOTHER:
+            said.append("in another posture than given")
         if not made.measured(place):
-            notes[row] = "; ".join(filter(None, (notes[row], "reached, beyond what was measured")))
+            said.append("beyond what was measured")
+        notes[row] = _REACHED + ", ".join(said) if said else ""
     reached = np.isfinite(moved)
     accuracy = made.predicted_accuracies_with(joints[reached], temperature_c=temperature_c)
     return Program(arm, targets, joints, places, turns, reached, moved, tuple(notes), accuracy)
@@ -288,7 +293,7 @@ class _Holding:
         # few joints: the place to the end, the turn as near as it goes
         exact = core.inverse(place, self.now, nearest)
         angle = float(np.linalg.norm(self._missed(exact, place, turn)[3:])) / _LEVER
-        return exact, f"reached, its turn off by {np.rad2deg(angle):.3g}°" if angle > _TURN else ""
+        return exact, f"{_REACHED}its turn off by {np.rad2deg(angle):.3g}°" if angle > _TURN else ""
 
     def _drawn(self, place: Floats) -> Floats | None:
         """Where the drawing begins: the posture that a controller would take."""

@@ -234,32 +234,25 @@ def _link_of(step: Floats) -> _Link:
         alpha = math.atan2(-leaning[1], leaning[2])
     made = frame((0.0, 0.0, d), about(2, theta)) @ frame((a, 0.0, 0.0), about(0, alpha) @ about(1, beta))
     turn = made[:3, :3].T
-    return _Link(theta, d, a, alpha, beta, frame(turn @ (point - made[:3, 3]), turn @ step[:3, :3]))
+    return _Link(theta, d, a, alpha, beta, frame((turn @ (point - made[:3, 3])).tolist(), turn @ step[:3, :3]))
 
 
 # -- The kinematics of UR's driver -------------------------------------------------------------------------------
 
-#: What UR's description calls what its joints move.
-_OF_UR = {
-    "shoulder_pan_joint": "shoulder", "shoulder_lift_joint": "upper_arm", "elbow_joint": "forearm",
-    "wrist_1_joint": "wrist_1", "wrist_2_joint": "wrist_2", "wrist_3_joint": "wrist_3",
-}  # fmt: skip
-_UR_LINKS = tuple(_OF_UR.values())
+#: What UR's description calls what its six joints move.
+_UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 _KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def kinematics_yaml(arm: Serial, name: str = "arm") -> str:
     """The arm as the ``kinematics.yaml`` of ``ur_description``: where each joint stands behind the one before it, m and
-    rad, each about or along its own z. Six joints of other names are taken in UR's order.
+    rad, each about or along its own z. Six joints are called as UR calls them, others by their own names.
 
     Raises :class:`~sherkit.errors.RobotError` for a joint that follows another.
     """
     if followers := [joint.name for joint in arm.joints if joint.follows]:
         raise RobotError(f"joint '{followers[0]}' follows the one before it, which kinematics.yaml has no key for")
-    names = [joint.name for joint in arm.joints]
-    called = [_OF_UR.get(one, one) for one in names]
-    if len(names) == len(_UR_LINKS) and not set(called) & set(_UR_LINKS):
-        called = list(_UR_LINKS)
+    called = _UR_LINKS if len(arm.joints) == len(_UR_LINKS) else [joint.name for joint in arm.joints]
     lines = []
     for link, step in zip(called, _ahead(arm), strict=False):
         shift, turn = as_written(step)
