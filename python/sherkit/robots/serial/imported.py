@@ -48,7 +48,7 @@ def import_dh(path: str | Path, convention: str = "standard") -> Serial:
     if convention not in CONVENTIONS:
         raise RobotError(f"convention: '{convention}' is not known; choose {' or '.join(CONVENTIONS)}")
     rows = _rows(Path(path))
-    folded, joints = np.eye(4), []
+    folded, joints = np.eye(4), list[Joint]()
     for k, row in enumerate(rows, 1):
         moved = _Row(f"{path}: row {k}", row)
         own = frame((0.0, 0.0, moved.number("d_mm")), about(2, moved.angle("theta_deg")))

@@ -170,10 +170,12 @@ class _Columns:
 
 #: A turn weighs as much as what it moves so far from the target, mm.
 _LEVER = 100.0
+#: So much a cell of its matrix, of which nine change by a turn: their length is that of the turn times the square root of 2.
+_CELLS = _LEVER / np.sqrt(2.0)
 #: A pose counts as held within this, mm, and at this lever.
 _HELD = 1e-6
-#: Step by which slopes of a turn are found, rad or mm; last steps of the search; margin at the ends of a joint.
-_STEP, _LAST, _MARGIN = 1e-6, 3, 1e-9
+#: Step by which slopes of a turn are found, rad or mm; steps of the search and behind it; margin at the ends of a joint.
+_STEP, _MOST, _LAST, _MARGIN = 1e-6, 40, 6, 1e-9
 #: A turn that an arm of few joints cannot make is told from so many rad on.
 _TURN = 1e-5
 #: An arm that stands otherwise by more than this, rad, has another posture.
@@ -240,7 +242,7 @@ def program_of(
         try:
             joints[row], notes[row] = hold.joints_for(place, turn, before if given is None else given)
         except OutOfReach as error:
-            notes[row] = f"not reached: {error}"
+            notes[row] = f"not reached: {str(error).removeprefix('out of reach: ')}"
             continue
         before = joints[row]
         sent = arm.tool_frame(before)
@@ -279,15 +281,19 @@ class _Holding:
             begin = self._drawn(place) if start is None else start
             return arm.found_from(lambda x, q: core.inverse(x, self.now, q), place, begin), ""
         nearest, least = None, np.inf
-        for begin in (*(() if start is None else (start,)), *arm.starts):
+        first, *others = (*(() if start is None else (start,)), *arm.starts)
+        for begin in (first, *others):
             found = self._held(place, turn, begin)
             off = float(np.linalg.norm(self._missed(found, place, turn)))
             if off < least:
                 nearest, least = found, off
             if least < _HELD:
                 break
+            if begin is first:
+                # what is too far for the place alone is told at once
+                arm.found_from(lambda x, q: core.inverse(x, self.now, q), place, None)
         if nearest is None or (least >= _HELD and len(arm.joints) >= 6):
-            raise OutOfReach(f"the pose is {least:.3g} mm away at the nearest", 0, least)
+            raise OutOfReach(f"the nearest pose is {least:.3g} mm away (its turn counted at {_LEVER:g} mm)", 0, least)
         if least < _HELD:
             return nearest, ""
         # few joints: the place to the end, the turn as near as it goes
@@ -303,21 +309,19 @@ class _Holding:
             return None
 
     def _missed(self, joints: Floats, place: Floats, turn: Floats) -> Floats:
-        """By how much a pose is missed (6,), mm."""
+        """By how much a pose is missed (12,), mm: its place, and the cells of its turn, as smooth far away as near."""
         there, _ = self.made.core.forward(joints, self.now)
-        off = scipy.spatial.transform.Rotation.from_matrix(self._turn(joints) @ turn.T).as_rotvec()
-        return np.concatenate([there - place, _LEVER * off])
+        return np.concatenate([there - place, _CELLS * (self._turn(joints) - turn).ravel()])
 
     def _turn(self, joints: Floats) -> Floats:
         return np.asarray(self.made.core.flange(joints, self.now) @ self._tool)
 
     def _slopes(self, joints: Floats) -> Floats:
-        """Of what is missed (6, k), where it is little."""
+        """Of what is missed (12, k)."""
         _, by_joints = self.made.core.forward(joints, self.now)
-        here = self._turn(joints)
-        turned = [self._turn(joints + _STEP * one) @ here.T for one in np.eye(len(joints))]
-        by_turn = scipy.spatial.transform.Rotation.from_matrix(np.array(turned)).as_rotvec().T / _STEP
-        return np.vstack([by_joints, _LEVER * by_turn])
+        here, steps = self._turn(joints), _STEP * np.eye(len(joints))
+        by_turn = [(self._turn(joints + one) - here).ravel() / _STEP for one in steps]
+        return np.vstack([by_joints, _CELLS * np.array(by_turn).T])
 
     def _held(self, place: Floats, turn: Floats, start: Floats) -> Floats:
         """Joints within their limits that miss a pose least, from a start."""
@@ -329,12 +333,14 @@ class _Holding:
             lambda q: self._slopes(q),
             bounds=(low, high),
             x_scale=np.where(slides, 5.0 * _LEVER, 1.0),
-            xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60,
+            xtol=1e-7, ftol=1e-7, gtol=1e-7, max_nfev=_MOST,
         ).x  # fmt: skip
+        missed = self._missed(found, place, turn)
         for _ in range(_LAST):
-            step = np.linalg.lstsq(self._slopes(found), self._missed(found, place, turn), rcond=1e-9)[0]
+            step = np.linalg.lstsq(self._slopes(found), missed, rcond=1e-9)[0]
             better = np.clip(found - step, low, high)
-            if np.linalg.norm(self._missed(better, place, turn)) >= np.linalg.norm(self._missed(found, place, turn)):
+            left = self._missed(better, place, turn)
+            if np.linalg.norm(left) >= np.linalg.norm(missed):
                 break
-            found = better
+            found, missed = better, left
         return np.asarray(found)
