@@ -170,11 +170,11 @@ class _Columns:
 
 #: A turn weighs as much as what it moves so far from the target, mm.
 _LEVER = 100.0
-#: So much a cell of its matrix, of which nine change by a turn: their length is that of the turn times the square root of 2.
+#: So much a cell of its matrix: by a small turn all nine change by its angle times the square root of 2.
 _CELLS = _LEVER / np.sqrt(2.0)
 #: A pose counts as held within this, mm, and at this lever.
 _HELD = 1e-6
-#: Step by which slopes of a turn are found, rad or mm; steps of the search and behind it; margin at the ends of a joint.
+#: Step by which slopes of a turn are found, rad or mm; steps of the search, and behind it; margin at a joint's ends.
 _STEP, _MOST, _LAST, _MARGIN = 1e-6, 40, 6, 1e-9
 #: A turn that an arm of few joints cannot make is told from so many rad on.
 _TURN = 1e-5
