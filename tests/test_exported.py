@@ -271,6 +271,10 @@ def test_a_program_of_joints_of_places_and_of_what_is_out_of_reach(made: SerialC
         ("x_mm,y_mm,z_mm\n", "holds no row"),
         ("waist_mm,shoulder_rad,elbow_rad,roll_rad,bend_rad,turn_rad\n1,2,3,4,5,6\n", "is in mm, expected rad"),
         ("x_mm,y_mm,z_mm,qx,qy,qz,qw\n1,2,3,1,1,1,1\n", "quaternion of length one"),
+        (
+            "waist_rad,shoulder_rad,elbow_rad,roll_rad,bend_rad,turn_rad,x_mm,y_mm,z_mm\n0,0,0,0,0,0,9,9,9\n",
+            "the tracker",
+        ),
     ],
 )
 def test_targets_that_are_none(text: str, says: str, tmp_path: Path) -> None:

@@ -176,7 +176,9 @@ def _say_of_program(asked: _Asked, program: Program) -> None:
     if len(noted) > _SAID:
         output.say(f"{len(noted) - _SAID} more are noted in the column reach", asked.destination)
     if program.targets.turns is None and program.targets.places is not None:
-        output.say("no columns tell turns: the tool is turned as the joints nearest to home have it", asked.destination)
+        nearest = "home" if program.targets.joints is None else "those given"
+        output.say(f"no columns tell turns: the tool is turned as the joints nearest to {nearest} have it",
+                   asked.destination)  # fmt: skip
     output.say("they are for a controller that knows the drawing, in the base and to the tool of the robot file",
                asked.destination)  # fmt: skip
 

@@ -68,6 +68,9 @@ DIALECTS: Mapping[str, Dialect] = {
     "ur": Dialect(("x_m", "y_m", "z_m"), 1000.0, ("rx_rad", "ry_rad", "rz_rad"), _vector, in_degrees=False),
 }
 
+#: Places that are so far from those of their joints, in parts of the reach, are in another frame.
+_ELSEWHERE = 0.05
+
 # -- Targets that are given -----------------------------------------------------------------------------------------
 
 
@@ -129,6 +132,13 @@ def read_targets(arm: Serial, path: str | Path) -> Targets:
             f"{path}: no columns tell targets; expected {', '.join(POSITION)} with a turn (rx_deg, ry_deg, rz_deg, a "
             f"quaternion, A, B, C …), or the joints {', '.join(wanted)}; the file has {listed(frame.columns, 20)}"
         )
+    if joints is not None and places is not None:
+        off = float(np.median(np.linalg.norm(places - [arm.forward(one) for one in joints], axis=1)))
+        if off > _ELSEWHERE * float(arm.reach_mm[0]):
+            raise MeasurementError(
+                f"{path}: its places are {off:.0f} mm (median) from where its joints bring the arm: are they those of the "
+                "tracker, as in a run? Targets are in the base; leave out joints or places"
+            )
     taken = [name for name in named.values() if name]
     turned = turns_of(table.numbers, frame.columns, None, str(path)) if places is not None else None
     taken += turned.columns if turned else ()
@@ -281,15 +291,15 @@ class _Holding:
             begin = self._drawn(place) if start is None else start
             return arm.found_from(lambda x, q: core.inverse(x, self.now, q), place, begin), ""
         nearest, least = None, np.inf
-        first, *others = (*(() if start is None else (start,)), *arm.starts)
-        for begin in (first, *others):
+        begins = [*([] if start is None else [start]), *arm.starts]
+        for k, begin in enumerate(begins):
             found = self._held(place, turn, begin)
             off = float(np.linalg.norm(self._missed(found, place, turn)))
             if off < least:
                 nearest, least = found, off
             if least < _HELD:
                 break
-            if begin is first:
+            if k == 0:
                 # what is too far for the place alone is told at once
                 arm.found_from(lambda x, q: core.inverse(x, self.now, q), place, None)
         if nearest is None or (least >= _HELD and len(arm.joints) >= 6):
