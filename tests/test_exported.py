@@ -262,6 +262,27 @@ def test_a_program_of_joints_of_places_and_of_what_is_out_of_reach(made: SerialC
         assert rows["accuracy_mm"][row] == pytest.approx(float(alone.total_mm[0]))
 
 
+def test_a_tool_that_was_not_measured_is_brought_there_too(made: SerialCalibration, tmp_path: Path) -> None:
+    """Catches a tool that is taken for the target, a flange whose turn counts for nothing at the tool's tip, and
+    a tool whose turn is open."""
+    tool = replace(made.robot, target_mm=(0.0, 150.0, 250.0), tool_rpy_deg=(0.0, 45.0, 5.0))
+    q, table = poses_of(tool, 5)
+    table.write_csv(tmp_path / "p.csv")
+    program = program_of(made, read_targets(tool, tmp_path / "p.csv"), tool=tool)
+    assert program.reached.all()
+    identified = as_identified(made)
+    for row, joints in enumerate(program.joints):
+        np.testing.assert_allclose(program.places[row], tool.forward(joints), atol=SAME)
+        flange = made.core.flange(joints, [*made.whole.now, 0.0]) @ made.robot.joints[-1].turn.T
+        tip = made.forward(joints) + flange @ (np.array(tool.target_mm) - np.array(identified.target_mm))
+        np.testing.assert_allclose(tip, tool.forward(q[row]), atol=SAME)
+        turn = flange @ Rotation.from_euler("xyz", tool.tool_rpy_deg, degrees=True).as_matrix()
+        np.testing.assert_allclose(turn, tool.tool_frame(q[row])[:3, :3], atol=1e-8)
+    table.select("x_mm", "y_mm", "z_mm").write_csv(tmp_path / "open.csv")
+    with pytest.raises(MeasurementError, match="a tool of its own needs turns"):
+        program_of(made, read_targets(tool, tmp_path / "open.csv"), tool=tool)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

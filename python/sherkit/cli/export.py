@@ -40,6 +40,7 @@ class _Asked:
     config: Path | None
     convention: str
     controller: str
+    tool: tuple[float, float, float, float, float, float] | None
     payload_kg: float
     temperature_c: float | None
     axis: str | None
@@ -150,8 +151,12 @@ def _program(asked: _Asked) -> None:
     if not CALIBRATION.holds(Look(asked.file)):
         raise SherkitError(f"{asked.file}: expected the calibration of an arm: as drawn, every target stays as it is")
     made = _calibrated_arm(asked.file)
-    targets = read_targets(made.robot, asked.files[1])
-    program = program_of(made, targets, payload_kg=asked.payload_kg, temperature_c=asked.temperature_c)
+    tool = None
+    if asked.tool is not None:
+        x, y, z, roll, pitch, yaw = asked.tool
+        tool = replace(made.robot, target_mm=(x, y, z), tool_rpy_deg=(roll, pitch, yaw))
+    targets = read_targets(tool or made.robot, asked.files[1])
+    program = program_of(made, targets, tool=tool, payload_kg=asked.payload_kg, temperature_c=asked.temperature_c)
     write_table(program.to_frame(asked.controller), asked.destination)
     _say_of_program(asked, program)
 
@@ -179,8 +184,8 @@ def _say_of_program(asked: _Asked, program: Program) -> None:
         nearest = "home" if program.targets.joints is None else "those given"
         output.say(f"no columns tell turns: the tool is turned as the joints nearest to {nearest} have it",
                    asked.destination)  # fmt: skip
-    output.say("they are for a controller that knows the drawing, in the base and to the tool of the robot file",
-               asked.destination)  # fmt: skip
+    whose = "that --tool says" if asked.tool else "of the robot file: the target that was measured"
+    output.say(f"they are for a controller that knows the drawing, in its base, to the tool {whose}", asked.destination)
 
 
 # -- Axes ---------------------------------------------------------------------------------------------------------
@@ -275,7 +280,7 @@ _WAYS = {
     "xacro": _Way(URDF, _xacro),
     "dh": _Way(TABLE, _dh, options=("convention",)),
     "kinematics": _Way(KINEMATICS, _kinematics),
-    "program": _Way(TABLE, _program, "CALIBRATION TARGETS", ("controller", "payload_kg", "temperature_c")),
+    "program": _Way(TABLE, _program, "CALIBRATION TARGETS", ("controller", "tool", "payload_kg", "temperature_c")),
     "comp": _Way(COMPENSATION, _comp, "MACHINE CALIBRATION", ("axis", "points")),
     "grid": _Way(TABLE, _grid, "MACHINE CALIBRATION", ("points",)),
 } | {
@@ -297,6 +302,8 @@ _WAYS = {
               help="Of the rows (dh).")  # fmt: skip
 @click.option("--controller", type=click.Choice([*DIALECTS]), default="plain", show_default=True,
               help="Who is given the targets (program).")  # fmt: skip
+@click.option("--tool", type=float, nargs=6, metavar="X Y Z ROLL PITCH YAW",
+              help="The tool that works, mm and deg on the flange, for the measured target (program).")  # fmt: skip
 @click.option("--payload-kg", type=click.FloatRange(0.0), default=0.0, show_default=True,
               help="What hangs at the target (program).")  # fmt: skip
 @click.option("--temperature-c", type=float, help="Of the arm; left out, that of the run (program).")
@@ -304,7 +311,8 @@ _WAYS = {
 @click.option("--points", type=click.IntRange(2), help="Of an axis; 101 of comp, 11 of grid.")
 @click.option("--config", type=InputFile(), help="The printer.cfg to write the numbers into (klipper).")
 def export(
-    what: tuple[str | Path, ...], destination: Path, convention: str, controller: str, payload_kg: float,
+    what: tuple[str | Path, ...], destination: Path, convention: str, controller: str,
+    tool: tuple[float, float, float, float, float, float] | None, payload_kg: float,
     temperature_c: float | None, axis: str | None, points: int | None, config: Path | None,
 ) -> None:  # fmt: skip
     """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; or what WORD says:
@@ -343,5 +351,5 @@ def export(
     require_kind(destination, "--output", (way.kind,))
     output.refuse_given("what", "destination", *way.options, why=f"is not for {word}")
     way.write(
-        _Asked(files, destination, config, convention, controller, payload_kg, temperature_c, axis, points)
+        _Asked(files, destination, config, convention, controller, tool, payload_kg, temperature_c, axis, points)
     )  # fmt: skip

@@ -25,6 +25,7 @@ from ..accuracy import PredictedAccuracies
 from .calibration import SerialCalibration
 from .frames import of_rpy
 from .full_poses import meant
+from .identified import as_identified
 from .robot import POSITION, Serial
 from .turns import turns_of
 
@@ -136,8 +137,8 @@ def read_targets(arm: Serial, path: str | Path) -> Targets:
         off = float(np.median(np.linalg.norm(places - [arm.forward(one) for one in joints], axis=1)))
         if off > _ELSEWHERE * float(arm.reach_mm[0]):
             raise MeasurementError(
-                f"{path}: its places are {off:.0f} mm (median) from where its joints bring the arm: are they those of the "
-                "tracker, as in a run? Targets are in the base; leave out joints or places"
+                f"{path}: its places are {off:.0f} mm (median) from where its joints bring the arm: are they those of "
+                "the tracker, as in a run? Targets are in the base; leave out joints or places"
             )
     taken = [name for name in named.values() if name]
     turned = turns_of(table.numbers, frame.columns, None, str(path)) if places is not None else None
@@ -237,18 +238,27 @@ class Program:
 
 
 def program_of(
-    made: SerialCalibration, targets: Targets, *, payload_kg: float = 0.0, temperature_c: float | None = None
-) -> Program:
+    made: SerialCalibration, targets: Targets, *, tool: Serial | None = None, payload_kg: float = 0.0,
+    temperature_c: float | None = None,
+) -> Program:  # fmt: skip
     """What the controller, which knows the drawing, must be given for ``targets``: places with turns, or alone, where
-    the tool turns as it may; joints alone are the poses that the drawing has for them."""
-    arm, count = made.robot, len(targets)
-    hold = _Holding(made, [*made._now(temperature_c)[:-1], float(payload_kg)])
+    the tool turns as it may; joints alone are the poses that the drawing has for them.
+
+    They are those of the measured target, or of the ``tool`` that works: the drawing with another ``target_mm`` and
+    ``tool_rpy_deg``. Raises :class:`~sherkit.errors.MeasurementError` for such a tool and places without turns.
+    """
+    arm, count = tool or made.robot, len(targets)
+    hold = _Holding(made, [*made._now(temperature_c)[:-1], float(payload_kg)], arm)
+    if hold.beyond.any() and targets.turns is None and targets.joints is None:
+        raise MeasurementError(f"{targets.source}: a tool of its own needs turns, or joints, beside its places")
     joints, places = np.full((count, len(arm.joints)), np.nan), np.full((count, 3), np.nan)
     turns, slides = np.zeros((count, 3, 3)), np.array([joint.slides for joint in arm.joints])
     moved, notes, before = np.full(count, np.nan), [""] * count, None
     for row in range(count):
         given = None if targets.joints is None else targets.joints[row]
         place, turn = targets.wanted(arm, row)
+        if turn is None and given is not None and hold.beyond.any():
+            turn = arm.tool_frame(given)[:3, :3]
         try:
             joints[row], notes[row] = hold.joints_for(place, turn, before if given is None else given)
         except OutOfReach as error:
@@ -261,7 +271,7 @@ def program_of(
         said = [notes[row].removeprefix(_REACHED)] if notes[row] else []
         if given is not None and np.abs(before - given)[~slides].max(initial=0.0) > _ANOTHER:
             said.append("in another posture than given")
-        if not made.measured(place):
+        if not made.measured(made.forward(before)):
             said.append("beyond what was measured")
         notes[row] = _REACHED + ", ".join(said) if said else ""
     reached = np.isfinite(moved)
@@ -275,11 +285,18 @@ class _Holding:
 
     made: SerialCalibration
     now: list[float]
+    arm: Serial
+
+    @cached_property
+    def beyond(self) -> Floats:
+        """From the target as identified to the point of the tool that works (3,), mm, in the axes of the flange."""
+        if self.arm is self.made.robot:
+            return np.zeros(3)
+        return np.array(self.arm.target_mm) - np.array(as_identified(self.made).target_mm)
 
     @cached_property
     def _tool(self) -> Floats:
-        arm = self.made.robot
-        return arm.joints[-1].turn.T @ of_rpy(np.deg2rad(arm.tool_rpy_deg).tolist())
+        return of_rpy(np.deg2rad(self.arm.tool_rpy_deg).tolist())
 
     def joints_for(self, place: Floats, turn: Floats | None, start: Floats | None) -> tuple[Floats, str]:
         """Joints that bring the target to a place, and the tool to a turn if there is one, and what is to know of them.
@@ -299,7 +316,7 @@ class _Holding:
                 nearest, least = found, off
             if least < _HELD:
                 break
-            if k == 0:
+            if k == 0 and not self.beyond.any():
                 # what is too far for the place alone is told at once
                 arm.found_from(lambda x, q: core.inverse(x, self.now, q), place, None)
         if nearest is None or (least >= _HELD and len(arm.joints) >= 6):
@@ -307,7 +324,9 @@ class _Holding:
         if least < _HELD:
             return nearest, ""
         # few joints: the place to the end, the turn as near as it goes
-        exact = core.inverse(place, self.now, nearest)
+        exact = nearest
+        for _ in range(_LAST if self.beyond.any() else 1):
+            exact = core.inverse(place - self._flange(exact) @ self.beyond, self.now, exact)
         angle = float(np.linalg.norm(self._missed(exact, place, turn)[3:])) / _LEVER
         return exact, f"{_REACHED}its turn off by {np.rad2deg(angle):.3g}°" if angle > _TURN else ""
 
@@ -321,17 +340,20 @@ class _Holding:
     def _missed(self, joints: Floats, place: Floats, turn: Floats) -> Floats:
         """By how much a pose is missed (12,), mm: its place, and the cells of its turn, as smooth far away as near."""
         there, _ = self.made.core.forward(joints, self.now)
-        return np.concatenate([there - place, _CELLS * (self._turn(joints) - turn).ravel()])
+        flange = self._flange(joints)
+        return np.concatenate([there + flange @ self.beyond - place, _CELLS * (flange @ self._tool - turn).ravel()])
 
-    def _turn(self, joints: Floats) -> Floats:
-        return np.asarray(self.made.core.flange(joints, self.now) @ self._tool)
+    def _flange(self, joints: Floats) -> Floats:
+        """The axes of the flange as the drawing has them (3, 3)."""
+        return np.asarray(self.made.core.flange(joints, self.now) @ self.made.robot.joints[-1].turn.T)
 
     def _slopes(self, joints: Floats) -> Floats:
         """Of what is missed (12, k)."""
         _, by_joints = self.made.core.forward(joints, self.now)
-        here, steps = self._turn(joints), _STEP * np.eye(len(joints))
-        by_turn = [(self._turn(joints + one) - here).ravel() / _STEP for one in steps]
-        return np.vstack([by_joints, _CELLS * np.array(by_turn).T])
+        here = self._flange(joints)
+        turned = np.array([self._flange(joints + one) - here for one in _STEP * np.eye(len(joints))]) / _STEP
+        by_turn = (turned @ self._tool).reshape(len(joints), -1).T
+        return np.vstack([by_joints + (turned @ self.beyond).T, _CELLS * by_turn])
 
     def _held(self, place: Floats, turn: Floats, start: Floats) -> Floats:
         """Joints within their limits that miss a pose least, from a start."""
