@@ -42,6 +42,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "export": (
         "sherkit export experiment.sqlite -o run.csv",
         "sherkit export c calibrated.toml -o robot.h",
+        "sherkit export urdf calibrated.toml -o arm.urdf",
+        "sherkit export program calibrated.toml targets.csv --controller kuka -o program.csv",
         "sherkit export klipper calibrated.toml --config printer.cfg -o new.cfg",
     ),
     "fleet": ("sherkit fleet machine_*.csv --robot robot.toml",),
@@ -112,7 +114,7 @@ _GROUPS = {
         "home": ("measure.home", "set the zero of axes"),
         "measure": ("measure.measure", "drive to each pose, read the instruments"),
         "lab": ("lab.lab", "emulated instruments of a laboratory"),
-        "export": ("exchange.export", "the rows of a run, also while it goes on"),
+        "export": ("export.export", "rows of a run; a calibration for a controller, C or ROS"),
         "schema": ("schema.schema", "what a file may hold, as JSON schema"),
     },
     "Import, cameras, C": {

@@ -17,7 +17,7 @@ from ..base.figures import in_small_units
 from ..base.types import Bools, Floats
 from ..data.columns import TEMPERATURE, TIME, bare, unit_in
 from ..fit.error import radius_95
-from ..model.batch import Batch
+from ..model.batch import Batch, matrix
 from ..model.effect import Effect
 from .deployed import BASE, SENSOR, Deployed
 from .part import Part, UnobservedEffect, at_rest, by_effect
@@ -303,7 +303,20 @@ class Accurate(Deployed):
         """
         x, where = self._places(coordinates), self.frame_of(frame)
         inverse = self.inverse_batch(x, frame=frame, temperature_c=temperature_c, direction=direction)
-        x = self._own(x, where)
+        return self._predicted(self._own(x, where), inverse, where, temperature_c, direction)
+
+    def predicted_accuracies_with(
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
+    ) -> PredictedAccuracies:
+        """:meth:`predicted_accuracies` with ``joints`` (n, j), which a place alone may leave open."""
+        q, where = matrix(joints, "joint readings", self._joints), self.frame_of(frame)
+        x = self.forward_batch(q, temperature_c=temperature_c)
+        return self._predicted(x.values, Batch(q, x.reached, x.why), where, temperature_c, None)
+
+    def _predicted(
+        self, x: Floats, inverse: Batch, where: str, temperature_c: float | None, direction: ArrayLike | None
+    ) -> PredictedAccuracies:
+        """For places (n, k) of :attr:`frame` and the joints that lead there."""
         rows = np.flatnonzero(inverse.reached)
         joints = np.ascontiguousarray(inverse.values[rows])
         radius, addition, visit = (np.full(len(x), np.nan) for _ in range(3))

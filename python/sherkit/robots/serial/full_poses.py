@@ -105,13 +105,13 @@ def _read(arm: Serial, run: RunLike) -> Measurements:
         source, counted = str(path), "row" if line is None else "line"
     else:
         frame, line, source, counted = to_polars(run), None, "frame", "row"
-    columns = _meant(arm, frame.columns)
+    columns = meant(arm, frame.columns)
     named = {theirs: f"{theirs} [{unit}]" for theirs, unit in columns.values() if unit}
     mapping = {ours: named.get(theirs, theirs) for ours, (theirs, _) in columns.items()}
     return clean(frame.rename(named), source, line, counted, mapping, (arm.layout,))
 
 
-def _meant(arm: Serial, names: Sequence[str]) -> dict[str, tuple[str, str]]:
+def meant(arm: Serial, names: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Columns of joints and place by ours, where they have other names: each with the unit that it is taken to be in,
     empty where it names one itself."""
     out: dict[str, tuple[str, str]] = {}

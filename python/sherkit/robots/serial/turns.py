@@ -56,11 +56,11 @@ class Turns:
 
 
 def turns_of(
-    numbers: Callable[[Sequence[str]], Floats], names: Sequence[str], drawn: Floats, source: str
+    numbers: Callable[[Sequence[str]], Floats], names: Sequence[str], drawn: Floats | None, source: str
 ) -> Turns | None:
     """The turns that columns of a table tell, ``numbers`` giving those of some (n, ·), for an arm whose tool as drawn
-    is turned by ``drawn`` (n, 3, 3); None where none do. What names leave open, and what they say and does not fit the
-    arm, is said in a :class:`~sherkit.errors.SherkitWarning`.
+    is turned by ``drawn`` (n, 3, 3), None where no joints tell that; None where no columns do. What names leave open,
+    and what they say and does not fit the arm, is said in a :class:`~sherkit.errors.SherkitWarning`.
 
     Raises :class:`~sherkit.errors.MeasurementError` for a quaternion that is not of length one and a matrix that does
     not turn.
@@ -150,8 +150,10 @@ def _ways() -> Mapping[str, Convention]:
     return out
 
 
-def _checked(ways: Mapping[str, Floats], drawn: Floats, source: str, columns: Sequence[str]) -> Floats:
+def _checked(ways: Mapping[str, Floats], drawn: Floats | None, source: str, columns: Sequence[str]) -> Floats:
     """The turns of the way that fits the arm: the first unless another fits far better, the other way round too."""
+    if drawn is None:
+        return next(iter(ways.values()))
     every = dict(ways) | {
         f"{name}, from the instrument's axes to the tool's": m.transpose(0, 2, 1) for name, m in ways.items()
     }
