@@ -208,7 +208,7 @@ def test_switches_move_the_pictures(demo: Path) -> None:
             # as sets: panels hold poses in an order of their own
             order = [np.lexsort(np.round(v, 1).T) for v in (expected, shown)]
             np.testing.assert_allclose(shown[order[1]].sum(axis=0), expected.sum(axis=0), atol=0.05)
-            np.testing.assert_allclose(np.sort(shown, axis=0), np.sort(expected, axis=0), atol=1e-3)
+            np.testing.assert_allclose(np.sort(shown, axis=0), np.sort(expected, axis=0), atol=2e-2)
             assert source(page, "after_0_key")["title"][0].startswith(title)
             before = source(page, "earlier")
             if title == "geometry calibrated":
