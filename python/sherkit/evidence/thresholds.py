@@ -33,4 +33,4 @@ TWIN = 0.97
 FEW_VISITS = 0.8
 
 #: Logarithm of how much louder one axis is than the mean, from which on axes are weighed anew.
-UNEVEN = 0.4
+UNEVEN = 0.3
