@@ -132,15 +132,25 @@ def layout_of(names: Collection[str], own: Sequence[Layout] = ()) -> Layout:
         missing = len(one.joints) - joints if joints else len(names)
         return joints + 0.5 * sum(n in names for n in one.readings), -missing
 
-    nearest = max(known_layouts(), key=named)
+    whole = [one for one in own if all(n in names for n in one.joints) and any(n in names for n in one.readings)]
+    if whole:
+        return max(whole, key=named)
+    nearest = max(_read_in(names), key=named)
     return nearest if not own or any(name in names for name in nearest.joints) else own[0]
+
+
+def _read_in(names: Collection[str]) -> list[Layout]:
+    """The kinds of run of which a reading is there, in whatever unit; all where there is none. A joint of somebody's
+    machine may be named as the reading of another, ``x_mm``."""
+    bares = {bare(name) for name in names}
+    return [one for one in known_layouts() if any(bare(r) in bares for r in one.readings)] or known_layouts()
 
 
 def layout_to_come(names: Collection[str]) -> Layout | None:
     """The kind of run of a robot that is not known yet, whose joints have names of their own: what is left of the
     columns that are angles or lengths are its joints, until it is there (:func:`is_known`). None where some robot that
     is known has such a joint, in whatever unit, or where none is an angle."""
-    known, bares = known_layouts(), {bare(name) for name in names}
+    known, bares = _read_in(names), {bare(name) for name in names}
     if any(bare(joint) in bares for one in known for joint in one.joints):
         return None
     for one in known:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import polars as pl
 
+from ..base import linalg
 from ..base.names import listed, nearest
 from ..base.types import Bools, Floats
 from ..data.columns import unit_in
@@ -116,7 +117,7 @@ class _Axis:
         wanted, there = self.made.core.forward_batch(joints, now)[0], joints.copy()
         for _ in range(_ITERATIONS):
             shown, slopes, _ = self.without.core.forward_batch(there, now)
-            step = (np.linalg.pinv(slopes) @ (wanted - shown)[:, :, None])[:, :, 0]
+            step = (linalg.pinv(slopes) @ (wanted - shown)[:, :, None])[:, :, 0]
             there = np.ascontiguousarray(there + step)
             if np.abs(step).max() < _NEAR:
                 break

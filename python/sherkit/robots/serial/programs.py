@@ -15,6 +15,7 @@ import numpy as np
 import polars as pl
 import scipy
 
+from ...base import linalg
 from ...base.names import listed
 from ...base.types import Bools, Floats, Ints
 from ...data.columns import factor, stated
@@ -369,7 +370,7 @@ class _Holding:
         ).x  # fmt: skip
         missed = self._missed(found, place, turn)
         for _ in range(_LAST):
-            step = np.linalg.lstsq(self._slopes(found), missed, rcond=1e-9)[0]
+            step = linalg.lstsq(self._slopes(found), missed, rcond=1e-9)[0]
             better = np.clip(found - step, low, high)
             left = self._missed(better, place, turn)
             if np.linalg.norm(left) >= np.linalg.norm(missed):

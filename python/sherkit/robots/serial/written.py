@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import polars as pl
 
+from ...base import linalg
 from ...base.types import Floats
 from ...errors import RobotError
 from .frames import about, as_written, frame, of_rpy, rpy_of
@@ -221,7 +222,7 @@ def _link_of(step: Floats) -> _Link:
         normal = -normal if normal[0] < -_SAME or (abs(normal[0]) <= _SAME and normal[1] < 0) else normal
         theta = math.atan2(normal[1], normal[0])
         alpha = math.atan2(float(np.cross((0.0, 0.0, 1.0), along) @ normal), float(along[2]))
-        d, a, _ = np.linalg.solve(np.column_stack([(0.0, 0.0, 1.0), normal, along]), point).tolist()
+        d, a, _ = linalg.solve(np.column_stack([(0.0, 0.0, 1.0), normal, along]), point).tolist()
         beta = 0.0
     else:
         x, y = (point - along * point[2] / along[2])[:2].tolist()
