@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -79,8 +79,10 @@ class GearErrors:
 class RippledDelta(DeltaPair):
     """A pair of runs of one delta that lies off, in both alike, by a ripple over the joints which no effect is."""
 
-    def __init__(self, seed: int, changed: tuple[str, ...] = (), ratio: float = 4.0) -> None:
-        super().__init__(seed, changed, ratio, stationed=False)
+    def __init__(
+        self, seed: int, changed: tuple[str, ...] = (), ratio: float = 4.0, places: Sequence[Mapping[str, float]] = ()
+    ) -> None:
+        super().__init__(seed, changed, ratio, stationed=False, places=places)
         for run in self.runs:
             q = np.stack([run[f"q{k}_mm"] for k in (1, 2, 3)])
             run["z_mm"] = run["z_mm"] + 0.012 * np.sin((q[0] - q[1]) / 6.0)
