@@ -82,7 +82,9 @@ def main() -> None:
                 if one.verdict == "changed":
                     print(f"  {kind} {seed} {what}: {', '.join(one.changed)}", flush=True)
         for what, counted in found.items():
-            print(f"{kind}, {what}: {', '.join(f'{n} {verdict}' for verdict, n in sorted(counted.items()))}", flush=True)
+            print(
+                f"{kind}, {what}: {', '.join(f'{n} {verdict}' for verdict, n in sorted(counted.items()))}", flush=True
+            )
 
 
 if __name__ == "__main__":

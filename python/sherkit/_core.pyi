@@ -233,8 +233,8 @@ class SerialModel(_Model):
 
     ``joints`` (k, 19): of each its frame behind the one before it (turn row by row, shift in mm), 1 where it slides, by
     how much it follows the one before, home reading, mass and the centre of it (mm). ``targets`` (t, 3) behind the last
-    joint and ``centres`` (c, 3) of distances in the base frame, mm, up to four of each; ``planes`` (p, 6) a point and
-    the normal of up to four more; ``sensor`` (12,): from base to sensor.
+    joint, up to four, and ``centres`` (c, 3) of distances in the base frame, up to eight, mm; ``planes`` (p, 6) a point
+    and the normal of up to four; ``sensor`` (12,): from base to sensor.
     ``settings``: direction of the weight (3), period of the encoders, origin of time, slip times of target, joints and
     sensor (s).
     """

@@ -88,7 +88,7 @@ def diagnose(
     notes = [
         *(one.sentence for one in mistakes),
         *(one.sentence for one in table),
-        *held(run.data),
+        *(() if run.model.relations else held(run.data)),
         *unread(run.data),
         *map(str, run.data.set_ups),
     ]

@@ -144,11 +144,14 @@ class LeastSquares:
         model, data = self.model, self.data
         known = [p.known or priors for p in model.parameters]
         solver = _core.Solver(start, self.sizes, single_step=linear, known=known, **settings)
-        if isinstance(model, ChainModel) and not model.own:
+        if isinstance(model, ChainModel) and not (model.own or model.relations):
             return solver, model.solve(solver, data, weights)
 
         def feed(values: Floats) -> None:
             push(solver, model, data, weights, values)
+            for one in model.relations:
+                columns, missing = one.row([p.name for p in model.parameters], values)
+                solver.push(columns[None, None, :], np.array([[missing]]), np.array([[1.0 / one.sd_mm]]))
             solver.push_priors()
 
         return solver, iterate(solver, feed)

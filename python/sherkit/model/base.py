@@ -16,6 +16,7 @@ from ..data import Measurements
 from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
 from .effect import Effect, Parameter, check_user_effect
+from .relations import Apart
 from .rows import Rows
 
 
@@ -249,6 +250,11 @@ class ModelWithEffects(Saved, ABC):
     def targets_anywhere(self) -> tuple[str, ...]:
         """Names of the parameters of where on the tool the targets sit, as far as nothing is known of it: who clamps
         one there need not know."""
+        return ()
+
+    @property
+    def relations(self) -> tuple[Apart, ...]:
+        """What is known of several of its parameters at once, besides the readings."""
         return ()
 
     def for_run(self, data: Measurements) -> Self:

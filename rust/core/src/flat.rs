@@ -13,7 +13,7 @@
 //! camera, place of the elbows (0 open, 1 crossed, 2 ahead,
 //! 3 behind), the values of all parameters. Serial (kind 3): number of joints, of each its frame behind the one before it
 //! (turn row by row, shift), 1 where it slides, by how much it follows the one before, home, mass and the centre of it, lowest and highest reading; 4 targets,
-//! 4 centres, pose of the sensor, gravity, period of the encoders, time origin, slip times of target and joints, the values of
+//! 8 centres, pose of the sensor, gravity, period of the encoders, time origin, slip times of target and joints, the values of
 //! all parameters.
 
 use crate::camera::{Description, Face};

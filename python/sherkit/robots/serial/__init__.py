@@ -1,6 +1,7 @@
 """Serial arms: joints that turn or slide, one behind another, and a target that a tracker sees."""
 
 from ...model.kinds import Kind
+from .around import Distance, Plane
 from .calibration import SerialCalibration
 from .drawing import drawing
 from .full_poses import points_of_poses
@@ -8,7 +9,7 @@ from .identified import as_identified
 from .imported import read_in_the_other_convention
 from .model import SerialModel
 from .programs import program_of, read_targets
-from .robot import MOST_JOINTS, POSITION, Joint, Plane, Serial, layout_of_arm
+from .robot import MOST_JOINTS, POSITION, Joint, Serial, layout_of_arm
 from .virtual import AREAS, Hidden, VirtualSerial, postures
 
 _TURN = (-175.0, 175.0)
@@ -36,6 +37,7 @@ KIND = Kind(
 
 __all__ = [
     "MOST_JOINTS",
+    "Distance",
     "Hidden",
     "Joint",
     "Plane",

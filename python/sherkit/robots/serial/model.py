@@ -23,6 +23,7 @@ from ...errors import FitError, SherkitWarning
 from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
 from ...model.effect import Effect, Parameter, Sentences, parameters_of_core
+from ...model.relations import Apart
 from ...model.sentences import catalogue_of
 from .robot import CENTRE, PAYLOAD, PLANE, POSITION, TARGET, Joint, Serial
 
@@ -211,6 +212,11 @@ class SerialModel(ChainModel):
     def targets_anywhere(self) -> tuple[str, ...]:
         """As of any model: x, y, z of each target."""
         return tuple(p.name for p in self.parameters if p.name.startswith(("tool_", "target_")) and not p.known)
+
+    @property
+    def relations(self) -> tuple[Apart, ...]:
+        """As of any model: distances that the robot's file knows."""
+        return self.robot.relations
 
     @cached_property
     def known_effects(self) -> Mapping[str, Effect]:

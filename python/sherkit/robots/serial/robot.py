@@ -23,7 +23,9 @@ from ...data.declared import Declared, Inner, key, keys_from, keys_of
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.batch import Batch, matrix, vector, why
+from ...model.relations import Apart
 from ...model.sensor_pose import ANYWHERE, SensorPose
+from .around import Distance, Plane, apart, of_groups, points, targets
 from .frames import Triple, frame, of_rpy, onto
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
@@ -61,8 +63,9 @@ Pair = tuple[float, float]
 TYPES = ("revolute", "prismatic")
 #: Joints that the compiled arm has room for.
 MOST_JOINTS = 9
-#: Targets that it has room for, and centres and planes of distances.
+#: Targets and planes that it has room for, and centres of distances.
 MOST_POINTS = 4
+MOST_CENTRES = 8
 _ZERO: Triple = (0.0, 0.0, 0.0)
 #: Where a joint may stand if its file does not say it: a turn either way, or half a metre.
 _ANYWHERE = {"deg": 180.0, "mm": 500.0}
@@ -164,29 +167,16 @@ _KEYS = {
 
 
 @dataclass(frozen=True)
-class Plane:
-    """A plane that stands fixed, base frame: a point of it, mm, and its normal, of any length, towards the side where
-    distances are positive."""
-
-    at_mm: Triple
-    normal: Triple = (0.0, 0.0, 1.0)
-
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """The point, and a normal of length one (6,)."""
-        normal = np.array(self.normal) / np.linalg.norm(self.normal)
-        return (*self.at_mm, *normal.tolist())
-
-
-@dataclass(frozen=True)
 class Serial(Declared, Saved, Shown):
     """Nominal serial arm of one to nine joints. Lengths in mm, angles in degrees as in its file, joint readings rad or
     mm.
 
     ``target_mm`` is the measured point in the frame of the last joint, ``tool_rpy_deg`` how the tool stands there, and
-    ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``. ``centres_mm`` are up to four
-    fixed places in the base frame from which distances are read: numbers of the column ``centre``; ``planes`` likewise
-    up to four above which heights are, numbers of the column ``plane``.
+    ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``. ``centres_mm`` are up to
+    eight fixed places in the base frame from which distances are read: numbers of the column ``centre``; ``planes``
+    likewise up to four above which heights are, numbers of the column ``plane``. ``distances`` are known between two
+    centres or two targets; targets of one ``group``, that of the first and ``more_groups`` of the others, are one rigid
+    body, as drawn.
     ``gravity`` is the direction of the weight in the base frame. ``sensor_pose`` is where the tracker stands, as far as
     that is known. ``has_tracker`` is False where distances alone are read. ``required_um`` is the accuracy that the arm
     is for.
@@ -200,12 +190,19 @@ class Serial(Declared, Saved, Shown):
     more_targets_mm: tuple[Triple, ...] = ()
     centres_mm: tuple[Triple, ...] = ()
     planes: tuple[Plane, ...] = ()
+    distances: tuple[Distance, ...] = ()
+    group: str = ""
+    more_groups: tuple[str, ...] = ()
     has_tracker: bool = True
     required_um: float | None = None
     kind: str = field(default="serial", init=False)
 
     TABLES: ClassVar = {
-        "tool": {"target_mm": key(Table.numbers, 3), "rpy_deg": key(Table.numbers, 3).of("tool_rpy_deg")},
+        "tool": {
+            "target_mm": key(Table.numbers, 3),
+            "rpy_deg": key(Table.numbers, 3).of("tool_rpy_deg"),
+            "group": key(Table.words, empty=True).quiet,
+        },
         "base": {"gravity": key(Table.numbers, 3)},
         "sensor_pose": Inner(SensorPose, "sensor_pose"),
         "workspace": {"required_um": key(Table.positive)},
@@ -224,8 +221,11 @@ class Serial(Declared, Saved, Shown):
             raise ShapeError("gravity: expected a direction, got only zeros")
         several = {"targets": self.targets_mm, "centres": self.centres_mm, "planes": self.planes}
         for what, there in several.items():
-            if len(there) > MOST_POINTS:
-                raise ShapeError(f"{what}: an arm has at most {MOST_POINTS}, got {len(there)}")
+            most = MOST_CENTRES if what == "centres" else MOST_POINTS
+            if len(there) > most:
+                raise ShapeError(f"{what}: an arm has at most {most}, got {len(there)}")
+        for one in self.distances:
+            one.check(len(self.centres_mm), len(self.targets_mm))
         for k, plane in enumerate(self.planes, start=1):
             if not np.linalg.norm(plane.normal) > 0:
                 raise ShapeError(f"plane {k}: normal: expected a direction, got only zeros")
@@ -240,8 +240,10 @@ class Serial(Declared, Saved, Shown):
     def from_table(cls, table: Table) -> Serial:
         """Reads the tables of a robot file."""
         joints = tuple(Joint.from_table(one) for one in table.tables("joint", optional=False))
-        targets, centres = (_points(table, name) for name in ("target", "centre"))
-        planes = tuple(_plane(one) for one in table.tables("plane"))
+        more, groups = targets(table)
+        centres = points(table, "centre")
+        planes = tuple(Plane.from_table(one) for one in table.tables("plane"))
+        distances = tuple(Distance.from_table(one) for one in table.tables("distance"))
         table.pass_over(_FORMER)
         seen = table.has(_FORMER) or table.has("sensor_pose") or not (centres or planes)
         known = cls.values_from(table)
@@ -252,8 +254,8 @@ class Serial(Declared, Saved, Shown):
                 known["sensor_pose"] = SensorPose.from_table(former)
         try:
             return cls(
-                joints, **known, more_targets_mm=targets, centres_mm=centres, planes=planes,
-                has_tracker=seen,
+                joints, **known, more_targets_mm=more, centres_mm=centres, planes=planes,
+                distances=distances, more_groups=groups if any(groups) else (), has_tracker=seen,
             )  # fmt: skip
         except ShapeError as error:
             raise table.fail("joint", str(error)) from None
@@ -261,9 +263,15 @@ class Serial(Declared, Saved, Shown):
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
         made = super().to_tables() | {"joint": [joint.to_table() for joint in self.joints]}
-        for name, points in (("target", self.more_targets_mm), ("centre", self.centres_mm)):
-            if points:
-                made[name] = [{"at_mm": list(point)} for point in points]
+        for name, there, groups in (
+            ("target", self.more_targets_mm, self.more_groups), ("centre", self.centres_mm, ()),
+        ):  # fmt: skip
+            if there:
+                made[name] = [{"at_mm": list(point)} for point in there]
+                for one, group in zip(made[name], groups, strict=False):
+                    one |= {"group": group} if group else {}
+        if self.distances:
+            made["distance"] = [one.to_table() for one in self.distances]
         if self.planes:
             made["plane"] = [{"at_mm": list(p.at_mm), "normal": list(p.normal)} for p in self.planes]
         if not self.has_tracker:
@@ -307,6 +315,12 @@ class Serial(Declared, Saved, Shown):
         return np.array([joint.range for joint in self.joints]).T
 
     # -- kinematics --------------------------------------------------------------------------------------
+
+    @cached_property
+    def relations(self) -> tuple[Apart, ...]:
+        """What is known of how far its centres and its targets are from one another."""
+        every = (*self.distances, *of_groups((self.group, *self.more_groups), self.targets_mm))
+        return tuple(apart(one, self.centres_mm, self.targets) for one in every)
 
     @property
     def targets_mm(self) -> tuple[Triple, ...]:
@@ -441,17 +455,3 @@ class Serial(Declared, Saved, Shown):
         x = matrix(positions_mm, "positions")
         q, reached = self.all_found_from(lambda x, q: self.nominal.inverse_batch(x, self._still, q), x, None)
         return Batch(q, reached, why(self.inverse, x, reached))
-
-
-def _points(table: Table, name: str) -> tuple[Triple, ...]:
-    """The places of tables ``[[name]]``."""
-    found = (one.numbers("at_mm", 3) for one in table.tables(name))
-    return tuple((v[0], v[1], v[2]) for v in found)
-
-
-def _plane(one: Table) -> Plane:
-    """A table ``[[plane]]``."""
-    at, normal = one.numbers("at_mm", 3), one.numbers("normal", 3, (0.0, 0.0, 1.0))
-    if not np.linalg.norm(normal) > 0:
-        raise one.fail("normal", "a direction, not only zeros")
-    return Plane((at[0], at[1], at[2]), (normal[0], normal[1], normal[2]))

@@ -8,7 +8,7 @@ use crate::Result;
 use nalgebra::{SMatrix, SVector, Vector3};
 
 /// Centres that a robot may have.
-pub const CENTRES: usize = 4;
+pub const CENTRES: usize = 8;
 
 /// The centres of a robot where they really are, base frame, and what its bars add to every distance, mm.
 #[derive(Clone, Copy, Debug)]

@@ -51,7 +51,8 @@ effects! { At;
     // where the fixed centres are in the base frame, from which distances are read
     centres: Sensor by bar (base) {
         centre_1_x, centre_1_y, centre_1_z, centre_2_x, centre_2_y, centre_2_z, centre_3_x, centre_3_y, centre_3_z,
-        centre_4_x, centre_4_y, centre_4_z: "mm", 20.0, 1.0;
+        centre_4_x, centre_4_y, centre_4_z, centre_5_x, centre_5_y, centre_5_z, centre_6_x, centre_6_y, centre_6_z,
+        centre_7_x, centre_7_y, centre_7_z, centre_8_x, centre_8_y, centre_8_z: "mm", 20.0, 1.0;
     }
     // how the fixed planes lean, along two directions of their own, and how much higher they lie
     planes: Sensor by plane (base) {
