@@ -214,6 +214,7 @@ def fleet_command(
     paths = [path for run in map(str, runs) for path in (sorted(glob.glob(run)) if _is_pattern(run) else [run])]
     if not paths:
         raise SherkitError(f"{' '.join(map(str, runs))}: no such file")
+    _, machine = robot_at(robot)
     count = min(workers or os.cpu_count() or 1, len(paths))
     with output.steps(len(paths) + 1) as step:
 
@@ -221,10 +222,10 @@ def fleet_command(
             step(f"{done} of {total} machines")
 
         if count == 1 or names_given():  # other processes do not know them
-            found = fleet(paths, robot, effects=added, own=own, level=level, seed=seed, progress=told)
+            found = fleet(paths, machine, effects=added, own=own, level=level, seed=seed, progress=told)
         else:
             with processes(count) as pool:
-                found = fleet(paths, robot, effects=added, own=own, level=level, seed=seed, executor=pool,
+                found = fleet(paths, machine, effects=added, own=own, level=level, seed=seed, executor=pool,
                               progress=told)  # fmt: skip
     if as_json:
         output.print_json(found.to_json())

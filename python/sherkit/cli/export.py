@@ -296,7 +296,7 @@ _WAYS = {
     required=True,
     metavar="RUN_FILE | WORD [MACHINE] CALIBRATION [TARGETS]",
 )
-@click.option("-o", "--output", "destination", required=True, help="The file to write.",
+@click.option("-o", "--output", "destination", help="The file to write; required.",
               type=OutputFile(TABLE, HEADER, KLIPPER, COMMANDS, URDF, KINEMATICS, COMPENSATION))  # fmt: skip
 @click.option("--convention", type=click.Choice(CONVENTIONS), default=CONVENTIONS[0], show_default=True,
               help="Of the rows (dh).")  # fmt: skip
@@ -311,7 +311,7 @@ _WAYS = {
 @click.option("--points", type=click.IntRange(2), help="Of an axis; 101 of comp, 11 of grid.")
 @click.option("--config", type=InputFile(), help="The printer.cfg to write the numbers into (klipper).")
 def export(
-    what: tuple[str | Path, ...], destination: Path, convention: str, controller: str,
+    what: tuple[str | Path, ...], destination: Path | None, convention: str, controller: str,
     tool: tuple[float, float, float, float, float, float] | None, payload_kg: float,
     temperature_c: float | None, axis: str | None, points: int | None, config: Path | None,
 ) -> None:  # fmt: skip
@@ -333,6 +333,10 @@ def export(
     word, files = str(what[0]).replace("kinematics.yaml", "kinematics"), tuple(Path(one) for one in what[1:])
     way = _WAYS.get(word)
     wanted = len(way.reads.split()) if way else 0
+    if way is not None and (len(files) != wanted or destination is None):
+        raise click.UsageError(f"expected sherkit export {word} {way.reads} -o FILE")
+    if destination is None:
+        raise click.UsageError("expected -o and the file to write")
     if way is None and len(what) == 1:
         # only what reads a run's file needs SQLite
         from ..lab.experiment import export_run
@@ -342,9 +346,8 @@ def export(
         rows = export_run(what[0], destination)
         output.say(f"{rows} rows written to {destination}", destination)
         return
-    if way is None or len(files) != wanted:
+    if way is None:
         raise click.UsageError(
-            f"expected {word} {way.reads}" if way else
             "expected the file of a run; c and the file of a calibration or a flexible tool; or one of "
             f"{', '.join(one for one in _WAYS if one != 'c')} and the file of a calibration"
         )  # fmt: skip
