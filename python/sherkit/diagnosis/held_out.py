@@ -32,7 +32,8 @@ _DRAWS = 999
 
 def error_of(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> ErrorSize:
     """The error of a fit on rows held out. ``sigma`` (columns,) weighs the readings."""
-    return held_out_error(run.fit, sigma=sigma, repeated_folds=repeated_folds, derivatives=run.derivatives)
+    refit = run.fit.refitted if run.model.in_sockets(run.data) else None
+    return held_out_error(run.fit, refit=refit, sigma=sigma, repeated_folds=repeated_folds, derivatives=run.derivatives)
 
 
 def rms(squares: Floats, scale: Floats) -> float:

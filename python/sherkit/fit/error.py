@@ -155,7 +155,8 @@ def held_out_error(
 ) -> ErrorSize:
     """The error of a fit on rows held out; of one pose alone, which cannot be, what the fit leaves.
 
-    ``refit`` gives the parameters (p,) of some rows alone: very few rows are held out by it. ``sigma`` (columns,)
+    ``refit`` gives the parameters (p,) of some rows alone: very few rows are held out by it, and a ball in its sockets,
+    of which lengths tell no step. ``sigma`` (columns,)
     weighs the readings, the noise of each where it is left out; ``repeated_folds`` are those of
     :func:`repeated_folds_of`; ``derivatives`` gives those of some rows, stretch by stretch, where they are known.
     """
@@ -169,7 +170,7 @@ def held_out_error(
     fold = np.stack([np.unique(one[rows], return_inverse=True)[1].ravel() for one in repeated_folds])
     if not len(rows) or fold.max(axis=1).min() < 1:
         return of_residuals(data, fit.residuals, held_out=False)
-    if refit is not None and len(rows) < _FEWEST:
+    if refit is not None and (len(rows) < _FEWEST or fit.model.in_sockets(data)):
         return _refitted(fit, refit, rows, fold[0])
     there = used[rows]
     by_model = derivatives(rows) if derivatives else fit.model.linearised_by_blocks(data.select(rows), fit.values)

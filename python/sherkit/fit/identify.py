@@ -35,7 +35,7 @@ from .error import ErrorSize, held_out_error, of_residuals
 from .folds import blocks_of
 from .least_squares import LOSSES, LeastSquares, reached, scale, spread
 from .minimum import NEAR, beginning, noise_ratio, over_the_wall
-from .set_up import set_up_mistakes
+from .set_up import held, set_up_mistakes
 from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
@@ -143,9 +143,9 @@ class Fit(Identified, Shown):
 
     def error_by(self, seed: int) -> ErrorSize:
         """The same by other random splits."""
-        return held_out_error(self, seed, refit=self._refitted)
+        return held_out_error(self, seed, refit=self.refitted)
 
-    def _refitted(self, data: Measurements) -> Floats:
+    def refitted(self, data: Measurements) -> Floats:
         """The parameters (p,) of these rows alone, from the drawing."""
         return identify(self.model, data, loss=self.loss, priors=self.priors).values
 
@@ -267,9 +267,10 @@ def identify(
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
     fit = _fitted(model, data, noise, start, loss=loss, priors=bool(priors), linear=linear)
     if priors is None and not linear and not (fit.converged and fit.supported == fit.rank):
-        # what readings do not decide the drawing does, unless they contradict it
+        # what readings do not decide the drawing does, unless they contradict it; those that never change cannot: the
+        # smaller a robot is, the better it fits them
         drawn = _fitted(model, data, noise, start, loss=loss, priors=True, linear=False)
-        if not fit.converged or not _contradict(fit, drawn):
+        if not fit.converged or held(data) or not _contradict(fit, drawn):
             fit = drawn
     return fit
 

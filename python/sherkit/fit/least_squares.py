@@ -144,11 +144,20 @@ class LeastSquares:
         model, data = self.model, self.data
         known = [p.known or priors for p in model.parameters]
         solver = _core.Solver(start, self.sizes, single_step=linear, known=known, **settings)
-        if isinstance(model, ChainModel) and not (model.own or model.relations):
+        inside = model.in_sockets(data)
+        if isinstance(model, ChainModel) and not (model.own or model.relations or inside):
             return solver, model.solve(solver, data, weights)
+        lengths = weights.copy()
+        if inside:
+            lengths[inside.rows] = 0.0
 
         def feed(values: Floats) -> None:
-            push(solver, model, data, weights, values)
+            push(solver, model, data, lengths, values)
+            if inside:
+                off, columns = inside.at(values)
+                # each of three directions has a third of the square of a length
+                each = np.repeat(np.sqrt(3.0) * weights[inside.rows, -1:], 3, axis=1)
+                solver.push(np.ascontiguousarray(columns), -off, each)
             for one in model.relations:
                 columns, missing = one.row([p.name for p in model.parameters], values)
                 solver.push(columns[None, None, :], np.array([[missing]]), np.array([[1.0 / one.sd_mm]]))

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -65,6 +65,19 @@ class Reachable:
 
     targets: Mapping[str, Floats]
     rows: Measurements
+
+
+class InSockets(Protocol):
+    """Rows of a run at which the measured point is known to be somewhere, though a length alone was read."""
+
+    @property
+    def rows(self) -> Ints:
+        """Which rows (k,)."""
+        ...
+
+    def at(self, values: Floats) -> tuple[Floats, Floats]:
+        """How far the point is from there (k, 3), mm, with derivatives (k, 3, p). Raises as ``predict``."""
+        ...
 
 
 class ModelWithEffects(Saved, ABC):
@@ -251,6 +264,11 @@ class ModelWithEffects(Saved, ABC):
         """Names of the parameters of where on the tool the targets sit, as far as nothing is known of it: who clamps
         one there need not know."""
         return ()
+
+    def in_sockets(self, data: Measurements) -> InSockets | None:
+        """Rows whose distance of nothing is a place; None where there are none."""
+        del data
+        return None
 
     @property
     def relations(self) -> tuple[Apart, ...]:

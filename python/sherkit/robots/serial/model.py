@@ -26,6 +26,7 @@ from ...model.effect import Effect, Parameter, Sentences, parameters_of_core
 from ...model.relations import Apart
 from ...model.sentences import catalogue_of
 from .robot import CENTRE, PAYLOAD, PLANE, POSITION, TARGET, Joint, Serial
+from .sockets import Sockets, sockets_of
 
 # -- Effects ------------------------------------------------------------------------------------------------------
 
@@ -212,6 +213,10 @@ class SerialModel(ChainModel):
     def targets_anywhere(self) -> tuple[str, ...]:
         """As of any model: x, y, z of each target."""
         return tuple(p.name for p in self.parameters if p.name.startswith(("tool_", "target_")) and not p.known)
+
+    def in_sockets(self, data: Measurements) -> Sockets | None:
+        """As of any model: a ball in the socket that is its centre."""
+        return sockets_of(self, data)
 
     @property
     def relations(self) -> tuple[Apart, ...]:
