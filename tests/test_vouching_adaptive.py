@@ -180,7 +180,7 @@ def test_silence_at_a_noise_of_ten_times_what_is_required_says_nothing() -> None
     that refuses it where the noise allows it."""
     loud = drive(DrivenDelta(5, noise_um=200.0))
     assert loud.verdict == "undecided"
-    assert "(3 × the 20 that are needed) would not have been seen" in loud.why
+    assert "(3 × the target of 20) would not have been seen" in loud.why
     assert drive(DrivenDelta(5), budget=60).verdict == "adequate"
 
 

@@ -102,10 +102,9 @@ def sentences(seen: tuple[Unseen, ...], unit: str, per_unit: float, untestable: 
     out = []
     for one in seen:
         if one.power < POWER:
-            size = (
-                "at no size" if not np.isfinite(one.from_rms) else f"from {one.from_rms * per_unit:.2g} {unit} RMS on"
-            )
-            out.append(f"{one.name} would have been seen {size}")
+            size = f"{one.from_rms * per_unit:.2g} {unit} RMS"
+            seen_from = f"would have been seen from {size} on" if np.isfinite(one.from_rms) else "is undetectable here"
+            out.append(f"{one.name} {seen_from}")
     return [*out, *(f"{name} was not looked for: {why}" for name, why in untestable.items())]
 
 

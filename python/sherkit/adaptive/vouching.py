@@ -81,15 +81,15 @@ def _unseen(found: Look, seen: Sequence[Unseen], required_um: float, accuracy_um
         }  # fmt: skip
         if hidden:
             worst = max(hidden, key=lambda name: hidden[name])
-            size = f"from {number(hidden[worst])} µm RMS on" if np.isfinite(hidden[worst]) else "at no size"
+            size = f"from {number(hidden[worst])} µm RMS on" if np.isfinite(hidden[worst]) else "undetectable here"
             yield (
                 f"{_scattering(found)}: of {listed(sorted(hidden))} an error of {must:g} µm ({TIMES:g} × the "
-                f"{required_um:g} that are needed) would not have been seen in {POWER:.0%} of such runs, {worst} {size}"
+                f"target of {required_um:g}) would not have been seen in {POWER:.0%} of such runs, {worst} {size}"
             )
     if accuracy_um is not None and accuracy_um > must:
         yield (
-            f"{_scattering(found)}: the calibrated robot may be off by {number(accuracy_um)} µm, where {required_um:g} "
-            "are needed"
+            f"{_scattering(found)}: the calibrated robot may be off by {number(accuracy_um)} µm, where the "
+            f"target is {required_um:g}"
         )
 
 

@@ -146,7 +146,7 @@ def story(
     unit = study.data.layout.unit
     noise, first = found.noise_size, study.history[0].error
     needed = required_um(study.robot)
-    asked = f"; {needed:g} {unit} are needed" if needed else ""
+    asked = f"; the target is {needed:g} {unit}" if needed else ""
     _head(1, "What calibrating the geometry leaves")
     _tell(
         f"{number(first.rms)} {unit} RMS {first.in_words} at places it was not fitted to, 95 % within "

@@ -149,7 +149,9 @@ def print_diagnosis(d: Diagnosis, *files: Path, every_check: bool = False) -> No
         out.print(_checks(d.checks if every_check else failing))
     if not every_check:
         holding = sum(check.holds is True for check in d.checks)
-        out.print(f"{holding} of {len(d.checks)} checks hold{'' if failing else ', none fails'}; --checks lists them")
+        idle = len(d.checks) - holding - len(failing)
+        told = [f"{holding} checks passed", *([f"{idle} not applicable"] if idle else [])]
+        out.print(f"{', '.join(told)}; --checks lists them")
 
 
 def _say(findings: Iterable[Finding], files: str = FILES) -> None:

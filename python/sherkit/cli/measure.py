@@ -303,7 +303,7 @@ def home(experiment: Path, at: str | None, yes: bool, ports: Path | None, python
             places = chosen.plan.start if at is None else _read(at, len(names))
             output.say(f"1. Bring the robot to {_places(names, places, motion.unit)}, by a gauge or its marks.")
             output.say(
-                "2. Look that it stands there. From then on it is taken to be there; then it drives to the start."
+                "2. Check that it stands there. From then on it is taken to be there; then it drives to the start."
             )
             _sure(yes, "Does it stand there?")
             motion.set_reference(places)

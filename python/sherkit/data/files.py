@@ -78,6 +78,11 @@ def refuse_device(path: str | os.PathLike[str], error: type[SherkitError], *, pi
             raise error(f"{path}: is {called}, expected a file{first}")
 
 
+def of_demo(path: str | os.PathLike[str]) -> str:
+    """What to say of a file that is not there, and that documents use as an example; empty of all others."""
+    return "; sherkit demo makes it" if Path(path).parts[-2:-1] == ("demo",) else ""
+
+
 def bag_in(folder: Path) -> str:
     """What to say of a folder that holds a bag where a file was expected; empty where it holds none."""
     is_bag = any(folder.glob("*.db3")) or any(folder.glob("*.mcap"))

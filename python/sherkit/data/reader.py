@@ -20,7 +20,7 @@ from ..base.types import Ints
 from ..errors import MeasurementError
 from . import columns as c
 from .columns import Columns
-from .files import bag_in, refuse_device
+from .files import bag_in, of_demo, refuse_device
 from .frames import clean, from_frame
 from .head import MARKS, by_spaces, head_of, is_number, names_given
 from .rows import Measurements
@@ -209,7 +209,7 @@ def checked(path: str | Path) -> Path:
     if path.is_dir():
         raise MeasurementError(f"{path}: is a folder, expected a CSV or Parquet file{bag_in(path)}")
     if not path.exists():
-        raise MeasurementError(f"{path}: there is no such file")
+        raise MeasurementError(f"{path}: there is no such file{of_demo(path)}")
     refuse_device(path, MeasurementError)
     if not path.is_file():
         return path  # of a pipe nothing can be read twice

@@ -17,7 +17,7 @@ from ..base import linalg
 from ..base.names import brief, closest, listed, nearest
 from ..base.types import Floats
 from ..errors import RobotError, SherkitError
-from .files import refuse_device
+from .files import of_demo, refuse_device
 
 #: Keys of a table look alike (base_radius_mm, platform_radius_mm); a misspelt one looks more alike still.
 _MISSPELT = 0.75
@@ -36,7 +36,7 @@ def read_toml(path: str | Path, what: str, error: type[SherkitError] = RobotErro
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
-        raise error(f"{brief(path, _LONGEST_PATH)}: there is no such {what} file") from None
+        raise error(f"{brief(path, _LONGEST_PATH)}: there is no such {what} file{of_demo(path)}") from None
     except IsADirectoryError:
         raise error(f"{path}: is a folder, expected a {what} TOML file") from None
     except OSError as wrong:

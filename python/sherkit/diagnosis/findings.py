@@ -125,7 +125,7 @@ def _motion_in_numbers(d: Diagnosis) -> dict[str, float]:
 def _repairs(d: Diagnosis, causes: Sequence[Effect]) -> Iterator[str]:
     """What to do about the causes in the machine, and about the instrument."""
     if repair := " ".join(d.known[e.name].remedy if e.name in d.known else e.remedy for e in causes):
-        yield f"To be rid of it in the machine: {repair[:1].lower()}{repair[1:]}"
+        yield f"Fix: {repair[:1].lower()}{repair[1:]}"
     yield from (f"Of the instrument: {e.remedy[:1].lower()}{e.remedy[1:]}" for e in d.fit.model.effects
                 if e.name == SLIP and SLIP in d.effects)  # fmt: skip
 
@@ -135,7 +135,7 @@ def _beside(d: Diagnosis) -> str:
     told = [f"the noise is {number(d.noise_size)}"] if d.noise_origin != "unknown" else []
     needed = required_um(getattr(d.fit.model, "robot", None))
     if needed and d.unit == "µm":
-        told.append(f"{needed:g} are needed")
+        told.append(f"the target {needed:g}")
     return f"; {', '.join(told)}" if told else ""
 
 
