@@ -73,6 +73,17 @@ def stated(value: float, std: float, unit: str, size: float = math.inf) -> str:
     return f"{number} ± {error}{_behind(shown)}"
 
 
+#: Powers of ten of odds beyond which nobody doubts.
+_BEYOND_DOUBT = 6.0
+
+
+def odds(power: float) -> str:
+    """Odds of ten to a ``power`` to one, in words."""
+    if abs(power) > _BEYOND_DOUBT:
+        return "above a million to one" if power > 0 else "below one to a million"
+    return f"{10.0**power:,.0f} to 1" if power >= 0 else f"1 to {10.0**-power:,.0f}"
+
+
 def sized(value: float, unit: str) -> str:
     """``value unit`` to three figures, in the unit in which people read it."""
     shown, factor = in_people_units(unit)

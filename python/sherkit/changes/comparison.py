@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base import linalg
 from ..base.arguments import as_annotated
-from ..base.figures import finite
+from ..base.figures import finite, number, odds, stated
 from ..base.notebook import Shown
 from ..data import Measurements
 from ..data.columns import bare, unit_in
@@ -33,6 +33,8 @@ from .vouching import error_of
 QUIET = np.log(20.0)
 #: A change of one unit of the noise must be seen with readings of so many beyond what is free.
 _FEWEST = 12
+#: Changes that a line holds; of more the clearest stands for all.
+_FEW = 2
 #: Poses that are proposed, of how many.
 _POSES, _CANDIDATES = 8, 200
 
@@ -52,8 +54,12 @@ class Moved:
     since: int = 1
 
     def __str__(self) -> str:
-        times, unit = {"rad": (1e3, "mrad"), "mm": (1e3, "µm")}.get(self.unit, (1.0, self.unit))
-        return f"{self.name} by {times * self.change:.3g} ± {times * self.std:.2g} {unit}".rstrip()
+        return f"{self.name} by {self.by}"
+
+    @property
+    def by(self) -> str:
+        """The change with its deviation, in the unit in which people read it."""
+        return stated(self.change, self.std, self.unit)
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -96,8 +102,26 @@ class Comparison(Shown):
     @property
     def verdict_and_what(self) -> str:
         """The verdict, and what has changed."""
-        told = "; ".join(map(str, self.parameters)) or ", ".join(self.changed)
+        told, moved = ", ".join(self.changed), self.parameters
+        if 0 < len(moved) <= _FEW:
+            told = "; ".join(map(str, moved))
+        elif moved:
+            # by the size of its own that each has moved
+            most = max(moved, key=lambda one: abs(one.change) / max(one.std, 1e-300))
+            told += f", most clearly {most}"
         return f"{self.verdict}: {told}" if told else self.verdict
+
+    @property
+    def rests_on(self) -> tuple[str, ...]:
+        """What the verdict rests on, in sentences."""
+        before, after = self.error["before"], self.error["after"]
+        said = [self.sees] if self.sees else []
+        if before is not None and after is not None:
+            said.append(
+                f"The model of the first run is off by {number(after)} {self.unit} on later ones, {number(before)} on "
+                f"its own; the odds that something has changed are {odds(self.evidence)}."
+            )
+        return (*said, *([f"It shows: {self.where}."] if self.where else []))
 
     @property
     def headline(self) -> str:

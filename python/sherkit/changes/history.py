@@ -17,7 +17,7 @@ import numpy as np
 
 from ..base import linalg
 from ..base.arguments import as_annotated
-from ..base.figures import finite
+from ..base.figures import finite, stated
 from ..base.names import listed
 from ..base.notebook import Shown
 from ..base.types import Floats
@@ -73,8 +73,7 @@ class Course:
         told = []
         per = {"step": "", "once": "", "ramp": " per month", "season": " per °C"}[self.kind]
         for name, value, std, unit in self.parameters:
-            times, shown = {"rad": (1e3, "mrad"), "mm": (1e3, "µm")}.get(unit, (1.0, unit))
-            told.append(f"{name} {times * value:+.3g} ± {times * std:.2g} {shown}{per}")
+            told.append(f"{name} by {stated(value, std, unit)}{per}")
         when = f" at {self.date}" if self.date else ""
         end = f"; beyond what is needed {self.exceeds}" if self.exceeds else ""
         other = f"; these runs cannot tell it from {', '.join(self.or_else)}" if self.or_else else ""
@@ -110,7 +109,18 @@ class History(Shown):
     @property
     def headline(self) -> str:
         """The verdict in one line, and which runs cannot speak."""
-        return "; ".join([self.verdict, *(f"{name}: {why}" for name, why in self.silent.items())])
+        return "; ".join([self.verdict_and_what, *(f"{name}: {why}" for name, why in self.silent.items())])
+
+    @property
+    def verdict_and_what(self) -> str:
+        """The verdict, and what has changed, in which course."""
+        told = [f"{one.name} ({one.kind}{f' at {one.date}' if one.date else ''})" for one in self.changes]
+        return f"{self.verdict}: {', '.join(told)}" if told else self.verdict
+
+    @property
+    def rests_on(self) -> tuple[str, ...]:
+        """What the verdict rests on, in sentences."""
+        return (self.sees,) if self.sees else ()
 
     @property
     def sees(self) -> str:

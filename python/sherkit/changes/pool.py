@@ -143,8 +143,8 @@ def unchanged_advice(before: float, needed: float | None, unit: str) -> str:
     if needed is None or before <= needed:
         return "nothing needs to be done: the calibration still describes the robot"
     return (
-        f"nothing has changed, but the model of the first run is off by {number(before)} {unit}, noise included, where the "
-        f"target is {number(needed)}: diagnose that run"
+        f"nothing has changed, but the model of the first run is off by {number(before)} {unit}, noise included, where "
+        f"the target is {number(needed)}: diagnose that run"
     )
 
 

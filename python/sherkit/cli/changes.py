@@ -81,25 +81,11 @@ def _tell(found: Told, say: Callable[[Told], None], as_json: bool, report: Path 
 
 
 def _say(found: Comparison) -> None:
-    output.out.rule("Has anything changed?")
-    _say_silent(found.silent)
-    if found.sees:
-        output.say(found.sees)
-    output.say(f"{found.verdict_and_what} (evidence 1e{found.evidence:.1f})")
-    if found.where:
-        output.say(f"it shows: {found.where}")
-    made = table(
-        "Error", "run", f"{found.unit}", note="after: by the model of before, from where the sensor now stands"
-    )
-    for name, value in found.error.items():
-        if value is not None:
-            made.add_row(name, f"{value:.4g}")
-    if found.error["before"] is not None:
-        out.print(made)
+    output.answer(found.verdict_and_what, *_left_out(found.silent), *found.rests_on, _as_sentence(found.advice))
     if found.parameters:
-        moved = table("What has changed", "parameter", "change", "deviation", "unit", "since run")
+        moved = table("What has changed", "parameter", "change", "since run")
         for one in found.parameters:
-            moved.add_row(one.name, f"{one.change:.4g}", f"{one.std:.2g}", one.unit, str(one.since + 1))
+            moved.add_row(one.name, one.by, str(one.since + 1))
         out.print(moved)
     for tie in found.indistinguishable:
         output.say(f"{' or '.join(tie)}: these runs cannot tell")
@@ -113,12 +99,16 @@ def _say(found: Comparison) -> None:
         for pose in found.next_poses:
             proposed.add_row(*[f"{value:.4g}" for value in pose.values()])
         out.print(proposed)
-    output.say(f"\n{found.advice}")
 
 
-def _say_silent(silent: Mapping[str, str]) -> None:
-    for name, why in silent.items():
-        output.say(f"left out: {name}: {why}")
+def _as_sentence(text: str) -> str:
+    """With a capital and a point, but for the names that come first in it."""
+    first = text.partition(" ")[0]
+    return f"{text if not first.isalpha() else text[:1].upper() + text[1:]}{'' if text.endswith('.') else '.'}"
+
+
+def _left_out(silent: Mapping[str, str]) -> list[str]:
+    return [f"Left out: {name} {why}." for name, why in silent.items()]
 
 
 @click.command()
@@ -140,13 +130,8 @@ def history(
 
 
 def _say_course(found: History) -> None:
-    output.out.rule("The course")
-    _say_silent(found.silent)
-    if found.sees:
-        output.say(found.sees)
-    output.say(found.verdict)
-    for one in found.changes:
-        output.say(f"  {one}")
+    told = (*_left_out(found.silent), *found.rests_on, *map(str, found.changes))
+    output.answer(found.verdict_and_what, *told, _as_sentence(found.advice))
     made = table("Runs", "run", "date", "rows", f"error {found.unit}",
                  note="by the model of the first, from where each run's sensor stands")  # fmt: skip
     for run in found.runs:
@@ -155,7 +140,6 @@ def _say_course(found: History) -> None:
     out.print(made)
     if found.verdict != "undecided":
         output.say(f"{len(found.stood_still)} parameters and effects stood still")
-    output.say(f"\n{found.advice}")
 
 
 @click.command()
@@ -177,16 +161,12 @@ def verify(ctx: click.Context, calibration: Path, run: Path, as_json: bool, fail
 
 
 def _say_verified(found: Verification) -> None:
-    # what the run can see stands before what was seen
-    for line in found.sees:
-        output.say(line)
-    output.say(found.headline)
+    output.answer(found.headline, *found.sees, _as_sentence(found.advice))
     for tie in found.indistinguishable:
         output.say(f"  {' or '.join(tie)}: these poses cannot tell")
     output.say(f"these poses would have shown, at its plausible size: {', '.join(found.would_show) or 'nothing'}")
     if found.would_not:
         output.say(f"and would not have shown: {', '.join(found.would_not)}")
-    output.say(found.advice)
 
 
 # -- Many machines built alike ----------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ import click
 from click.core import ParameterSource
 from rich.console import Console
 from rich.markup import escape
+from rich.padding import Padding
 from rich.table import Table
 
 from ..base.figures import finite
@@ -75,6 +76,14 @@ def warn(message: str) -> None:
 def say(message: str, about: Path | None = None) -> None:
     """Plain text to stdout, nothing in it is markup; to stderr where stdout is the very file that it is ``about``."""
     (err if about is not None and is_output(about) else out).print(escape(message), soft_wrap=True)
+
+
+def answer(verdict: str, *sentences: str) -> None:
+    """The answer first, as every verb gives it: what was found in one line, and under it what it rests on and what to
+    do."""
+    out.print(f"[bold]Verdict:[/] [bold]{escape(verdict)}[/]")
+    for one in sentences:
+        out.print(Padding(escape(one), (0, 0, 0, 3)))
 
 
 def print_json(value: Any) -> None:

@@ -97,9 +97,11 @@ def _later(scripts: str) -> str:
 def write_page(
     path: Path, title: str, sentences: Sequence[str], figures: Sequence[Any], scene: str = "", again_s: int = 0
 ) -> None:
-    """One HTML file that opens without a network; ``scene`` is HTML that follows what is told. A browser reads the page
-    anew every ``again_s`` seconds, unless that is 0."""
-    told = "".join(f"<p>{escape(one)}</p>" for one in sentences)
+    """One HTML file that opens without a network, the first of its ``sentences``, the answer, bold; ``scene`` is HTML
+    that follows what is told. A browser reads the page anew every ``again_s`` seconds, unless that is 0."""
+    told = "".join(
+        f"<p><b>{escape(one)}</b></p>" if k == 0 else f"<p>{escape(one)}</p>" for k, one in enumerate(sentences)
+    )
     style = "<style>:host{font:15px/1.45 sans-serif}p{margin:.5em 0}</style>"
     head = Div(text=f"{style}<h1>{escape(title)}</h1>{told}{scene}", sizing_mode="stretch_width")
     nonce = fresh_nonce()

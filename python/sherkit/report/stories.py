@@ -189,7 +189,7 @@ _KINDS = ("start", "all", "what tells rivals apart", "confirm", "explore", "agai
 def write_adaptive(path: Path, loop: Adaptive, title: str) -> None:
     """Writes the evidence of what led, reading after reading, how far off the models were at readings that they did
     not know yet, and where and why the robot was driven. Until the loop is done the page renews itself."""
-    told = [loop.sentence(), loop.why, *loop.told()] if loop.done else [loop.sentence(), _next(loop)]
+    told = [loop.why, loop.sentence(), *loop.told()] if loop.done else [loop.sentence(), _next(loop)]
     figures: list[Any] = []
     if loop.looks:
         figures += [_evidence(loop), _error_lines(loop)]
@@ -274,7 +274,7 @@ def write_comparison(path: Path, found: Comparison, title: str) -> None:
 
     Raises :class:`~sherkit.errors.FitError` for a comparison that was read from a file, without its runs.
     """
-    told = [*([found.sees] if found.sees else []), found.headline]
+    told = [found.headline, *found.rests_on]
     told += [f"{' or '.join(tie)}: these runs cannot tell" for tie in found.indistinguishable]
     if found.joined is None and found.silent:
         write_page(path, title, [*told, found.advice], [])
@@ -289,7 +289,7 @@ def write_comparison(path: Path, found: Comparison, title: str) -> None:
 
 def write_history(path: Path, found: History, title: str) -> None:
     """The error of each run, and of what has changed its course with deviations; what stood still is left out."""
-    told = [*([found.sees] if found.sees else []), f"{found.headline}.", *map(str, found.changes)]
+    told = [f"{found.headline}.", *found.rests_on, *map(str, found.changes)]
     if found.verdict != "undecided":
         told.append(f"{len(found.stood_still)} others stood still.")
     seen = [run for run in found.runs if run["error"] is not None]
