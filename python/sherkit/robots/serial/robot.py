@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -24,6 +24,7 @@ from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.batch import Batch, matrix, vector, why
 from ...model.sensor_pose import ANYWHERE, SensorPose
+from ...model.tolerances import NOT_STATED, Stated, Stating
 from .frames import Triple, frame, of_rpy, onto
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
@@ -179,7 +180,7 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Serial(Declared, Saved, Shown):
+class Serial(Declared, Stating, Saved, Shown):
     """Nominal serial arm of one to nine joints. Lengths in mm, angles in degrees as in its file, joint readings rad or
     mm.
 
@@ -202,12 +203,16 @@ class Serial(Declared, Saved, Shown):
     planes: tuple[Plane, ...] = ()
     has_tracker: bool = True
     required_um: float | None = None
+    tolerances: Stated = NOT_STATED
+    known: Stated = NOT_STATED
     kind: str = field(default="serial", init=False)
 
     TABLES: ClassVar = {
         "tool": {"target_mm": key(Table.numbers, 3), "rpy_deg": key(Table.numbers, 3).of("tool_rpy_deg")},
         "base": {"gravity": key(Table.numbers, 3)},
         "sensor_pose": Inner(SensorPose, "sensor_pose"),
+        "tolerances": Inner(Stated, "tolerances"),
+        "known": Inner(Stated, "known"),
         "workspace": {"required_um": key(Table.positive)},
     }
 
@@ -272,6 +277,14 @@ class Serial(Declared, Saved, Shown):
             # that it is there says that a tracker reads places too
             made.setdefault("sensor_pose", {"origin_mm": list(self.sensor_pose.origin_mm)})
         return made
+
+    def drawn_values(self) -> Mapping[str, float]:
+        """Places of targets, in the frame of the last joint whose z is its axis, and of centres by the name of their
+        parameter, mm."""
+        stems = ["tool", *(f"target_{k}" for k in range(2, len(self.targets) + 1))]
+        stems += [f"centre_{k}" for k in range(1, len(self.centres_mm) + 1)]
+        places = [*self.targets.tolist(), *self.centres_mm]
+        return {f"{stem}_{'xyz'[k]}": p[k] for stem, p in zip(stems, places, strict=True) for k in range(3)}
 
     # -- what runs and experiments ask ---------------------------------------------------------------------
 
