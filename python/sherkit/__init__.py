@@ -36,9 +36,9 @@ if _TYPE_CHECKING:
 __all__ = [
     "Adaptive", "Effect", "Machine", "Measurements", "SensorPose", "SherkitError", "SherkitWarning", "Stated",
     "Study", "__version__", "calibrate", "changes", "compare", "data", "delta", "diagnose", "diagnosis", "effect",
-    "errors", "fit", "fleet", "from_bluesky", "from_frame", "from_rosbag", "history", "identify", "lab", "load_calibration",
-    "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "serial", "spherical", "tool",
-    "verify",
+    "errors", "fit", "fleet", "from_bluesky", "from_frame", "from_rosbag", "history", "identify", "lab",
+    "load_calibration", "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "serial",
+    "spherical", "tool", "verify",
 ]  # fmt: skip
 
 
@@ -61,8 +61,8 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
             "Adaptive": "adaptive", "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data",
             "SensorPose": "model.sensor_pose", "SherkitError": "errors",
             "SherkitWarning": "errors", "Stated": "model.tolerances", "Study": "study",
-            "__version__": "_core", "calibrate": "calibration", "compare": "changes", "history": "changes", "verify": "changes",
-            "diagnose": "diagnosis",
+            "__version__": "_core", "calibrate": "calibration", "compare": "changes",
+            "history": "changes", "verify": "changes", "diagnose": "diagnosis",
             "effect": "model.effect", "fleet": "fleets", "from_bluesky": "data", "from_frame": "data",
             "from_rosbag": "data", "identify": "fit",
             "load_calibration": "robots.calibrated", "load_robot": "model.robot_file", "read_measurements": "data",
