@@ -27,17 +27,18 @@ if _TYPE_CHECKING:
     from .model.effect import Effect, effect
     from .model.robot_file import load_robot, save_robot
     from .model.sensor_pose import SensorPose
+    from .model.tolerances import Stated
     from .robots import delta, serial, spherical, tool
     from .robots.calibrated import load_calibration
     from .robots.machine import Machine
     from .study import Study
 
 __all__ = [
-    "Adaptive", "Effect", "Machine", "Measurements", "SensorPose", "SherkitError", "SherkitWarning", "Study",
-    "__version__", "calibrate", "changes", "compare", "data", "delta", "diagnose", "diagnosis", "effect", "errors",
-    "fit", "fleet", "from_bluesky", "from_frame", "from_rosbag", "history", "identify", "lab", "load_calibration",
-    "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "serial", "spherical", "tool",
-    "verify",
+    "Adaptive", "Effect", "Machine", "Measurements", "SensorPose", "SherkitError", "SherkitWarning", "Stated",
+    "Study", "__version__", "calibrate", "changes", "compare", "data", "delta", "diagnose", "diagnosis", "effect",
+    "errors", "fit", "fleet", "from_bluesky", "from_frame", "from_rosbag", "history", "identify", "lab",
+    "load_calibration", "load_robot", "model", "planning", "read_measurements", "report", "save_robot", "serial",
+    "spherical", "tool", "verify",
 ]  # fmt: skip
 
 
@@ -59,9 +60,9 @@ if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not 
         {
             "Adaptive": "adaptive", "Effect": "model.effect", "Machine": "robots.machine", "Measurements": "data",
             "SensorPose": "model.sensor_pose", "SherkitError": "errors",
-            "SherkitWarning": "errors", "Study": "study", "__version__": "_core", "calibrate": "calibration",
-            "compare": "changes", "history": "changes", "verify": "changes",
-            "diagnose": "diagnosis",
+            "SherkitWarning": "errors", "Stated": "model.tolerances", "Study": "study",
+            "__version__": "_core", "calibrate": "calibration", "compare": "changes",
+            "history": "changes", "verify": "changes", "diagnose": "diagnosis",
             "effect": "model.effect", "fleet": "fleets", "from_bluesky": "data", "from_frame": "data",
             "from_rosbag": "data", "identify": "fit",
             "load_calibration": "robots.calibrated", "load_robot": "model.robot_file", "read_measurements": "data",

@@ -179,6 +179,7 @@ def _run_json(run: CalibrationRun) -> dict[str, Any]:
         },
         "nominal_error": fit.nominal_error.to_json(),
         "error": fit.error.to_json(),
+        "elsewhere": None if fit.elsewhere is None else fit.elsewhere.to_json(),
         f"rms_{unit}": {
             "before": rms(fit.nominal_residuals),
             "after": rms(fit.residuals),

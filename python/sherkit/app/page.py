@@ -290,7 +290,7 @@ class StudyPage:
             f'{rows} · verdict: <span id="verdict">{escape(found.headline)}</span>'
         )
         shown = [one.to_do for one in found.findings if one.about == "left_out"]
-        shown += [one.answer for one in found.findings if one.about in ("tie", "shape")]
+        shown += [one.answer for one in found.findings if one.about in ("elsewhere", "tie", "shape")]
         self._findings.text = "<br>".join(map(escape, shown))
 
 

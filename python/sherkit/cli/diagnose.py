@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -124,6 +125,9 @@ def print_diagnosis(d: Diagnosis, *files: Path, every_check: bool = False) -> No
     colour = _COLOUR[d.verdict] if d.noise_origin != "unknown" or d.verdict not in ("adequate", "explained") else "cyan"
     out.print(f"[bold]Verdict:[/] [bold {colour}]{escape(d.headline)}[/]")
     _say(one for one in d.findings if one.about in ("cause", "brings"))
+    for one in d.findings:
+        if one.about == "elsewhere":
+            _say([replace(one, answer=f"{one.answer} {one.to_do}")])
     _say([one for one in d.findings if one.question == NEXT][:1], given)
     first, *more = (one for one in d.findings if one.question == MISSING and one.about != "left_out")
     out.print()
@@ -182,6 +186,10 @@ def falling(d: Diagnosis) -> Table:
     made = table("Error on poses held out", "model", f"{d.unit} RMS {d.error.in_words}", "95 % within")
     for s in d.steps:
         made.add_row(s.state, _long(d, s.error.rms), _long(d, s.error.p95))
+    if d.elsewhere is not None:
+        made.add_row("regions left out whole", _long(d, d.elsewhere.error.rms), _long(d, d.elsewhere.error.p95))
+    elif d.fit.data.layout.joints:
+        made.add_row("regions left out whole", "too few poses", "", style="dim")
     made.add_row("noise", _long(d, d.noise_size), "", style="dim")
     return made
 

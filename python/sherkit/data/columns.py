@@ -312,8 +312,9 @@ def is_unit(text: str) -> bool:
 
 
 def factor(unit: str, wanted: str) -> float | None:
-    """What turns a number in ``unit`` into one in the ``wanted`` unit; None where they measure different things."""
-    if unit == wanted:
+    """What turns a number in ``unit``, as people write it, into one in the ``wanted`` unit; None where they measure
+    different things."""
+    if (unit := _SPELT.get(unit, unit)) == wanted:
         return 1.0
     return next((kind[unit] / kind[wanted] for kind in _BY_UNIT if unit in kind and wanted in kind), None)
 

@@ -181,6 +181,8 @@ class AskedTable(Table):
         self._asked: dict[str, Schema] = {}
         self._needed: set[str] = set()
         self._inner: dict[str, list[Self]] = {}
+        #: What any other key holds; none may be there unless its reader takes all.
+        self._others: Schema | bool = False
 
     def _get(
         self, key: str, expected: str, schema: Schema, holds: Callable[[Any], bool], default: Any = None, *,
@@ -191,6 +193,11 @@ class AskedTable(Table):
             self._needed.add(key)
             default = sample
         return super()._get(key, expected, schema, holds, default, optional=optional)
+
+    def all_texts(self, expected: str) -> dict[str, str]:
+        """As any table's; an editor lets any key be."""
+        self._others = {"type": "string", "description": expected}
+        return super().all_texts(expected)
 
     def _inside(self, key: str, values: Mapping[str, Any], name: str) -> Self:
         inner = super()._inside(key, values, name)
@@ -203,7 +210,7 @@ class AskedTable(Table):
         for key, tables in self._inner.items():
             inside = merged([one.schema() for one in tables])
             known[key] = {"type": "array", "items": inside} if known[key].get("type") == "array" else inside
-        made: Schema = {"type": "object", "properties": known, "additionalProperties": False}
+        made: Schema = {"type": "object", "properties": known, "additionalProperties": self._others}
         return made | ({"required": sorted(self._needed)} if self._needed else {})
 
 

@@ -99,6 +99,10 @@ class Table:
         """The error for numbers that do not fit together, in words."""
         return self._error(f"{self._where}: [{self._path}] {what}")
 
+    def saying(self, what: str) -> SherkitError:
+        """The error for what is wrong with the file as a whole, in words."""
+        return self._error(f"{self._where}: {what}")
+
     @property
     def values(self) -> Mapping[str, Any]:
         """What is in it, as it was given."""
@@ -185,6 +189,16 @@ class Table:
     def words(self, key: str, default: str | None = None, *, empty: bool = False) -> str:
         """Any text that is not empty unless it may be; where it is left out, ``default``, which may be empty."""
         return str(self._get(key, "a text", _TEXT, lambda v: _is_text(v) and bool(v or empty), default, sample="x"))
+
+    def all_texts(self, expected: str) -> dict[str, str]:
+        """Every key of a table whose keys are its owner's own, each a text; ``expected`` is what it says, in words."""
+        out = {}
+        for key in self._values:
+            if not _is_text(self._values[key]):
+                self._known.add(key)
+                raise self.fail(key, expected)
+            out[key] = self.words(key)
+        return out
 
     def texts(self, key: str, default: tuple[str, ...] | None = None) -> tuple[str, ...]:
         """A list of texts."""

@@ -16,6 +16,7 @@ from ..base.types import Ints
 from ..fit.error import ErrorSize
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
+from ..fit.regions import Elsewhere
 from .instrument import called
 from .where import Dependence
 
@@ -134,10 +135,10 @@ FILES = "ROBOT RUN"
 class Finding:
     """One answer to one of the :data:`QUESTIONS`.
 
-    ``about`` says what of: cause, brings, verdict; missing, noise, note, left_out; where; step, shape; tie, confounded,
-    sensor_pose, untestable, nothing; next. ``answer`` is a sentence or a part of one; ``numbers`` are by name with
-    their unit; ``sure`` says how sure it is; ``rows`` are the lines of the rows it speaks of; ``to_do`` what a person
-    can do; ``command`` is what does that, with :data:`FILES` where the files stand that were given.
+    ``about`` says what of: cause, brings, elsewhere, verdict; missing, noise, note, left_out; where; step, shape; tie,
+    confounded, sensor_pose, untestable, nothing; next. ``answer`` is a sentence or a part of one; ``numbers`` are by
+    name with their unit; ``sure`` says how sure it is; ``rows`` are the lines of the rows it speaks of; ``to_do`` what
+    a person can do; ``command`` is what does that, with :data:`FILES` where the files stand that were given.
     """
 
     question: str
@@ -306,6 +307,8 @@ class Diagnosis(Shown):
     base: Fit = field(repr=False)
     #: All that it says, in the order in which a person asks; what screens and papers show is this list.
     findings: tuple[Finding, ...] = ()
+    #: Errors in whole regions that were left out; None where poses are too few for that, or no joint moves.
+    elsewhere: Elsewhere | None = None
 
     @property
     def headline(self) -> str:
@@ -397,6 +400,7 @@ class Diagnosis(Shown):
             "checks": [check.to_json() for check in self.checks],
             "indistinguishable": [list(t) for t in self.indistinguishable],
             "error": self.error.to_json(),
+            "elsewhere": None if self.elsewhere is None else self.elsewhere.to_json(),
             "steps": [{"effect": s.effect, "error": s.error.to_json()} for s in self.steps],
             "candidates": [
                 {

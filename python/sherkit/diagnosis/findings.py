@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from ..base.figures import in_names, number, stated
 from ..base.names import listed
+from ..fit.regions import TO_DO
 from ..model.effect import Effect
 from ..model.kinds import required_um
 from ..model.sensor_pose import SLIP
@@ -103,6 +104,10 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
         off = f"off by {first} {d.unit} RMS {d.error.in_words}, 95 % within {number(d.error.p95)}{_beside(d)}"
         cause, to_do = _without_effect(d, off)
         yield Finding(WRONG, "cause", cause, came, to_do=to_do)
+    if d.elsewhere is not None and (said := d.elsewhere.sentence(d.error)):
+        sizes = {"error": d.elsewhere.error.rms, "drawing": d.elsewhere.drawing.rms}
+        numbers = {f"{name}_{end}": float(value) for name, value in sizes.items()}
+        yield Finding(WRONG, "elsewhere", said, numbers, to_do=TO_DO[d.fit.priors])
     yield Finding(WRONG, "verdict", d.headline)
 
 

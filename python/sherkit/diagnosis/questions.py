@@ -74,6 +74,9 @@ def diagnose(
                 f"diagnose: {effect!r} is no effect of yours; those of the catalogue are tried anyway, and one that is "
                 "to be in the model already belongs to identify or Study"
             )
+    if fit.for_regions:
+        # what an effect that is missing does to regions is not the drawing's to say
+        fit = identify(fit.model, fit.data, loss=fit.loss, priors=False, noise=fit.noise)
     step("mistakes of the set-up")
     run = FittedRun(fit)
     given = {one.name for one in (*effects, *run.model.effects)}
@@ -201,6 +204,7 @@ def diagnose(
         notes=tuple(notes),
         fit=of_all.fit,
         base=long.fit,
+        elsewhere=None if run.is_exact or not look else final.fit.elsewhere,
     )
     return replace(said, findings=findings_of(said))
 

@@ -164,7 +164,7 @@ def held_out_error(
     used = data.used & np.isfinite(fit.residuals)
     rows = np.flatnonzero(used.any(axis=1))
     if sigma is None:
-        sigma = _noise_of(fit, used)
+        sigma = sigma_of(fit, used)
     if repeated_folds is None:
         repeated_folds = repeated_folds_of(fit, seed)
     fold = np.stack([np.unique(one[rows], return_inverse=True)[1].ravel() for one in repeated_folds])
@@ -217,7 +217,7 @@ def _refitted(fit: Fitted, refit: Callable[[Measurements], Floats], rows: Ints, 
     return of_residuals(fit.data, left, held_out=True)
 
 
-def _noise_of(fit: Fitted, used: Bools) -> Floats:
+def sigma_of(fit: Fitted, used: Bools) -> Floats:
     """The noise (columns,) that weighs readings; where it is not known, what the fit leaves."""
     known = fit.noise.origin != "unknown"
     each = np.where(used, fit.noise.sigma if known else fit.residuals, np.nan)

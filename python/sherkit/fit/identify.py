@@ -8,7 +8,7 @@ robust loss, Huber's correction (Huber and Ronchetti, *Robust Statistics*, Eq. 7
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from os import PathLike
@@ -35,6 +35,7 @@ from .error import ErrorSize, held_out_error, of_residuals
 from .folds import blocks_of
 from .least_squares import LOSSES, LeastSquares, reached, scale, spread
 from .minimum import NEAR, beginning, noise_ratio, over_the_wall
+from .regions import Elsewhere, errors_elsewhere
 from .set_up import held, set_up_mistakes
 from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
@@ -124,6 +125,8 @@ class Fit(Identified, Shown):
     noise: Noise
     loss: str
     priors: bool
+    #: Whether the drawing counts for the regions alone: with an effect more in the model it may not need to.
+    for_regions: bool = False
 
     @cached_property
     def predicted(self) -> Floats:
@@ -144,6 +147,12 @@ class Fit(Identified, Shown):
     def error_by(self, seed: int) -> ErrorSize:
         """The same by other random splits."""
         return held_out_error(self, seed, refit=self.refitted)
+
+    @cached_property
+    def elsewhere(self) -> Elsewhere | None:
+        """How far it is off in whole regions of the joints that are held out, and the drawing there
+        (:mod:`sherkit.fit.regions`); None where poses are too few for that, or no joint moves."""
+        return errors_elsewhere(self)
 
     def refitted(self, data: Measurements) -> Floats:
         """The parameters (p,) of these rows alone, from the drawing."""
@@ -245,8 +254,9 @@ def identify(
     ``free`` names them (default: those of the kind of robot). ``effects`` are identified besides: names of the
     catalogue, or the user's own. ``loss`` is ``linear``, ``huber``, ``cauchy`` or ``tukey``.
     ``priors`` takes the drawing, with the plausible sizes as deviations, as one more measurement. Left out, that is so
-    where the readings alone would leave combinations of parameters less sure than the drawing does, or reach no
-    minimum. ``linear`` takes the paper's single step of Eq. 11. ``noise`` overrides what
+    where the readings alone would leave combinations of parameters less sure than the drawing does, reach no minimum,
+    or are worse than the drawing in a region that is left out. ``linear`` takes the paper's single step of Eq. 11.
+    ``noise`` overrides what
     :func:`~sherkit.data.noise.noise_of` finds.
 
     Raises :class:`~sherkit.errors.FitError` for rows out of reach, an unknown loss, or too few readings, and
@@ -266,13 +276,20 @@ def identify(
     if not data.used.any():
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
     fit = _fitted(model, data, noise, start, loss=loss, priors=bool(priors), linear=linear)
-    if priors is None and not linear and not (fit.converged and fit.supported == fit.rank):
+    decided = fit.converged and fit.supported == fit.rank
+    if priors is None and not linear and not (decided and not _worse(fit, start)):
         # what readings do not decide the drawing does, unless they contradict it; those that never change cannot: the
         # smaller a robot is, the better it fits them
         drawn = _fitted(model, data, noise, start, loss=loss, priors=True, linear=False)
         if not fit.converged or held(data) or not _contradict(fit, drawn):
-            fit = drawn
+            fit = replace(drawn, for_regions=decided)
     return fit
+
+
+def _worse(fit: Fit, start: object) -> bool:
+    """Whether a fit is worse than the drawing in a region that it did not see; what begins at another fit was asked
+    there."""
+    return start is None and fit.elsewhere is not None and fit.elsewhere.is_worse
 
 
 def _contradict(plain: Fit, drawn: Fit) -> bool:

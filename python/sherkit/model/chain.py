@@ -7,7 +7,7 @@ says which parameters its core has and how rows are handed to it.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -194,8 +194,11 @@ class ChainModel(SeenModel):
     @cached_property
     def base(self) -> tuple[Parameter, ...]:
         """Geometric errors, the sensor's pose and the like: what ``free`` chooses from, in the order of the core."""
-        made = (p for row in self.table if row["base"] for p in parameters_of_core(row, self.lever_mm))
-        return tuple(self.as_known(p) for p in made)
+        return tuple(self.as_known(p) for p in self.unstated_base())
+
+    def unstated_base(self) -> Iterable[Parameter]:
+        """As of any model."""
+        return (p for row in self.table if row["base"] for p in parameters_of_core(row, self.lever_mm))
 
     @cached_property
     def core_parameters(self) -> tuple[Parameter, ...]:

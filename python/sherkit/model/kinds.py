@@ -28,6 +28,7 @@ from .batch import Batch
 from .chain import ChainModel
 from .drawing import Draw, drawing_of_readings
 from .effect import Effect
+from .tolerances import stated_by
 
 #: What a plan may ask of a set of poses: more nobody measures, and no memory holds.
 MOST_PER_SIDE, MOST_IN_LINE = 300, 100_000
@@ -336,6 +337,11 @@ def robot_from_table(table: Table) -> Robot:
             "first (no file of data runs code)"
         )
     robot: Robot = known[table.text("kind", tuple(known))].robot.from_table(table)
+    if any(stated_by(robot)):
+        try:
+            _ = kind_of(robot).model(robot).stated_sizes
+        except RobotError as error:
+            raise table.saying(str(error)) from None
     return robot
 
 

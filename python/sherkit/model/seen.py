@@ -4,7 +4,7 @@ what is read is seen from the base."""
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -33,6 +33,7 @@ from .sensor_pose import (
     slip_of,
 )
 from .set_ups import effect_of, seen_from_the_last
+from .tolerances import sizes_of
 
 #: A turn by so little, rad, moves no arrow of a picture.
 _TO_THE_EYE = 0.02
@@ -96,11 +97,21 @@ class SeenModel(ModelWithEffects):
         return whole if set(whole) <= {*self.free_of_pose} & {p.name for p in self.parameters} else ()
 
     def as_known(self, parameter: Parameter) -> Parameter:
-        """A parameter of the table; of the sensor's pose as well as that is known."""
+        """A parameter of the table, as well as it is known by the robot's file; of the sensor's pose as that is."""
         if parameter.name not in POSE:
-            return parameter
+            size, known = self.stated_sizes.get(parameter.name, (parameter.size, parameter.known))
+            return replace(parameter, size=size, known=known)
         sd = float(self.pose_sd[POSE.index(parameter.name)])
         return replace(parameter, size=sd, known=True) if 0 < sd < np.inf else parameter
+
+    @cached_property
+    def stated_sizes(self) -> Mapping[str, tuple[float, bool]]:
+        """Sizes that the robot's file states, see :mod:`~sherkit.model.tolerances`."""
+        return sizes_of(self.robot, tuple(self.unstated_base()))
+
+    @abstractmethod
+    def unstated_base(self) -> Iterable[Parameter]:
+        """Parameters of the table as the robot's kind has them, whatever its file states."""
 
     def held_of_pose(self, name: str) -> bool:
         """Whether a parameter is a number of the sensor's pose that the robot's file holds."""

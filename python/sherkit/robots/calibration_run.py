@@ -21,6 +21,7 @@ from ..fit.identify import Fit
 from ..model.effect import Effect
 
 #: Lines below those of a model on rows held out.
+_REGIONS = "  regions left out whole"
 _ROWS, _CORRECTED = "  the rows it was fitted to", "  with the correction"
 
 
@@ -178,6 +179,8 @@ class CalibrationRun:
                 held_out = values is self.held_out or values is self.corrected
                 error = of_residuals(data, values if rows is None else values[rows], held_out=held_out)
             out.append((name, key, error, self.rms(values, rows)))
+            if values is self.held_out and rows is None and (away := self.fit.elsewhere) is not None:
+                out.append((_REGIONS, "", away.error, {}))
         return out
 
     @property

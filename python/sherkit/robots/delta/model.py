@@ -148,7 +148,7 @@ class DeltaModel(ChainModel):
         There it is known as well as a drawing is."""
         warms = any(one.name in _ABOUT_THE_ORIGIN for one in self.effects)
         if warms and np.isinf(self.pose_sd).all() and parameter.name.startswith(("base_", "joint_offset_")):
-            return replace(parameter, known=True)
+            return replace(super().as_known(parameter), known=True)
         return super().as_known(parameter)
 
     def settings(self) -> dict[str, float | None]:

@@ -25,6 +25,7 @@ from ...errors import ShapeError, Singular
 from ...model.batch import Batch, matrix, vector, why
 from ...model.kinds import MOST_IN_LINE, MOST_PER_SIDE
 from ...model.sensor_pose import ANYWHERE, SensorPose
+from ...model.tolerances import NOT_STATED, Stated, Stating
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
 
@@ -55,7 +56,7 @@ LIMB_PARAMETERS = (
 
 
 @dataclass(frozen=True)
-class Delta(Declared, Saved, Shown):
+class Delta(Declared, Stating, Saved, Shown):
     """Nominal linear delta. Lengths in mm, angles in degrees as on a drawing, one value per limb.
 
     ``target_offset_mm`` points from the platform centre to the measured point. ``rod_spacing_mm`` is the
@@ -81,6 +82,8 @@ class Delta(Declared, Saved, Shown):
     joint_limits_mm: tuple[float, float] | None = None
     assembly_mode: str = "below"
     sensor_pose: SensorPose = ANYWHERE
+    tolerances: Stated = NOT_STATED
+    known: Stated = NOT_STATED
     kind: str = field(default="delta", init=False)
 
     TABLES: ClassVar = {
@@ -105,6 +108,8 @@ class Delta(Declared, Saved, Shown):
         },
         "region_of_interest": {"half_width_mm": key(Table.positive).of("region_half_width_mm")},
         "sensor_pose": Inner(SensorPose, "sensor_pose"),
+        "tolerances": Inner(Stated, "tolerances"),
+        "known": Inner(Stated, "known"),
     }
 
     @classmethod
@@ -163,6 +168,10 @@ class Delta(Declared, Saved, Shown):
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the 18 geometric parameters, in the order of :attr:`geometry`."""
         return tuple(f"{name}_{limb}" for limb in (1, 2, 3) for name, _ in LIMB_PARAMETERS)
+
+    def drawn_values(self) -> Mapping[str, float]:
+        """Radii, angles (rad) and rods by the name of their parameter; joints are counted from zero."""
+        return dict(zip(self.parameter_names, self.geometry.tolist(), strict=True))
 
     def forward(self, joints_mm: ArrayLike) -> Floats:
         """Measured point (3,) for joint readings (3,), mm, base frame.

@@ -231,7 +231,11 @@ class SerialModel(ChainModel):
     @property
     def base(self) -> tuple[Parameter, ...]:
         """What the table has for every arm, of the joints that it has."""
-        return tuple(self.as_known(p) for p in _base_of(self.robot))
+        return tuple(self.as_known(p) for p in self.unstated_base())
+
+    def unstated_base(self) -> tuple[Parameter, ...]:
+        """Of the joints that it has."""
+        return _base_of(self.robot)
 
     @cached_property
     def core_parameters(self) -> tuple[Parameter, ...]:

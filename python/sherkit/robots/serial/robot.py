@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -25,6 +25,7 @@ from ...errors import OutOfReach, ShapeError
 from ...model.batch import Batch, matrix, vector, why
 from ...model.relations import Apart
 from ...model.sensor_pose import ANYWHERE, SensorPose
+from ...model.tolerances import NOT_STATED, Stated, Stating
 from .around import Distance, Plane, apart, of_groups, points, targets
 from .frames import Triple, frame, of_rpy, onto
 
@@ -167,7 +168,7 @@ _KEYS = {
 
 
 @dataclass(frozen=True)
-class Serial(Declared, Saved, Shown):
+class Serial(Declared, Stating, Saved, Shown):
     """Nominal serial arm of one to nine joints. Lengths in mm, angles in degrees as in its file, joint readings rad or
     mm.
 
@@ -195,6 +196,8 @@ class Serial(Declared, Saved, Shown):
     more_groups: tuple[str, ...] = ()
     has_tracker: bool = True
     required_um: float | None = None
+    tolerances: Stated = NOT_STATED
+    known: Stated = NOT_STATED
     kind: str = field(default="serial", init=False)
 
     TABLES: ClassVar = {
@@ -205,6 +208,8 @@ class Serial(Declared, Saved, Shown):
         },
         "base": {"gravity": key(Table.numbers, 3)},
         "sensor_pose": Inner(SensorPose, "sensor_pose"),
+        "tolerances": Inner(Stated, "tolerances"),
+        "known": Inner(Stated, "known"),
         "workspace": {"required_um": key(Table.positive)},
     }
 
@@ -280,6 +285,14 @@ class Serial(Declared, Saved, Shown):
             # that it is there says that a tracker reads places too
             made.setdefault("sensor_pose", {"origin_mm": list(self.sensor_pose.origin_mm)})
         return made
+
+    def drawn_values(self) -> Mapping[str, float]:
+        """Places of targets, in the frame of the last joint whose z is its axis, and of centres by the name of their
+        parameter, mm."""
+        stems = ["tool", *(f"target_{k}" for k in range(2, len(self.targets) + 1))]
+        stems += [f"centre_{k}" for k in range(1, len(self.centres_mm) + 1)]
+        places = [*self.targets.tolist(), *self.centres_mm]
+        return {f"{stem}_{'xyz'[k]}": p[k] for stem, p in zip(stems, places, strict=True) for k in range(3)}
 
     # -- what runs and experiments ask ---------------------------------------------------------------------
 

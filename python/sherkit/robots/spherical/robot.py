@@ -26,6 +26,7 @@ from ...data.toml import Table
 from ...errors import RobotError, ShapeError, SherkitError
 from ...model.batch import Batch, matrix, vector, why
 from ...model.sensor_pose import WITH_ITS_FILE, KnownPose, SensorPose
+from ...model.tolerances import NOT_STATED, Stated, Stating
 
 # -- The camera: calibrated before, and placed by the robot's file ------------------------------------------------
 
@@ -196,7 +197,7 @@ WORKING_MODES = ("open", "crossed", "ahead", "behind")
 
 
 @dataclass(frozen=True)
-class Spherical(Declared, Saved, Shown):
+class Spherical(Declared, Stating, Saved, Shown):
     """Nominal spherical robot. Angles in degrees as on a drawing, lengths in mm.
 
     ``alpha_deg`` and ``beta_deg`` are the arcs of the proximal and distal links, ``radius_mm`` the distance of the
@@ -221,6 +222,8 @@ class Spherical(Declared, Saved, Shown):
     joint_limits_deg: Pair | None = None
     required_um: float | None = None
     sensor_pose: SensorPose = WITH_ITS_FILE
+    tolerances: Stated = NOT_STATED
+    known: Stated = NOT_STATED
     kind: str = field(default="spherical", init=False)
 
     TABLES: ClassVar = {
@@ -240,6 +243,8 @@ class Spherical(Declared, Saved, Shown):
         },
         "camera": Inner(CameraView, "camera"),
         "sensor_pose": Inner(KnownPose, "sensor_pose"),
+        "tolerances": Inner(Stated, "tolerances"),
+        "known": Inner(Stated, "known"),
     }
 
     @classmethod
@@ -261,6 +266,13 @@ class Spherical(Declared, Saved, Shown):
             raise ShapeError(f"radius_mm: expected a positive number, got {self.radius_mm}")
         if self.working_mode not in WORKING_MODES:
             raise ShapeError(f"working_mode: '{self.working_mode}' is not known; choose {', '.join(WORKING_MODES)}")
+
+    def drawn_values(self) -> Mapping[str, float]:
+        """Arcs (rad), the radius and the camera's principal point by the name of their parameter."""
+        arcs = {"alpha": float(np.deg2rad(self.alpha_deg)), "beta": float(np.deg2rad(self.beta_deg))}
+        centre = (0.0, 0.0) if self.camera is None else self.camera.centre_px
+        points = dict(zip(("principal_point_u", "principal_point_v"), centre, strict=True))
+        return arcs | {"radius": self.radius_mm} | points
 
     # -- kinematics --------------------------------------------------------------------------------------
 

@@ -1,0 +1,196 @@
+"""Held out means elsewhere too: the error of a fit in whole regions of its joints' space that it did not see.
+
+Poses are halved across their widest direction in standardised joints, and each half again (a k-d tree on principal
+axes: Sproull, Algorithmica 1991), into four regions that are compact and alike in number. Each is left out whole and
+predicted by the fit to the rest (Roberts et al., "Cross-validation strategies for data with temporal, spatial …
+structure", Ecography 2017: blocks as large as the steps from what is measured to what is asked). Beside it stands the
+drawing, of which the rest tells where the instrument and the target are, and nothing else. All is linear around the
+full fit, as in :mod:`.error`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..base import linalg
+from ..base.figures import finite, number
+from ..base.types import Floats, Ints
+from ..data import Measurements
+from ..errors import FitError
+from .error import ErrorSize, Fitted, axes_of, known_of, sigma_of
+from .folds import Folds, blocks
+
+#: How often poses are halved, into how many regions; and the poses that each must have.
+_HALVINGS, _POSES = 2, 6
+REGIONS = 2**_HALVINGS
+#: Readings that the rest must hold for each parameter.
+_READINGS = 2.0
+#: By how much a fit must be worse than the drawing in one region to count as worse: less is chance.
+_WORSE = 1.2
+#: By how much an error in regions is much larger than one between poses: with the right model it is within a half.
+_MUCH = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Elsewhere:
+    """Errors where a fit saw nothing: ``error`` of the fit and ``drawing`` of the drawing over all left-out regions,
+    and the root mean squares of each region (r,), ``by_region`` and ``drawing_by_region``, in the same unit. ``about``
+    says of each by which joint it stands apart, and where that is."""
+
+    error: ErrorSize
+    drawing: ErrorSize
+    by_region: Floats
+    drawing_by_region: Floats
+    about: tuple[str, ...]
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the drawing is nearer in a region, by more than chance: then what the rest says is not carried so
+        far."""
+        return bool((self.by_region > _WORSE * self.drawing_by_region).any())
+
+    def beside(self, home: ErrorSize) -> float:
+        """How many times as large the error in regions is as that between poses, at least one."""
+        known = home.held_out and 0.0 < home.rms < np.inf and np.isfinite(self.error.rms)
+        return max(self.error.rms / home.rms, 1.0) if known else 1.0
+
+    def sentence(self, home: ErrorSize) -> str:
+        """What a person must know of it beside the error ``home`` between poses; empty where there is nothing."""
+        unit = self.error.unit
+        if self.is_worse:
+            k = int(np.argmax(self.by_region / np.maximum(self.drawing_by_region, 1e-300)))
+            return (
+                f"Where {self.about[k]}, left out whole, the fit to the rest is off by {number(self.by_region[k])} "
+                f"{unit} RMS and the drawing by {number(self.drawing_by_region[k])}: the calibration does not hold "
+                "away from the poses measured."
+            )
+        if home.held_out and self.error.rms > _MUCH * home.rms:
+            k = int(np.argmax(self.by_region))
+            return (
+                f"Regions left out whole are off by {number(self.error.rms)} {unit} RMS, poses among others by "
+                f"{number(home.rms)}; most where {self.about[k]}: away from the poses measured the calibration is that "
+                "much worse."
+            )
+        return ""
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "regions": len(self.by_region), "error": self.error.to_json(), "drawing": self.drawing.to_json(),
+            "by_region": [finite(v) for v in self.by_region.tolist()],
+            "drawing_by_region": [finite(v) for v in self.drawing_by_region.tolist()],
+            "about": list(self.about),
+        }  # fmt: skip
+
+
+#: What to do about what :meth:`Elsewhere.sentence` says, of a fit without priors and of one with them.
+TO_DO = {
+    False: "Measure where it is to work, or take the drawing as one more measurement: sherkit calibrate --priors.",
+    True: "Measure where it is to work.",
+}
+
+
+def regions_of(data: Measurements, rows: Ints) -> Ints | None:
+    """The region (k,) of each of these ``rows`` (k,), repeats of a pose in one; None where poses or joints are too
+    few to make any."""
+    if not data.layout.joints:
+        return None
+    _, first, pose = np.unique(data.standing[rows], return_index=True, return_inverse=True)
+    joints = data.joints[rows][first]
+    joints = joints[:, np.isfinite(joints).all(axis=0)]
+    spread = joints.std(axis=0)
+    moved = spread > 1e-9 * np.maximum(np.abs(joints).max(axis=0, initial=0.0), 1.0)
+    if not moved.any() or len(joints) < _POSES * REGIONS:
+        return None
+    return _halved(joints[:, moved] / spread[moved], _HALVINGS)[pose.ravel()]
+
+
+def _about(data: Measurements, rows: Ints, region: Ints) -> tuple[str, ...]:
+    """Of each region the joint by which it stands farthest from the middle, and where that is."""
+    joints = data.joints[rows]
+    middle, spread = np.nanmean(joints, axis=0), np.nanstd(joints, axis=0)
+    out = []
+    for k in range(region.max() + 1):
+        there = np.nanmean(joints[region == k], axis=0)
+        j = int(np.argmax(np.nan_to_num(np.abs(there - middle) / np.where(spread > 0, spread, np.inf))))
+        out.append(f"{data.layout.joints[j]} is about {there[j]:.3g}")
+    return tuple(out)
+
+
+def _halved(points: Floats, times: int) -> Ints:
+    """A number for each point (k, d): halves across the widest direction, and those again."""
+    if not times:
+        return np.zeros(len(points), dtype=np.int64)
+    centred = points - points.mean(axis=0)
+    _, axes = linalg.eigh(centred.T @ centred)
+    # by digits that no rounding changes, then in the order of the rows
+    along = np.round(centred @ axes[:, -1], 9)
+    upper = np.argsort(np.argsort(along, kind="stable"), kind="stable") >= len(points) // 2
+    out = np.zeros(len(points), dtype=np.int64)
+    for side, inside in enumerate((~upper, upper)):
+        out[inside] = 2 ** (times - 1) * side + _halved(points[inside], times - 1)
+    return out
+
+
+@linalg.one_thread()
+def errors_elsewhere(fit: Fitted) -> Elsewhere | None:
+    """The errors of a fit and of the drawing in each region that is left out; None where there are too few poses, or no
+    joint that moved."""
+    model, data = fit.model, fit.data
+    used = data.used & np.isfinite(fit.residuals)
+    start = model.start(data)
+    try:
+        drawn = np.where(used, data.readings - model.predict(data, start), np.nan)
+    except FitError:
+        return None
+    used &= np.isfinite(drawn)
+    rows = np.flatnonzero(used.any(axis=1))
+    region = regions_of(data, rows) if len(rows) else None
+    if region is None:
+        return None
+    rest = used[rows].sum() - np.bincount(region, used[rows].sum(axis=1)).max()
+    if rest < _READINGS * len(fit.values):
+        return None
+    sigma, there, some = sigma_of(fit, used), used[rows], data.select(rows)
+    weight = np.where(there, 1.0 / sigma, 0.0)
+    frame = frame_of(model)
+
+    def squares(values: Floats, residuals: Floats, which: Ints, known: Floats | None) -> Floats:
+        left = np.where(there, residuals[rows], 0.0) * weight
+        if len(which):
+            by_model = model.linearised_by_blocks(some, values)
+            left = _left_out(lambda part: by_model(part).parameters[:, :, which] * weight[part, :, None], left, region,
+                             known)  # fmt: skip
+        return np.where(there, (left * data.layout.per_unit * sigma) ** 2, np.nan)
+
+    every = np.arange(len(fit.values))
+    both = [squares(fit.values, fit.residuals, every, known_of(fit)), squares(start, drawn, frame, None)]
+    errors = [
+        ErrorSize.of(one, data.layout.unit, held_out=True, names=data.layout.readings, together=axes_of(data))
+        for one in both
+    ]
+    own = list(axes_of(data))
+    each = [
+        np.array([np.sqrt(np.nanmean(np.nansum(one[region == k][:, own], axis=1))) for k in range(region.max() + 1)])
+        for one in both
+    ]
+    return Elsewhere(errors[0], errors[1], each[0], each[1], _about(data, rows, region))
+
+
+def frame_of(model: Any) -> Ints:
+    """Which parameters say only where the instrument stands and where its target sits, whatever the robot is."""
+    own = {*model.free_of_pose, *model.targets_anywhere}
+    for effect in (*model.effects, *getattr(model, "set_ups", ())):
+        if effect.name in model.within or effect not in model.effects:
+            own |= {p.name for p in effect.qualified()}
+    return np.array([k for k, p in enumerate(model.parameters) if p.name in own], dtype=np.int64)
+
+
+def _left_out(columns: Callable[[slice], Floats], residual: Floats, region: Ints, known: Floats | None) -> Floats:
+    """What is left of a residual (k, m) in each region by the fit to the others."""
+    folds = Folds.of(columns, residual, region[None], known)
+    return np.concatenate([folds.errors(columns(part), residual[part], part)[0] for part in blocks(len(residual))])
