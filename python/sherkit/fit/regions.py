@@ -27,6 +27,8 @@ from .folds import Folds, blocks
 #: How often poses are halved, into how many regions; and the poses that each must have.
 _HALVINGS, _POSES = 2, 6
 REGIONS = 2**_HALVINGS
+#: Rows that are looked at, at most: more tell the same.
+_MOST = 600
 #: Readings that the rest must hold for each parameter.
 _READINGS = 2.0
 #: By how much a fit must be worse than the drawing in one region to count as worse: less is chance.
@@ -109,6 +111,16 @@ def regions_of(data: Measurements, rows: Ints) -> Ints | None:
     return _halved(joints[:, moved] / spread[moved], _HALVINGS)[pose.ravel()]
 
 
+def _some(data: Measurements, rows: Ints) -> Ints:
+    """These rows; of many as many poses, evenly among all, as tell the same."""
+    pose = np.unique(data.standing[rows], return_inverse=True)[1].ravel()
+    if len(rows) <= _MOST:
+        return rows
+    count = pose.max() + 1
+    kept = np.unique(np.linspace(0, count - 1, max(_MOST * count // len(rows), 2)).astype(np.int64))
+    return rows[np.isin(pose, kept)]
+
+
 def _about(data: Measurements, rows: Ints, region: Ints) -> tuple[str, ...]:
     """Of each region the joint by which it stands farthest from the middle, and where that is."""
     joints = data.joints[rows]
@@ -142,25 +154,24 @@ def errors_elsewhere(fit: Fitted) -> Elsewhere | None:
     joint that moved."""
     model, data = fit.model, fit.data
     used = data.used & np.isfinite(fit.residuals)
-    start = model.start(data)
-    try:
-        drawn = np.where(used, data.readings - model.predict(data, start), np.nan)
-    except FitError:
-        return None
-    used &= np.isfinite(drawn)
-    rows = np.flatnonzero(used.any(axis=1))
+    rows = _some(data, np.flatnonzero(used.any(axis=1)))
     region = regions_of(data, rows) if len(rows) else None
     if region is None:
         return None
     rest = used[rows].sum() - np.bincount(region, used[rows].sum(axis=1)).max()
     if rest < _READINGS * len(fit.values):
         return None
-    sigma, there, some = sigma_of(fit, used), used[rows], data.select(rows)
+    start, some = model.start(data), data.select(rows)
+    try:
+        drawn = some.readings - model.predict(some, start)
+    except FitError:
+        return None
+    sigma, there = sigma_of(fit, used), used[rows] & np.isfinite(drawn)
     weight = np.where(there, 1.0 / sigma, 0.0)
     frame = frame_of(model)
 
     def squares(values: Floats, residuals: Floats, which: Ints, known: Floats | None) -> Floats:
-        left = np.where(there, residuals[rows], 0.0) * weight
+        left = np.where(there, residuals, 0.0) * weight
         if len(which):
             by_model = model.linearised_by_blocks(some, values)
             left = _left_out(lambda part: by_model(part).parameters[:, :, which] * weight[part, :, None], left, region,
@@ -168,7 +179,7 @@ def errors_elsewhere(fit: Fitted) -> Elsewhere | None:
         return np.where(there, (left * data.layout.per_unit * sigma) ** 2, np.nan)
 
     every = np.arange(len(fit.values))
-    both = [squares(fit.values, fit.residuals, every, known_of(fit)), squares(start, drawn, frame, None)]
+    both = [squares(fit.values, fit.residuals[rows], every, known_of(fit)), squares(start, drawn, frame, None)]
     errors = [
         ErrorSize.of(one, data.layout.unit, held_out=True, names=data.layout.readings, together=axes_of(data))
         for one in both
