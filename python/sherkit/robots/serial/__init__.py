@@ -7,8 +7,9 @@ from .full_poses import points_of_poses
 from .identified import as_identified
 from .imported import read_in_the_other_convention
 from .model import SerialModel
+from .points import Plane
 from .programs import program_of, read_targets
-from .robot import MOST_JOINTS, POSITION, Joint, Plane, Serial, layout_of_arm
+from .robot import MOST_JOINTS, POSITION, Joint, Serial, layout_of_arm
 from .virtual import AREAS, Hidden, VirtualSerial, postures
 
 _TURN = (-175.0, 175.0)

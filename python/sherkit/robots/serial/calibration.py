@@ -75,6 +75,7 @@ class SerialCalibration(Calibration):
     def _made_in(self, frame: str) -> _core.SerialCalibrated:
         low, high = self.robot.ranges
         full = self.model.full(self.whole.values)
+        full = full if self.model.plates is None else self.model.plates.own(full)
         return _core.SerialCalibrated(self.model.core, full, low.copy(), high.copy(), frame)
 
     def forward(

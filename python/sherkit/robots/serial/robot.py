@@ -26,6 +26,7 @@ from ...model.batch import Batch, matrix, vector, why
 from ...model.sensor_pose import ANYWHERE, SensorPose
 from ...model.tolerances import NOT_STATED, Stated, Stating
 from .frames import Triple, frame, of_rpy, onto
+from .points import Plane, check_groups, grouped, plane_of, points
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
 
@@ -165,27 +166,14 @@ _KEYS = {
 
 
 @dataclass(frozen=True)
-class Plane:
-    """A plane that stands fixed, base frame: a point of it, mm, and its normal, of any length, towards the side where
-    distances are positive."""
-
-    at_mm: Triple
-    normal: Triple = (0.0, 0.0, 1.0)
-
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """The point, and a normal of length one (6,)."""
-        normal = np.array(self.normal) / np.linalg.norm(self.normal)
-        return (*self.at_mm, *normal.tolist())
-
-
-@dataclass(frozen=True)
 class Serial(Declared, Stating, Saved, Shown):
     """Nominal serial arm of one to nine joints. Lengths in mm, angles in degrees as in its file, joint readings rad or
     mm.
 
     ``target_mm`` is the measured point in the frame of the last joint, ``tool_rpy_deg`` how the tool stands there, and
-    ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``. ``centres_mm`` are up to four
+    ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``; those of one ``group``
+    (that of the first target) and ``more_groups`` (one name for each of the others) sit on one rigid plate, as far
+    apart as drawn. ``centres_mm`` are up to four
     fixed places in the base frame from which distances are read: numbers of the column ``centre``; ``planes`` likewise
     up to four above which heights are, numbers of the column ``plane``.
     ``gravity`` is the direction of the weight in the base frame. ``sensor_pose`` is where the tracker stands, as far as
@@ -198,7 +186,9 @@ class Serial(Declared, Stating, Saved, Shown):
     tool_rpy_deg: Triple = _ZERO
     gravity: Triple = (0.0, 0.0, -1.0)
     sensor_pose: SensorPose = ANYWHERE
+    group: str = ""
     more_targets_mm: tuple[Triple, ...] = ()
+    more_groups: tuple[str, ...] = ()
     centres_mm: tuple[Triple, ...] = ()
     planes: tuple[Plane, ...] = ()
     has_tracker: bool = True
@@ -208,7 +198,11 @@ class Serial(Declared, Stating, Saved, Shown):
     kind: str = field(default="serial", init=False)
 
     TABLES: ClassVar = {
-        "tool": {"target_mm": key(Table.numbers, 3), "rpy_deg": key(Table.numbers, 3).of("tool_rpy_deg")},
+        "tool": {
+            "target_mm": key(Table.numbers, 3),
+            "rpy_deg": key(Table.numbers, 3).of("tool_rpy_deg"),
+            "group": key(Table.words).quiet,
+        },
         "base": {"gravity": key(Table.numbers, 3)},
         "sensor_pose": Inner(SensorPose, "sensor_pose"),
         "tolerances": Inner(Stated, "tolerances"),
@@ -227,6 +221,7 @@ class Serial(Declared, Stating, Saved, Shown):
             raise ShapeError(f"joint {names[0]}: follows the one before it, and there is none")
         if not np.linalg.norm(self.gravity) > 0:
             raise ShapeError("gravity: expected a direction, got only zeros")
+        check_groups(self.groups)
         several = {"targets": self.targets_mm, "centres": self.centres_mm, "planes": self.planes}
         for what, there in several.items():
             if len(there) > MOST_POINTS:
@@ -245,8 +240,8 @@ class Serial(Declared, Stating, Saved, Shown):
     def from_table(cls, table: Table) -> Serial:
         """Reads the tables of a robot file."""
         joints = tuple(Joint.from_table(one) for one in table.tables("joint", optional=False))
-        targets, centres = (_points(table, name) for name in ("target", "centre"))
-        planes = tuple(_plane(one) for one in table.tables("plane"))
+        (targets, groups), centres = grouped(table, "target"), points(table, "centre")
+        planes = tuple(plane_of(one) for one in table.tables("plane"))
         table.pass_over(_FORMER)
         seen = table.has(_FORMER) or table.has("sensor_pose") or not (centres or planes)
         known = cls.values_from(table)
@@ -257,8 +252,8 @@ class Serial(Declared, Stating, Saved, Shown):
                 known["sensor_pose"] = SensorPose.from_table(former)
         try:
             return cls(
-                joints, **known, more_targets_mm=targets, centres_mm=centres, planes=planes,
-                has_tracker=seen,
+                joints, **known, more_targets_mm=targets, more_groups=groups if any(groups) else (),
+                centres_mm=centres, planes=planes, has_tracker=seen,
             )  # fmt: skip
         except ShapeError as error:
             raise table.fail("joint", str(error)) from None
@@ -266,9 +261,11 @@ class Serial(Declared, Stating, Saved, Shown):
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
         made = super().to_tables() | {"joint": [joint.to_table() for joint in self.joints]}
-        for name, points in (("target", self.more_targets_mm), ("centre", self.centres_mm)):
-            if points:
-                made[name] = [{"at_mm": list(point)} for point in points]
+        for name, places in (("target", self.more_targets_mm), ("centre", self.centres_mm)):
+            if places:
+                made[name] = [{"at_mm": list(place)} for place in places]
+        for one, group in zip(made.get("target", ()), self.more_groups, strict=False):
+            one |= {"group": group} if group else {}
         if self.planes:
             made["plane"] = [{"at_mm": list(p.at_mm), "normal": list(p.normal)} for p in self.planes]
         if not self.has_tracker:
@@ -325,6 +322,11 @@ class Serial(Declared, Stating, Saved, Shown):
     def targets_mm(self) -> tuple[Triple, ...]:
         """All its targets in the frame of the last joint, mm."""
         return (self.target_mm, *self.more_targets_mm)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The group of each target, empty where it sits by itself."""
+        return (self.group, *(self.more_groups or ("",) * len(self.more_targets_mm)))
 
     @cached_property
     def targets(self) -> Floats:
@@ -454,17 +456,3 @@ class Serial(Declared, Stating, Saved, Shown):
         x = matrix(positions_mm, "positions")
         q, reached = self.all_found_from(lambda x, q: self.nominal.inverse_batch(x, self._still, q), x, None)
         return Batch(q, reached, why(self.inverse, x, reached))
-
-
-def _points(table: Table, name: str) -> tuple[Triple, ...]:
-    """The places of tables ``[[name]]``."""
-    found = (one.numbers("at_mm", 3) for one in table.tables(name))
-    return tuple((v[0], v[1], v[2]) for v in found)
-
-
-def _plane(one: Table) -> Plane:
-    """A table ``[[plane]]``."""
-    at, normal = one.numbers("at_mm", 3), one.numbers("normal", 3, (0.0, 0.0, 1.0))
-    if not np.linalg.norm(normal) > 0:
-        raise one.fail("normal", "a direction, not only zeros")
-    return Plane((at[0], at[1], at[2]), (normal[0], normal[1], normal[2]))
