@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import reduce
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from ..data.columns import unit_in
 from ..data.stream import joined
 from ..errors import MeasurementError, SherkitError
 from ..fit.least_squares import LOSSES
+from ..fit.regions import TO_DO
 from ..model.effect import effects_by_name, load_effects
 from ..model.kinds import catalogue_of, model_of, required_um
 from ..model.robot_file import run_for
@@ -27,6 +28,7 @@ from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..robots.delta import paper
 from ..robots.machine import robot_at
+from ..robots.moves import BesideBase
 from ..study import Study
 from . import output
 from .file_kinds import CALIBRATION, TOOL
@@ -235,6 +237,10 @@ def account(e: CalibrationRun, title: str) -> None:
         )
         for d in fit.unobserved:
             out.print(f"    {d}")
+    if fit.elsewhere is None:
+        out.print("  too few poses to leave out whole regions: how far it is off away from them is not known")
+    elif said := fit.elsewhere.sentence(fit.error):
+        out.print(f"  {said} {TO_DO[fit.priors]}")
     if fit.crowded:
         out.print(f"  {fit.crowded}")
     if fit.badly_observed:
@@ -298,11 +304,30 @@ def print_accuracy(calibration: Calibration) -> None:
         except SherkitError as error:  # the rim may be beyond reach: say so in the table
             made.add_row(name, *cells, "", "", "", "", str(error))
     out.print(made)
+    if beside := calibration.beside_base():
+        out.print(_beside_base(beside, unit, factor))
     for effect, advice in narrowing.items():
         out.print(f"  unseen is mostly {effect}. {advice}")
     untried = {name for part in calibration.parts_made for name in part.untried}
     if untried:
         out.print(f"  not counted, for want of a column in the run: {listed(sorted(untried), 20)}")
+
+
+def _beside_base(rows: Sequence[BesideBase], unit: str, factor: float) -> Table:
+    """Accuracy as the sensor reads, and of moves."""
+    made = table(
+        "The same as the sensor reads, and of moves",
+        "at",
+        f"as the sensor reads, {unit}",
+        f"a move from the middle, {unit}",
+        note="In the frame of the base what no reading tells of where that lies is part of the accuracy. What the "
+        "sensor reads has none of it; of a move from the middle of the run to there what both ends are off by alike "
+        "is no part.",
+    )
+    for one in rows:
+        sizes = ("" if np.isnan(v) else _sized(factor * v, unit) for v in (one.sensor_mm, one.move_mm))
+        made.add_row(one.name, *sizes)
+    return made
 
 
 def print_result(r: Result, *, demo: bool = False) -> None:

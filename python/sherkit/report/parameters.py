@@ -229,7 +229,7 @@ def accuracy_of(calibration: Calibration) -> AccuracyMap:
     value, unseen = np.full((2, len(planes.grid)), np.nan)
     promised = calibration.predicted_accuracies(np.ascontiguousarray(planes.grid[planes.inside]))
     value[planes.inside], unseen[planes.inside] = 1e3 * promised.total_mm, 1e3 * promised.addition_mm
-    measured = np.array([calibration.measured(point) for point in planes.grid])
+    measured = calibration.measured_batch(planes.grid)
     shape = (len(planes.titles), len(planes.y), len(planes.x))
     return AccuracyMap(
         planes.x, planes.y, planes.labels, planes.titles, value.reshape(shape), unseen.reshape(shape),

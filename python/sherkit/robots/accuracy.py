@@ -19,9 +19,10 @@ from ..data.columns import TEMPERATURE, TIME, bare, unit_in
 from ..fit.error import radius_95
 from ..model.batch import Batch, matrix
 from ..model.effect import Effect
-from .deployed import BASE, SENSOR, Deployed
+from .deployed import BASE, SENSOR
 from .part import Part, UnobservedEffect, at_rest, by_effect
 from .unobserved_effects import Asked, Counted
+from .where_measured import WhereMeasured
 
 # -- What is promised of a place ----------------------------------------------------------------------------------
 
@@ -51,6 +52,8 @@ class PredictedAccuracy:
     time_s: float | None = None
     #: Of radius, addition and visit, where the robot's coordinates are no lengths.
     unit: str = "mm"
+    #: How far outside the poses of the run its joints are there, in half of what these range over; zero among them.
+    beyond: float = 0.0
 
     @property
     def total_mm(self) -> float:
@@ -69,6 +72,8 @@ class PredictedAccuracy:
         if self.visit_mm > self.total_mm:
             within = f"the mean of many visits {within}, single readings within {self._sized(self.visit_mm)}"
         within += self._when
+        if self.beyond > 0:
+            within += f", extrapolated: its joints are {self.beyond:.2g} half ranges outside the poses measured"
         if not self.effect:
             return f"{within}; the poses leave no room for an effect between them"
         text = f"{within}: {shown} by what the poses show, the rest by what they could not, mostly {self.effect}"
@@ -111,6 +116,8 @@ class PredictedAccuracies:
     time_s: float | None = None
     #: Of radius, addition and visit, where the robot's coordinates are no lengths.
     unit: str = "mm"
+    #: As of one (n,); None where nobody asked.
+    beyond: Floats | None = None
 
     @property
     def total_mm(self) -> Floats:
@@ -124,7 +131,9 @@ class PredictedAccuracies:
         one = self.worst[row]
         sizes = (float(self.radius_mm[row]), float(self.addition_mm[row]), float(self.visit_mm[row]))
         said = ("", "") if one is None else (one.name, self._advice(one))
-        return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s, unit_in(self.coordinates[0]) or "mm")
+        far = 0.0 if self.beyond is None else float(np.nan_to_num(self.beyond[row]))
+        unit = unit_in(self.coordinates[0]) or "mm"
+        return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s, unit, far)
 
     def _advice(self, one: Hiding) -> str:
         """Where to measure, and what it would bring."""
@@ -137,7 +146,7 @@ class PredictedAccuracies:
         return f"To narrow it, measure also at {names} = {at} {unit}: that would leave {100 * one.left:.0f} % of it."
 
     def to_frame(self) -> pl.DataFrame:
-        """A polars frame: radius_mm, addition_mm, total_mm, visit_mm, effect, advice; what is out of reach is null."""
+        """A polars frame: radius_mm, addition_mm, total_mm, visit_mm, effect, advice, measured; else null."""
         each = [self[k] for k in range(len(self))]
         return pl.DataFrame(
             {
@@ -147,6 +156,7 @@ class PredictedAccuracies:
                 "visit_mm": self.visit_mm,
                 "effect": [one.effect for one in each],
                 "advice": [one.advice for one in each],
+                "measured": [one.beyond == 0.0 for one in each],
             }
         ).with_columns(pl.col(pl.Float64).fill_nan(None))
 
@@ -183,7 +193,7 @@ class Planes:
 
 
 @dataclass(frozen=True, eq=False)
-class Accurate(Deployed):
+class Accurate(WhereMeasured):
     """A deployed robot of which it is known how far off it may be."""
 
     @abstractmethod
@@ -302,7 +312,7 @@ class Accurate(Deployed):
         could do most.
         """
         x, where = self._places(coordinates), self.frame_of(frame)
-        inverse = self.inverse_batch(x, frame=frame, temperature_c=temperature_c, direction=direction)
+        inverse = self.joints_to(x, frame=frame, temperature_c=temperature_c, direction=direction)
         return self._predicted(self._own(x, where), inverse, where, temperature_c, direction)
 
     def predicted_accuracies_with(
@@ -323,6 +333,9 @@ class Accurate(Deployed):
         worst: list[Hiding | None] = [None] * len(x)
         known = self.spread(x[rows], joints, frame=where, temperature_c=temperature_c)
         ruled, now = self._ruled(x[rows]), self._now(temperature_c)[:2]
+        far = self.beyond_poses(x[rows], joints)
+        for part, here in ruled:
+            known[here] += (self.grown(part, far[here]) - 1.0)[:, None, None] * self.left_at(part, x[rows[here]])
         for part, here in ruled if direction is None else ():
             known[here] += self._either_side(part, joints[here], now)
         whole, scatter = known.copy(), np.empty_like(known)
@@ -343,15 +356,12 @@ class Accurate(Deployed):
         radius[rows] = self.reach_mm * radius_95(known)
         addition[rows] = self.reach_mm * radius_95(whole) - radius[rows]
         visit[rows] = self.reach_mm * radius_95(whole + scatter)
-        when = self._when([part for part, _ in ruled], now)
+        when, outside = self._when([part for part, _ in ruled], now), np.full(len(x), np.nan)
+        outside[rows] = far
         return PredictedAccuracies(
-            radius, addition, visit, tuple(worst), inverse.reached, inverse.why, self.coordinates, *when
-        )
-
-    def _ruled(self, coordinates: Floats) -> list[tuple[Any, Bools]]:
-        """The parts that rule at ``coordinates`` (n, k) of :attr:`frame`, each with the rows (n,) where it does."""
-        parts = [self.part_at(one) for one in coordinates]
-        return [(p, np.array([one is p for one in parts])) for p in {id(one): one for one in parts}.values()]
+            radius, addition, visit, tuple(worst), inverse.reached, inverse.why, self.coordinates, *when,
+            beyond=outside,
+        )  # fmt: skip
 
     def _when(self, parts: Sequence[Part], now: Sequence[float]) -> tuple[float | None, float | None]:
         """Temperature and time that a promise is for, None where nothing that is known of the parts depends on it."""
@@ -430,16 +440,3 @@ class Accurate(Deployed):
             for frame in self.frames
         )
         return Asked(x, joints, now, counted, self.carried)
-
-    def measured(self, coordinates: ArrayLike, *, frame: str | None = None) -> bool:
-        """Whether ``coordinates`` (k,) of a ``frame`` lie in the box in which poses were measured, give or take a
-        tenth."""
-        x = self._own(self._place(coordinates)[None, :], self.frame_of(frame))[0]
-        part = self.part_at(x)
-        margin = 0.1 * (part.high - part.low)
-        return bool(((x >= part.low - margin) & (x <= part.high + margin)).all())
-
-    def part_at(self, coordinates: Floats) -> Part:
-        """The part that rules at ``coordinates`` (k,)."""
-        del coordinates
-        return self.whole

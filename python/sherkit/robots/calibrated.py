@@ -25,8 +25,8 @@ from ..data.toml import Table, read_toml
 from ..errors import CalibrationError, FitError, SherkitError
 from ..fit.identify import Fit
 from ..model.kinds import Robot, kind_of, known_kinds, robot_from_table
-from .accuracy import Accurate
 from .calibration_run import CalibrationRun, Corrected
+from .moves import Moving
 from .part import Part
 from .unobserved_effects import Search
 
@@ -101,7 +101,7 @@ class Note:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration(Shown, Accurate):
+class Calibration(Shown, Moving):
     """A calibrated robot: made from runs, deployed, asked how accurate it is, kept in a file."""
 
     #: How its parts are read from files, and which there may be; the first one must be.

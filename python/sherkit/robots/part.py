@@ -30,6 +30,7 @@ from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect, effects_by_name
 from ..model.kinds import Robot, catalogue_of, kind_of, model_of
+from .poses_hull import outermost
 
 # -- What an effect could do between the poses, and did not show at them ------------------------------------------
 
@@ -227,6 +228,10 @@ class Part:
     readings: tuple[str, ...] = field(default=(), kw_only=True)
     unobserved_effects: tuple[UnobservedEffect, ...] = field(default=(), kw_only=True)
     untried: tuple[str, ...] = field(default=(), kw_only=True)
+    #: Joints (k, j) of the outermost poses of the run, none where they are not known; and by how much the error of
+    #: regions that were left out whole exceeds that of poses among others.
+    poses: Floats = field(default_factory=lambda: np.zeros((0, 0)), kw_only=True)
+    elsewhere: float = field(default=1.0, kw_only=True)
 
     @classmethod
     def identified(cls, fit: Fit, size: int, *, shrink: float = 1.0, **own: Any) -> Self:
@@ -253,6 +258,8 @@ class Part:
             made_from=f"{data.source}, setup {data.last_set_up}" if data.set_ups else data.source,
             rows=len(data),
             readings=data.layout.coordinates,
+            poses=outermost(data.joints[data.used.any(axis=1)]),
+            elsewhere=1.0 if fit.elsewhere is None else fit.elsewhere.beside(fit.error),
             **own,
         )
 
@@ -303,6 +310,7 @@ class Part:
             **self._own_table(unit),
             f"low_{unit}": self.low.tolist(),
             f"high_{unit}": self.high.tolist(),
+            **({"poses": self.poses.tolist(), "elsewhere": self.elsewhere} if len(self.poses) else {}),
             "readings": list(self.readings),
             "untried": list(self.untried),
             "unobserved_effects": [one.to_table() for one in self.unobserved_effects],
@@ -351,6 +359,9 @@ class Part:
             ),
             readings=table.texts("readings"),
             untried=table.texts("untried"),
+            # earlier files have none: then a box is all that is known
+            poses=np.array(table.rows("poses", len(now) - 2) if table.has("poses") else np.zeros((0, 0)), dtype=float),
+            elsewhere=table.number("elsewhere", 1.0, least=1.0),
             **cls._own_fields(table, unit, size),
         )
         expected = [p.name for p in made.model(robot).parameters]

@@ -1,13 +1,14 @@
 """Serial arms: joints that turn or slide, one behind another, and a target that a tracker sees."""
 
 from ...model.kinds import Kind
-from .around import Distance, Plane
 from .calibration import SerialCalibration
+from .distances import Distance
 from .drawing import drawing
 from .full_poses import points_of_poses
 from .identified import as_identified
 from .imported import read_in_the_other_convention
 from .model import SerialModel
+from .points import Plane
 from .programs import program_of, read_targets
 from .robot import MOST_JOINTS, POSITION, Joint, Serial, layout_of_arm
 from .virtual import AREAS, Hidden, VirtualSerial, postures

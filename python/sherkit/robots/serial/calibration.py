@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 import sherkit._core as _core
@@ -17,6 +18,7 @@ from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
 from ..deployed import BASE, SENSOR
+from ..moves import MIDDLE
 from ..part import Part, at_rest
 from .robot import POSITION, Serial
 
@@ -73,6 +75,7 @@ class SerialCalibration(Calibration):
     def _made_in(self, frame: str) -> _core.SerialCalibrated:
         low, high = self.robot.ranges
         full = self.model.full(self.whole.values)
+        full = full if self.model.plates is None else self.model.plates.own(full)
         return _core.SerialCalibrated(self.model.core, full, low.copy(), high.copy(), frame)
 
     def forward(
@@ -131,6 +134,27 @@ class SerialCalibration(Calibration):
         found = self.robot.all_found_from(lambda x, q: core.inverse_batch(x, now, q), places, starts)
         return Batch(*found)
 
+    def joints_to(
+        self, coordinates: Floats, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> Batch:  # fmt: skip
+        """From the pose of the run whose place is nearest; from home, as :meth:`inverse_batch`, where no way leads from
+        that."""
+        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction}
+        poses = self.whole.poses
+        if not len(poses):
+            return self.inverse_batch(coordinates, **now)
+        places = self.forward_batch(poses, frame=frame, temperature_c=temperature_c).values
+        nearest = scipy.spatial.KDTree(places).query(coordinates)[1]
+        made = self.inverse_batch(coordinates, **now, starts=poses[nearest])
+        missing = np.flatnonzero(~made.reached)
+        if not len(missing):
+            return made
+        others = self.inverse_batch(coordinates[missing], **now)
+        joints, reached = made.values.copy(), made.reached.copy()
+        joints[missing], reached[missing] = others.values, others.reached
+        return Batch(joints, reached)
+
     # -- accuracy ----------------------------------------------------------------------------------------
 
     def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
@@ -152,15 +176,16 @@ class SerialCalibration(Calibration):
         return self.sensor_frame[0].T @ missed[:, : len(self.coordinates)]
 
     def places(self) -> list[tuple[str, Floats]]:
-        """Where the target is at home, the middle of the run and its far corner: positions (3,), mm."""
-        low, high = self.whole.low, self.whole.high
-        far = np.where(np.abs(high) > np.abs(low), high, low)
-        middle = 0.5 * (low + high)
-        return [
-            ("home", self.forward(self.robot.home)),
-            ("middle of the run", middle),
-            ("its far side", 0.5 * (middle + far)),
-        ]
+        """Where the target is at home, and at the poses of the run that are nearest to the middle of their joints and
+        farthest from it: positions (3,), mm."""
+        low, high, poses = self.whole.low, self.whole.high, self.whole.poses
+        middle, far = 0.5 * (low + high), np.where(np.abs(high) > np.abs(low), high, low)
+        if len(poses):
+            # between poses a place may have joints that are like none of them
+            spread = poses.std(axis=0)
+            off = np.linalg.norm((poses - poses.mean(axis=0)) / np.where(spread > 0, spread, np.inf), axis=1)
+            middle, far = (self.forward(poses[k]) for k in (np.argmin(off), np.argmax(off)))
+        return [("home", self.forward(self.robot.home)), (MIDDLE, middle), ("its far side", far)]
 
     def planes(self, per_side: int) -> Planes:
         """The lowest, middle and highest plane of what was measured."""

@@ -16,6 +16,7 @@ from ...model.effect import Effect
 from ..deployed import SENSOR
 from .calibration import SerialCalibration
 from .frames import about, as_written, frame
+from .plates import offsets
 from .robot import Joint, Serial
 
 #: Effects that the robot file of an arm has a key for.
@@ -45,8 +46,7 @@ def as_identified(made: SerialCalibration, held: Collection[str] = (FOLLOWING,))
         joints.append(replace(joint, origin_mm=origin, rpy_deg=rpy, follows=follows))
         before = joint
     turn = robot.joints[-1].turn
-    names = ["tool", *(f"target_{k}" for k in range(2, len(robot.targets_mm) + 1))]
-    off_by = np.array([[values.get(f"{name}_{axis}", 0.0) for axis in "xyz"] for name in names])
+    off_by = offsets(robot, values)
     first, *more = ((float(x), float(y), float(z)) for x, y, z in np.array(robot.targets_mm) + off_by @ turn.T)
     return replace(robot, joints=tuple(joints), target_mm=first, more_targets_mm=tuple(more))
 

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from ...model.chain import Block, ChainModel
 from ...model.effect import Effect, Parameter, Sentences, parameters_of_core
 from ...model.relations import Apart
 from ...model.sentences import catalogue_of
+from .plates import PlateChain, as_plates, plates_of, renamed
 from .robot import CENTRE, PAYLOAD, PLANE, POSITION, TARGET, Joint, Serial
 from .sockets import Sockets, sockets_of
 
@@ -212,7 +213,8 @@ class SerialModel(ChainModel):
     @cached_property
     def targets_anywhere(self) -> tuple[str, ...]:
         """As of any model: x, y, z of each target."""
-        return tuple(p.name for p in self.parameters if p.name.startswith(("tool_", "target_")) and not p.known)
+        begins = ("tool_", "target_", *(f"{one.name}_turn" for one in plates_of(self.robot)))
+        return tuple(p.name for p in self.parameters if p.name.startswith(begins) and not p.known)
 
     def in_sockets(self, data: Measurements) -> Sockets | None:
         """As of any model: a ball in the socket that is its centre."""
@@ -244,7 +246,22 @@ class SerialModel(ChainModel):
         for row in self.table:
             base = parameters_of_core(row, self.lever_mm)
             out += base if row["base"] else self.catalogue[row["name"]].qualified()
-        return tuple(out)
+        called = renamed(self.robot)
+        return tuple(replace(p, name=called[p.name], unit="rad") if p.name in called else p for p in out)
+
+    def core_for(self, data: Measurements) -> Any:
+        """The compiled chain, with plates of targets as bodies where it has any."""
+        del data
+        return self.plates or self.core
+
+    @cached_property
+    def plates(self) -> PlateChain | None:
+        """The chain of an arm with targets that belong together; None for any other."""
+        if not plates_of(self.robot):
+            return None
+        names = tuple(p["name"] if row["base"] else f"{row['name']}.{p['name']}" for row in self.table
+                      for p in row["parameters"])  # fmt: skip
+        return PlateChain(self.core, self.robot, names)
 
     def lever_mm(self, name: str) -> float:
         """An angle moves what stands behind its joint; a turn of the tracker all of the arm, as far as that is away."""
@@ -341,7 +358,7 @@ def _base_of(robot: Serial) -> tuple[Parameter, ...]:
     rows = (row for row in SerialModel.table if row["base"])
     every = (p for row in rows for p in parameters_of_core(row, lambda name: _lever_mm(robot, name)))
     mine = (p for p in every if has(robot, p.name))
-    return tuple(one for p in mine if (one := parameter_of(p, robot.joints)) is not None)
+    return as_plates(robot, [one for p in mine if (one := parameter_of(p, robot.joints)) is not None])
 
 
 def _every_reading(robot: Serial, joints: Floats) -> Measurements:
@@ -374,7 +391,8 @@ def _told_apart(robot: Serial) -> tuple[str, ...]:
     columns = whole.derivatives(rows, np.zeros(len(names))).reshape(-1, len(names))
     left = columns * [p.size for p in every.base]
     whole_size = np.linalg.norm(left, axis=0)
-    first = [name.startswith(_FIRST) for name in names]
+    begins = (*_FIRST, *(one.name for one in plates_of(robot)))
+    first = [name.startswith(begins) for name in names]
     held = [whole.held_of_pose(name) for name in names]
     chosen: list[int] = []
     while True:

@@ -26,8 +26,9 @@ from ...model.batch import Batch, matrix, vector, why
 from ...model.relations import Apart
 from ...model.sensor_pose import ANYWHERE, SensorPose
 from ...model.tolerances import NOT_STATED, Stated, Stating
-from .around import Distance, Plane, apart, of_groups, points, targets
+from .distances import Distance
 from .frames import Triple, frame, of_rpy, onto
+from .points import Plane, check_groups, grouped, plane_of, points
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
 
@@ -173,11 +174,11 @@ class Serial(Declared, Stating, Saved, Shown):
     mm.
 
     ``target_mm`` is the measured point in the frame of the last joint, ``tool_rpy_deg`` how the tool stands there, and
-    ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``. ``centres_mm`` are up to
-    eight fixed places in the base frame from which distances are read: numbers of the column ``centre``; ``planes``
-    likewise up to four above which heights are, numbers of the column ``plane``. ``distances`` are known between two
-    centres or two targets; targets of one ``group``, that of the first and ``more_groups`` of the others, are one rigid
-    body, as drawn.
+    ``more_targets_mm`` up to three other points, numbers 2 to 4 of the column ``target``; those of one ``group``
+    (that of the first target) and ``more_groups`` (one name for each of the others) sit on one rigid plate, as far
+    apart as drawn. ``centres_mm`` are up to eight fixed places in the base frame from which distances are read: numbers
+    of the column ``centre``; ``planes`` likewise up to four above which heights are, numbers of the column ``plane``.
+    ``distances`` are known between two centres.
     ``gravity`` is the direction of the weight in the base frame. ``sensor_pose`` is where the tracker stands, as far as
     that is known. ``has_tracker`` is False where distances alone are read. ``required_um`` is the accuracy that the arm
     is for.
@@ -188,12 +189,12 @@ class Serial(Declared, Stating, Saved, Shown):
     tool_rpy_deg: Triple = _ZERO
     gravity: Triple = (0.0, 0.0, -1.0)
     sensor_pose: SensorPose = ANYWHERE
+    group: str = ""
     more_targets_mm: tuple[Triple, ...] = ()
+    more_groups: tuple[str, ...] = ()
     centres_mm: tuple[Triple, ...] = ()
     planes: tuple[Plane, ...] = ()
     distances: tuple[Distance, ...] = ()
-    group: str = ""
-    more_groups: tuple[str, ...] = ()
     has_tracker: bool = True
     required_um: float | None = None
     tolerances: Stated = NOT_STATED
@@ -204,7 +205,7 @@ class Serial(Declared, Stating, Saved, Shown):
         "tool": {
             "target_mm": key(Table.numbers, 3),
             "rpy_deg": key(Table.numbers, 3).of("tool_rpy_deg"),
-            "group": key(Table.words, empty=True).quiet,
+            "group": key(Table.words).quiet,
         },
         "base": {"gravity": key(Table.numbers, 3)},
         "sensor_pose": Inner(SensorPose, "sensor_pose"),
@@ -224,13 +225,14 @@ class Serial(Declared, Stating, Saved, Shown):
             raise ShapeError(f"joint {names[0]}: follows the one before it, and there is none")
         if not np.linalg.norm(self.gravity) > 0:
             raise ShapeError("gravity: expected a direction, got only zeros")
+        check_groups(self.groups)
         several = {"targets": self.targets_mm, "centres": self.centres_mm, "planes": self.planes}
         for what, there in several.items():
             most = MOST_CENTRES if what == "centres" else MOST_POINTS
             if len(there) > most:
                 raise ShapeError(f"{what}: an arm has at most {most}, got {len(there)}")
         for one in self.distances:
-            one.check(len(self.centres_mm), len(self.targets_mm))
+            one.check(len(self.centres_mm))
         for k, plane in enumerate(self.planes, start=1):
             if not np.linalg.norm(plane.normal) > 0:
                 raise ShapeError(f"plane {k}: normal: expected a direction, got only zeros")
@@ -245,9 +247,8 @@ class Serial(Declared, Stating, Saved, Shown):
     def from_table(cls, table: Table) -> Serial:
         """Reads the tables of a robot file."""
         joints = tuple(Joint.from_table(one) for one in table.tables("joint", optional=False))
-        more, groups = targets(table)
-        centres = points(table, "centre")
-        planes = tuple(Plane.from_table(one) for one in table.tables("plane"))
+        (targets, groups), centres = grouped(table, "target"), points(table, "centre")
+        planes = tuple(plane_of(one) for one in table.tables("plane"))
         distances = tuple(Distance.from_table(one) for one in table.tables("distance"))
         table.pass_over(_FORMER)
         seen = table.has(_FORMER) or table.has("sensor_pose") or not (centres or planes)
@@ -259,8 +260,8 @@ class Serial(Declared, Stating, Saved, Shown):
                 known["sensor_pose"] = SensorPose.from_table(former)
         try:
             return cls(
-                joints, **known, more_targets_mm=more, centres_mm=centres, planes=planes,
-                distances=distances, more_groups=groups if any(groups) else (), has_tracker=seen,
+                joints, **known, more_targets_mm=targets, more_groups=groups if any(groups) else (),
+                centres_mm=centres, planes=planes, distances=distances, has_tracker=seen,
             )  # fmt: skip
         except ShapeError as error:
             raise table.fail("joint", str(error)) from None
@@ -268,13 +269,11 @@ class Serial(Declared, Stating, Saved, Shown):
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
         made = super().to_tables() | {"joint": [joint.to_table() for joint in self.joints]}
-        for name, there, groups in (
-            ("target", self.more_targets_mm, self.more_groups), ("centre", self.centres_mm, ()),
-        ):  # fmt: skip
-            if there:
-                made[name] = [{"at_mm": list(point)} for point in there]
-                for one, group in zip(made[name], groups, strict=False):
-                    one |= {"group": group} if group else {}
+        for name, places in (("target", self.more_targets_mm), ("centre", self.centres_mm)):
+            if places:
+                made[name] = [{"at_mm": list(place)} for place in places]
+        for one, group in zip(made.get("target", ()), self.more_groups, strict=False):
+            one |= {"group": group} if group else {}
         if self.distances:
             made["distance"] = [one.to_table() for one in self.distances]
         if self.planes:
@@ -329,16 +328,20 @@ class Serial(Declared, Stating, Saved, Shown):
 
     # -- kinematics --------------------------------------------------------------------------------------
 
-    @cached_property
+    @property
     def relations(self) -> tuple[Apart, ...]:
-        """What is known of how far its centres and its targets are from one another."""
-        every = (*self.distances, *of_groups((self.group, *self.more_groups), self.targets_mm))
-        return tuple(apart(one, self.centres_mm, self.targets) for one in every)
+        """What is known of how far its centres are from one another."""
+        return tuple(one.of(self.centres_mm) for one in self.distances)
 
     @property
     def targets_mm(self) -> tuple[Triple, ...]:
         """All its targets in the frame of the last joint, mm."""
         return (self.target_mm, *self.more_targets_mm)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The group of each target, empty where it sits by itself."""
+        return (self.group, *(self.more_groups or ("",) * len(self.more_targets_mm)))
 
     @cached_property
     def targets(self) -> Floats:

@@ -1,0 +1,163 @@
+"""Targets that belong together: of one plate, whose spacing is known, all are one rigid body.
+
+Three nests on a plate are nine numbers by themselves and six as a body: where the first of them sits, and three turns
+of the plate about it. The chain is the compiled one; here its numbers for each target follow from those six.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+import sherkit._core as _core
+
+from ...base.types import Bools, Floats
+from ...fit.numpy_chain import NumpyChain
+from ...model.chain import Block
+from ...model.effect import Parameter
+from .robot import Serial
+
+#: How far a plate may be turned on its flange, rad.
+_TURN = 0.05
+
+
+@dataclass(frozen=True)
+class Plate:
+    """Targets of one group: its name, and their numbers from 0, the first of them first."""
+
+    name: str
+    targets: tuple[int, ...]
+
+    @property
+    def turns(self) -> tuple[str, ...]:
+        """The names of its three turns, about the axes of the last joint's frame."""
+        return tuple(f"{self.name}_turn_{axis}" for axis in "xyz")
+
+
+def plates_of(robot: Serial) -> tuple[Plate, ...]:
+    """The groups of an arm's targets, in the order of the file."""
+    groups = robot.groups
+    names = dict.fromkeys(name for name in groups if name)
+    return tuple(Plate(name, tuple(k for k, one in enumerate(groups) if one == name)) for name in names)
+
+
+def of_target(number: int) -> tuple[str, ...]:
+    """The chain's own names for where a target sits, its number counted from 0."""
+    return tuple(f"{'tool' if number == 0 else f'target_{number + 1}'}_{axis}" for axis in "xyz")
+
+
+def renamed(robot: Serial) -> Mapping[str, str]:
+    """What the turns of plates are called, by the names in the chain whose places they take: those of the second of its
+    targets."""
+    return {old: new for one in plates_of(robot) for old, new in zip(of_target(one.targets[1]), one.turns, strict=True)}
+
+
+def as_plates(robot: Serial, base: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """The parameters of an arm whose plates are bodies: turns in the place of the second target, none for more."""
+    turns, gone, lever = renamed(robot), set[str](), dict[str, float]()
+    for one in plates_of(robot):
+        gone |= {name for k in one.targets[2:] for name in of_target(k)}
+        reach = float(np.linalg.norm(_apart(robot, one), axis=1).max())
+        lever |= dict.fromkeys(one.turns, reach)
+    made = []
+    for p in base:
+        if p.name in turns:
+            name = turns[p.name]
+            made.append(Parameter(name, name, "rad", _TURN, lever[name]))
+        elif p.name not in gone:
+            made.append(p)
+    return tuple(made)
+
+
+def offsets(robot: Serial, values: Mapping[str, float]) -> Floats:
+    """By how much each target (t, 3) is off, mm, in the frame of the last joint whose z is its axis, by ``values`` of
+    parameters by name."""
+    out = np.array([[values.get(name, 0.0) for name in of_target(k)] for k in range(len(robot.targets))])
+    for one in plates_of(robot):
+        turn = _turned(np.array([values.get(name, 0.0) for name in one.turns]))
+        first, others = one.targets[0], list(one.targets[1:])
+        out[others] = out[first] + _apart(robot, one) @ (turn - np.eye(3)).T
+    return out
+
+
+def _apart(robot: Serial, plate: Plate) -> Floats:
+    """From the first target of a plate to its others (k, 3), mm."""
+    return np.asarray(robot.targets[list(plate.targets[1:])] - robot.targets[plate.targets[0]])
+
+
+def _turned(vector: Floats) -> Floats:
+    made: Floats = scipy.spatial.transform.Rotation.from_rotvec(vector).as_matrix()
+    return made
+
+
+def _cross(vector: Floats) -> Floats:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _by_turn(vector: Floats, apart: Floats) -> Floats:
+    """Derivatives (3, 3) of a turned vector by the rotation vector of its turn: the right Jacobian of SO(3)
+    (Chirikjian, *Stochastic Models, Information Theory, and Lie Groups*, 10.8)."""
+    angle, by = float(np.linalg.norm(vector)), _cross(vector)
+    if angle < 1e-6:
+        jacobian = np.eye(3) - 0.5 * by
+    else:
+        first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+        jacobian = np.eye(3) - first * by + second * by @ by
+    return -_turned(vector) @ _cross(apart) @ jacobian
+
+
+@dataclass(frozen=True, eq=False)
+class PlateChain(NumpyChain):
+    """The compiled chain of an arm with plates. Its numbers stand where the chain has them; the turns of a plate in the
+    places of its second target."""
+
+    core: _core.SerialModel
+    robot: Serial
+    names: tuple[str, ...]
+
+    def own(self, values: Floats) -> Floats:
+        """The chain's own values for those of the plates."""
+        called = renamed(self.robot)
+        known = {called.get(name, name): float(v) for name, v in zip(self.names, values, strict=True)}
+        out = values.copy()
+        for k, off in enumerate(offsets(self.robot, known)):
+            out[self._places(k)] = off
+        return out
+
+    def _places(self, target: int) -> list[int]:
+        return [self.names.index(name) for name in of_target(target)]
+
+    def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
+        """Readings (n, m), and which rows could be computed."""
+        return self.core.predict(self.own(values), block)
+
+    def parts(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
+        """As the compiled chain."""
+        return self.core.parts(self.own(values), block)
+
+    def derivatives(self, values: Floats, block: Block, free: Sequence[int]) -> tuple[Floats, Floats, Floats, Bools]:
+        """By the parameters ``free``, the joints and a displacement of the point (n, m, ·), and which rows could be
+        computed."""
+        asked = {k: {k: 1.0} for k in free}
+        for one in plates_of(self.robot):
+            first, second = self._places(one.targets[0]), self._places(one.targets[1])
+            turn = values[second]
+            for a in range(3):
+                asked[first[a]] = {first[a]: 1.0} | {self._places(k)[a]: 1.0 for k in one.targets[1:]}
+                asked[second[a]] = {}
+            for k, apart in zip(one.targets[1:], _apart(self.robot, one), strict=True):
+                by = _by_turn(turn, apart)
+                for a in range(3):
+                    asked[second[a]] |= dict(zip(self._places(k), by[:, a].tolist(), strict=True))
+        columns = sorted({own for k in free for own in asked[k]})
+        combined = np.zeros((len(columns), len(free)))
+        for column, k in enumerate(free):
+            for own, times in asked[k].items():
+                combined[columns.index(own), column] = times
+        found: tuple[Any, ...] = self.core.derivatives(self.own(values), block, columns)
+        return found[0] @ combined, found[1], found[2], found[3]
