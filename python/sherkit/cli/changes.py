@@ -81,7 +81,7 @@ def _tell(found: Told, say: Callable[[Told], None], as_json: bool, report: Path 
 
 
 def _say(found: Comparison) -> None:
-    output.answer(found.verdict_and_what, *_left_out(found.silent), *found.rests_on, _as_sentence(found.advice))
+    output.answer(found.verdict_and_what, *_left_out(found.silent), *found.rests_on, found.advice)
     if found.parameters:
         moved = table("What has changed", "parameter", "change", "since run")
         for one in found.parameters:
@@ -101,14 +101,8 @@ def _say(found: Comparison) -> None:
         out.print(proposed)
 
 
-def _as_sentence(text: str) -> str:
-    """With a capital and a point, but for the names that come first in it."""
-    first = text.partition(" ")[0]
-    return f"{text if not first.isalpha() else text[:1].upper() + text[1:]}{'' if text.endswith('.') else '.'}"
-
-
 def _left_out(silent: Mapping[str, str]) -> list[str]:
-    return [f"Left out: {name} {why}." for name, why in silent.items()]
+    return [f"Left out: {name}: {why}." for name, why in silent.items()]
 
 
 @click.command()
@@ -131,7 +125,7 @@ def history(
 
 def _say_course(found: History) -> None:
     told = (*_left_out(found.silent), *found.rests_on, *map(str, found.changes))
-    output.answer(found.verdict_and_what, *told, _as_sentence(found.advice))
+    output.answer(found.verdict_and_what, *told, found.advice)
     made = table("Runs", "run", "date", "rows", f"error {found.unit}",
                  note="by the model of the first, from where each run's sensor stands")  # fmt: skip
     for run in found.runs:
@@ -161,7 +155,7 @@ def verify(ctx: click.Context, calibration: Path, run: Path, as_json: bool, fail
 
 
 def _say_verified(found: Verification) -> None:
-    output.answer(found.headline, *found.sees, _as_sentence(found.advice))
+    output.answer(found.headline, *found.sees, found.advice)
     for tie in found.indistinguishable:
         output.say(f"  {' or '.join(tie)}: these poses cannot tell")
     output.say(f"these poses would have shown, at its plausible size: {', '.join(found.would_show) or 'nothing'}")

@@ -83,7 +83,13 @@ def answer(verdict: str, *sentences: str) -> None:
     do."""
     out.print(f"[bold]Verdict:[/] [bold]{escape(verdict)}[/]")
     for one in sentences:
-        out.print(Padding(escape(one), (0, 0, 0, 3)))
+        out.print(Padding(escape(_as_sentence(one)), (0, 0, 0, 3)))
+
+
+def _as_sentence(text: str) -> str:
+    """With a capital and a point; a name that comes first stays as it is."""
+    first = text.partition(" ")[0]
+    return f"{text[:1].upper() + text[1:] if first.isalpha() else text}{'' if text.endswith(('.', ':')) else '.'}"
 
 
 def print_json(value: Any) -> None:
