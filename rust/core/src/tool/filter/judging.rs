@@ -224,7 +224,7 @@ impl ToolFilter {
         }
         let step = 0.5 * (one + two) - self.offsets.warm.unwrap_or(f64::NAN);
         let may = WARMS_NM * (1.0 + self.watch.elapsed_s / WARMS_S);
-        told[4] = step * step / (own + may * may);
+        told[4] = step * step / (own + may * may + 0.25 * (by_bend[0] + by_bend[1]));
         if !(self.state.x[L] > DEEP_MM) {
             return told;
         }
