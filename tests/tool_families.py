@@ -89,7 +89,9 @@ def main() -> None:
                   f"({j.ours.tip_covered:.2f}); lost {j.lost:.3f}; {j.says}", flush=True)  # fmt: skip
         lines.append(line(family, some))
         every += some
-    print("| family | depth, x the paper's (worst) | tip (worst) | 95 % covers depth (least) | tip (least) | left out |")
+    print(
+        "| family | depth, x the paper's (worst) | tip (worst) | 95 % covers depth (least) | tip (least) | left out |"
+    )
     print("|---|---|---|---|---|---|")
     print("\n".join([*lines, line("all", every)]))
 

@@ -309,15 +309,15 @@ class Wide:
         speed = np.gradient(d.rod.in_hole(l_mm, seen.push_mm, seen.tissue, none).arc_mm, t)
         return -d.friction * np.tanh(speed / _SLIDES_MM_S)
 
-    def _signals(
-        self, t: Array, touch: Touch, way: Array, rng: np.random.Generator, second_mn: Array
-    ) -> Signals:
+    def _signals(self, t: Array, touch: Touch, way: Array, rng: np.random.Generator, second_mn: Array) -> Signals:
         glass = self.drawn.glass
         warmer = 0.3 * np.sin(2 * np.pi * (t / rng.uniform(60.0, 200.0) + rng.random()))
         answers = glass.answers(self.drawn.rod.stiffness_mn_mm2)
         by_tip = [(second_mn * at) @ answers[s].T for s, at in enumerate(glass.from_tip_mm)]
         bending = glass.bending(touch, way) + np.hstack(by_tip)
-        return Signals(self._lagged(t, bending), glass.warmed(warmer) + self._warmed(t), rng.standard_normal((len(t), 9)))
+        return Signals(
+            self._lagged(t, bending), glass.warmed(warmer) + self._warmed(t), rng.standard_normal((len(t), 9))
+        )
 
     # -- what families of worlds do otherwise (:mod:`.wide_families`) -----------------------------------------
 

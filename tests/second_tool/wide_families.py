@@ -112,7 +112,9 @@ class Family(Wide):
         angle = self._rng("outwards").uniform(0.0, 2 * np.pi)
         out = hole.way @ np.array([np.cos(angle), np.sin(angle)]) > 0.0
         other = rod.in_hole(hole.l_mm, hole.push_mm, soft, friction)
-        both = {k: np.where(out, getattr(other, k), getattr(touch, k)) for k in touch.__dataclass_fields__ if k != "rod"}
+        both = {
+            k: np.where(out, getattr(other, k), getattr(touch, k)) for k in touch.__dataclass_fields__ if k != "rod"
+        }
         return Touch(rod, **both)
 
     def _warmed(self, t: Array) -> Array:
@@ -131,8 +133,6 @@ class Family(Wide):
     def _kept(self, t: Array, waves: Array) -> Array:
         lost = self._rng("missing").random(len(t)) < self.missing
         return np.where(lost[:, None], np.nan, waves)
-
-
 
 
 #: A world of each by its seed.

@@ -45,7 +45,10 @@ def against_drawing(tool: FlexibleTool, rows: Rows, shifts_nm: Floats) -> list[s
     gains = _gains(_moments(tool, rows), rows.differences_nm)
     size = float(np.linalg.norm(gains) / np.linalg.norm(drawn))
     told: list[str] = []
-    for factor, unit in ((1.0 / _GRAM_FORCE, "gram-force"), (_GRAM_FORCE, "mN where the file's gains are per gram-force")):
+    for factor, unit in (
+        (1.0 / _GRAM_FORCE, "gram-force"),
+        (_GRAM_FORCE, "mN where the file's gains are per gram-force"),
+    ):
         if abs(np.log(size / factor)) < _NEAR:
             told.append(
                 f"gains are {size:.2g} times the drawing's, which is {factor:.3g}: are forces in {unit}? The columns "

@@ -143,7 +143,9 @@ impl ToolFilter {
             return 0.0;
         }
         let moved = sqrt((s.aside - self.state.aside).norm_squared());
-        let (stiff, edge) = (1.0 / gives, self.edge.mean * waited * waited.min(OVER_S));
+        // what is not read for long has no pace that was ever learnt
+        let edge = self.edge.mean * waited * waited.min(OVER_S) * (1.0 + waited.min(1.0));
+        let stiff = 1.0 / gives;
         if s.free {
             // it stands anywhere within the clearance, and may lean as far as it was moved
             let most = moved * moved + edge;

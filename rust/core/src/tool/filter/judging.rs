@@ -143,13 +143,17 @@ impl Watch {
         let shown = w.as_flattened();
         let mut peaks: [f64; GRATINGS] = core::array::from_fn(|k| shown[self.places[k] % GRATINGS]);
         if elapsed_s < AT_ONCE_S {
-            let moved: [f64; GRATINGS] = core::array::from_fn(|k| (peaks[k] - self.last[k]).abs());
-            for a in (0..GRATINGS).filter(|a| moved[*a] > MOVED_NM) {
+            let mut moved: [f64; GRATINGS] = core::array::from_fn(|k| (peaks[k] - self.last[k]).abs());
+            for a in 0..GRATINGS {
                 for b in a + 1..GRATINGS {
+                    if !(moved[a] > MOVED_NM) {
+                        continue;
+                    }
                     let changed = (peaks[a] - self.last[b]).abs() + (peaks[b] - self.last[a]).abs();
                     if changed < 0.1 * (moved[a] + moved[b]) {
                         self.places.swap(a, b);
                         peaks.swap(a, b);
+                        (moved[a], moved[b]) = (0.0, 0.0);
                     }
                 }
             }

@@ -13,9 +13,9 @@ use super::state::{N, OFFSETS};
 const COMPARED: f64 = 50.0;
 const STILL: f64 = 1.4;
 const NOISE: f64 = 0.2;
-/// Beyond these a moment is none of a rest: as a fibre's shift, squared, nm², and over the bends of late, squared.
-const RESTS_NM2: f64 = 2.5e-5;
-const RESTS: f64 = 3.6e-3;
+/// Beyond these a moment is none of a rest: as a fibre's shift, squared, nm², and over what fibres lag, squared.
+const RESTS_NM2: f64 = 1e-5;
+const RESTS: f64 = 16.0;
 /// Rests are compared that lie further apart than this, s; deviations beyond which a change is no noise; what is left of a
 /// change after another.
 const APART_S: f64 = 1.5;
@@ -29,9 +29,12 @@ const MEANS_S: f64 = 5.0;
 /// By how much more a lag shows along a force than across it, squared, and within which time it is believed, s.
 const ALONG: f64 = 3.0;
 const WITHIN_S: f64 = 5.0;
+/// What noise makes of that by chance, over its variance; and how much more counts at most.
+const CHANCE: f64 = 1.25;
+const WILD: f64 = 16.0;
 /// The least and the largest lag over the bend, squared; a bend that tells of it, squared, nm²; how far the warmth of two
 /// gratings differs, nm.
-const LEAST: f64 = 2e-7;
+const LEAST: f64 = 4e-8;
 const MOST: f64 = 1e-2;
 const TELLS_NM2: f64 = 0.01;
 pub(super) const APART_NM: f64 = 1e-3;
@@ -55,6 +58,9 @@ pub(super) struct Offsets {
     in_means: f64,
     at_rest: f64,
     across: f64,
+    /// What moments say across their force beyond noise, nm², and the bends in which they do, nm².
+    crosses: f64,
+    crossing: f64,
     /// Warmth now and at the last rest, nm.
     pub(super) warm: Option<f64>,
     warm_at_rest: f64,
@@ -64,11 +70,14 @@ impl Offsets {
     /// What two moments say across their force, over what noise lets them: fibres that lag tell no one way.
     #[inline]
     pub(super) fn crossed(&mut self, misfit: f64, noise: f64, elapsed_s: f64) {
-        let both = self.bent[0] + self.bent[1];
-        if both > TELLS_NM2 && misfit > 0.0 {
-            let told = (ALONG * 2.0 * (misfit - 1.0) * noise / both).min(MOST);
-            self.across =
-                (self.across + (told - self.across) * (elapsed_s / WITHIN_S).min(0.1)).max(0.0);
+        if misfit > 0.0 {
+            let share = (elapsed_s / WITHIN_S).min(0.1);
+            // a single wild one is no lag
+            let most = WILD + WILD * self.crosses.max(0.0) / noise;
+            self.crosses += ((misfit.min(most) - CHANCE) * noise - self.crosses) * share;
+            self.crossing += (0.5 * (self.bent[0] + self.bent[1]) - self.crossing) * share;
+            let told = ALONG * self.crosses / self.crossing;
+            self.across = if told > 0.0 { told.min(MOST) } else { 0.0 };
         }
     }
 }
@@ -123,7 +132,7 @@ impl ToolFilter {
         o.count += 1.0;
         for k in 0..4 {
             let felt = m.m[k / 2][k % 2] + s.x[OFFSETS + k];
-            let most = g.per_nm[k / 2] * (RESTS_NM2 + RESTS * o.bent[k / 2]);
+            let most = g.per_nm[k / 2] * (RESTS_NM2 + RESTS * o.lag * o.bent[k / 2]);
             if !(felt * felt < most) {
                 (o.sums, o.squares, o.count) = ([0.0; 4], 0.0, 0.0);
                 return;

@@ -72,11 +72,12 @@ pub(super) struct Felt {
     pub(super) by_depth: f64,
 }
 
-/// Sum of innovations over their variances, and of these; since when; the process noise to use, mm²/s.
+/// Sums of innovations, of one, and of what lasts, over their variances; since when; the process noise to use, mm²/s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Drift {
     sum: f64,
     weight: f64,
+    lasting: f64,
     since_s: f64,
     pub(super) per_second: f64,
 }
@@ -209,7 +210,7 @@ impl ToolFilter {
                 lasting += share * share * lever * lever;
             }
         }
-        said.lasting = (LASTS - 1.0) * lasting;
+        said.lasting = lasting;
         let noise = 1.0 / told + LASTS * lasting;
         said.by_depth = turned.dot(&said.way);
         let beyond = s.x[L] + s.x[DEEPER] - said.short - said.depth;
@@ -229,11 +230,12 @@ impl ToolFilter {
             s.x[CLEARANCE] = s.x[CLEARANCE].max(0.0);
             s.x[GIVES] = s.x[GIVES].max(0.0);
             moved = s.x[L] + s.x[DEEPER] - before;
-            self.consistency.add(mm * mm / (seen.total - said.lasting));
+            let white = seen.total - (LASTS - 1.0) * said.lasting;
+            self.consistency.add(mm * mm / white);
             let elapsed = self.felt.map_or(0.0, |f| s.time_s - f.time_s);
             self.offsets
                 .crossed(said.misfit, self.gratings.noise, elapsed);
-            self.drift(*mm, seen.total);
+            self.drift(*mm, white, said.lasting);
             self.guard();
         } else {
             status = status | Status::NO_FORCE;
@@ -269,23 +271,24 @@ impl ToolFilter {
         status
     }
 
-    /// How fast the hole strays along the shaft: where the process noise is right, innovations are independent, and their sum
-    /// has the variance that it should (Mehra, *IEEE Trans. Automatic Control* 15, 1970).
+    /// How fast the hole strays along the shaft: where the process noise is right, innovations are independent but for what
+    /// lasts, and their sum has the variance that it should (Mehra, *IEEE Trans. Automatic Control* 15, 1970).
     #[inline]
-    fn drift(&mut self, innovation: f64, variance: f64) {
+    fn drift(&mut self, innovation: f64, variance: f64, lasting: f64) {
         let (d, slowest) = (&mut self.drift, self.trusted.per_second_mm2);
         d.sum += innovation / variance;
         d.weight += 1.0 / variance;
-        let square = d.sum * d.sum / d.weight;
+        d.lasting += lasting / variance;
+        let square = d.sum * d.sum / (d.weight * (1.0 + d.lasting));
         if square > ANOTHER {
-            self.state.p[L][L] += square / d.weight;
+            self.state.p[L][L] += d.sum * d.sum / (d.weight * d.weight);
         } else if self.state.time_s - d.since_s < OVER_S {
             return;
         } else if square.is_finite() {
             let next = d.per_second * libm::exp(FOLLOWS * (square.min(MOST) - 1.0));
             d.per_second = next.min(slowest * FASTEST).max(slowest);
         }
-        (d.sum, d.weight, d.since_s) = (0.0, 0.0, self.state.time_s);
+        *d = Drift::new(self.state.time_s, d.per_second);
     }
 
     /// The bench's zero is learnt from a hole that stays; beyond what a bench can be off it is no zero, and is considered.

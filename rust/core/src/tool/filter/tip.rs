@@ -13,7 +13,7 @@ pub(super) const DEEP_MM: f64 = 7.0;
 const CHANGES: f64 = 4.0;
 const MOST_MN: f64 = 40.0;
 /// How far a grating is off its zero, nm; squares of deviations from which on there is a force, and down to which.
-const ZERO_NM: f64 = 3e-4;
+const ZERO_NM: f64 = 1.5e-4;
 const FELT: f64 = 16.0;
 const GONE: f64 = 4.0;
 
