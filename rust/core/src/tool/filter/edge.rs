@@ -144,7 +144,7 @@ impl ToolFilter {
         }
         let moved = sqrt((s.aside - self.state.aside).norm_squared());
         // what is not read for long has no pace that was ever learnt
-        let edge = self.edge.mean * waited * waited.min(OVER_S) * (1.0 + waited.min(1.0));
+        let edge = self.edge.mean * waited * waited.min(OVER_S) * (1.0 + waited.min(2.0));
         let stiff = 1.0 / gives;
         if s.free {
             // it stands anywhere within the clearance, and may lean as far as it was moved

@@ -143,7 +143,8 @@ impl Watch {
         let shown = w.as_flattened();
         let mut peaks: [f64; GRATINGS] = core::array::from_fn(|k| shown[self.places[k] % GRATINGS]);
         if elapsed_s < AT_ONCE_S {
-            let mut moved: [f64; GRATINGS] = core::array::from_fn(|k| (peaks[k] - self.last[k]).abs());
+            let mut moved: [f64; GRATINGS] =
+                core::array::from_fn(|k| (peaks[k] - self.last[k]).abs());
             for a in 0..GRATINGS {
                 for b in a + 1..GRATINGS {
                     if !(moved[a] > MOVED_NM) {
@@ -343,8 +344,10 @@ impl ToolFilter {
             }
         }
         let far = said.far() > FAILS;
-        if open || far {
-            self.watch.refused += 1;
+        // moments that point apart more than these fibres do
+        let wild = said.misfit > FAILS * (1.0 + self.offsets.crossing() / self.gratings.noise);
+        if open || far || wild {
+            self.watch.refused = self.watch.refused.saturating_add(1);
             if self.watch.refused <= if open { PATIENCE } else { PATIENCE_ALONE } {
                 return Status::GATED;
             }
@@ -358,7 +361,9 @@ impl ToolFilter {
                 said = self.say(&self.state, &m);
             }
         }
-        self.watch.refused = 0;
+        if !(open || far || wild) {
+            self.watch.refused = 0;
+        }
         self.take(&said)
     }
 
@@ -395,17 +400,18 @@ impl ToolFilter {
         };
         // a fibre does as well as its grating
         let own = Believed::of(h).bad;
+        let mine = self.watch.sums.get(h).copied().unwrap_or(0.0);
         let ahead = |by: f64, w: &Watch| {
-            (0..HYPOTHESES).all(|k| {
+            w.sums.iter().enumerate().all(|(k, sum)| {
                 let other = Believed::of(k).bad;
                 let wider = own != 0 && own & !other == 0 && own != other;
-                k == h || w.sums[k] + if wider { -2.0 * LEADS } else { by } < w.sums[h]
+                k == h || sum + if wider { -2.0 * LEADS } else { by } < mine
             })
         };
         if !ahead(LEADS / 4.0, &self.watch) {
             return (m, said, true);
         }
-        let sure = self.watch.sums[h] > HELD && ahead(LEADS, &self.watch);
+        let sure = mine > HELD && ahead(LEADS, &self.watch);
         let again = sure && self.watch.leader == h;
         self.watch.leads_for = if again { self.watch.leads_for + 1 } else { 0 };
         self.watch.leader = h;

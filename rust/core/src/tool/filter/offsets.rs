@@ -13,9 +13,10 @@ use super::state::{N, OFFSETS};
 const COMPARED: f64 = 50.0;
 const STILL: f64 = 1.4;
 const NOISE: f64 = 0.2;
-/// Beyond these a moment is none of a rest: as a fibre's shift, squared, nm², and over what fibres lag, squared.
-const RESTS_NM2: f64 = 1e-5;
-const RESTS: f64 = 16.0;
+/// Beyond these a moment is none of a rest: as a fibre's shift, squared, nm², over noise and over what fibres lag, squared.
+const RESTS_NM2: f64 = 2e-6;
+const RESTS_NOISE: f64 = 9.0;
+const RESTS: f64 = 25.0;
 /// Rests are compared that lie further apart than this, s; deviations beyond which a change is no noise; what is left of a
 /// change after another.
 const APART_S: f64 = 1.5;
@@ -67,6 +68,11 @@ pub(super) struct Offsets {
 }
 
 impl Offsets {
+    /// Variance of a grating by which moments pointed apart of late, beyond noise, nm².
+    pub(super) fn crossing(&self) -> f64 {
+        self.crosses.max(0.0)
+    }
+
     /// What two moments say across their force, over what noise lets them: fibres that lag tell no one way.
     #[inline]
     pub(super) fn crossed(&mut self, misfit: f64, noise: f64, elapsed_s: f64) {
@@ -132,7 +138,8 @@ impl ToolFilter {
         o.count += 1.0;
         for k in 0..4 {
             let felt = m.m[k / 2][k % 2] + s.x[OFFSETS + k];
-            let most = g.per_nm[k / 2] * (RESTS_NM2 + RESTS * o.lag * o.bent[k / 2]);
+            let most = g.per_nm[k / 2]
+                * (RESTS_NM2 + RESTS_NOISE * g.noise + RESTS * o.lag * o.bent[k / 2]);
             if !(felt * felt < most) {
                 (o.sums, o.squares, o.count) = ([0.0; 4], 0.0, 0.0);
                 return;

@@ -14,8 +14,10 @@ const CHANGES: f64 = 4.0;
 const MOST_MN: f64 = 40.0;
 /// How far a grating is off its zero, nm; squares of deviations from which on there is a force, and down to which.
 const ZERO_NM: f64 = 1.5e-4;
-const FELT: f64 = 16.0;
-const GONE: f64 = 4.0;
+const FELT: f64 = 28.0;
+const GONE: f64 = 6.0;
+/// What one rest counts for its zero.
+const RESTED: f64 = 0.2;
 
 /// Force at the tip, tool frame, mN; the variance of a component by noise, and of its zero; what is told of none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -61,8 +63,11 @@ impl Tip {
 
     /// Nothing touches.
     pub(super) fn rest(&mut self) {
-        self.zero += self.force;
-        self.force = Vector2::zeros();
+        if self.tells && self.variance < CHANGES / 8.0 {
+            let share = self.force * RESTED;
+            self.zero += share;
+            self.force -= share;
+        }
     }
 }
 
