@@ -337,8 +337,8 @@ def test_a_bias_is_never_too_careful(bias: float) -> None:
 
 
 def test_what_innovations_cannot_see_is_said() -> None:
-    """Catches a table without the truth: gains of section I 0.6 % off, on the second simulator; the innovations look well.
-    (Gains that are off by fibre show across the force, and are covered as fibres that lag.)"""
+    """Catches a table without the truth: gains of section I 0.6 % off, on the second simulator; the innovations look
+    well. (Gains that are off by fibre show across the force, and are covered as fibres that lag.)"""
     world = replace(CONDITIONS["gains"], gain_error=0.0)
     recorded = world.run("phantom", seconds=40.0, seed=1)
     tool = tool_of(world, 1)

@@ -1,7 +1,7 @@
 """What a table of loads has wrong, seen before it is fitted: single loads, and columns against the drawing.
 
-The gratings' shifts are linear in the moments at their sections, so gains by least absolute deviations show a wrong load
-for what it is. Beside the drawing's gains they show axes that are exchanged or mirrored, gratings in each other's
+The gratings' shifts are linear in the moments at their sections, so gains by least absolute deviations show a wrong
+load for what it is. Beside the drawing's gains they show axes that are exchanged or mirrored, gratings in each other's
 columns, and forces in gram-force.
 """
 
@@ -17,8 +17,8 @@ from .bench_fit import DIFFERENCES, Rows
 from .tool import FIBRES, FlexibleTool
 
 _ROUNDS = 30
-#: A load is wrong that is off by this share of itself, and by so many times what half of the loads are off; no more than
-#: this share of a table's.
+#: A load is wrong that is off by this share of itself, and by so many times what half of the loads are off; no more
+#: than this share of a table's.
 _OFF, _TIMES, _MOST = 0.25, 8.0, 0.1
 #: Gains agree with a drawing where they differ by less than this share, and do not where by more than the other.
 _LIKE, _UNLIKE = 0.35, 0.7
@@ -70,8 +70,8 @@ def against_drawing(tool: FlexibleTool, rows: Rows, shifts_nm: Floats) -> list[s
     turns = [np.linalg.det(gains[s] @ np.linalg.pinv(drawn[s])) for s in range(2)]
     if max(turns) < 0.0:
         told.append(
-            "the gains run about the shaft the other way than the drawing's: one axis of the forces is mirrored, or two "
-            "columns of fibres are exchanged in both sections"
+            "the gains run about the shaft the other way than the drawing's: one axis of the forces is mirrored, or "
+            "two columns of fibres are exchanged in both sections"
         )
     return told
 

@@ -285,8 +285,8 @@ def _doubted(tool: FlexibleTool, loads: Loads, rows: Rows, shifts: Floats) -> tu
     bad, larger = wrong_loads(tool, rows)
     number = np.flatnonzero(loads.loaded) + 1
     told = [
-        f"row {number[i]}: its force of {rows.size_mn[i]:.4g} mN is not the one that its gratings feel, {larger[i]:.2g} times as "
-        "large; it is left out"
+        f"row {number[i]}: its force of {rows.size_mn[i]:.4g} mN is not the one that its gratings feel, "
+        f"{larger[i]:.2g} times as large; it is left out"
         for i in np.flatnonzero(bad)
     ]
     keep = ~bad

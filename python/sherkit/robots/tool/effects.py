@@ -204,8 +204,8 @@ def camera_delay(at: Places, values: Floats) -> Floats:
     # slow ones are late by 0.3 s
     _p("delay", "s", 0.06),
     physics=(
-        "Interrogator and robot are not of one time, as the setting has it: above zero a force is felt after it was there, "
-        "below zero the robot's rows are late."
+        "Interrogator and robot are not of one time, as the setting has it: above zero a force is felt after it was "
+        "there, below zero the robot's rows are late."
     ),
     residuals="Along the force, in proportion to how fast it changes.",
     remedy="Let robot and interrogator see one sharp touch; set [gratings] delay_s, or write fbg_time_s.",

@@ -12,7 +12,8 @@ from .alignment import at_times
 from .filters import Estimate
 from .runs import ToolRun
 
-#: With a mistake undone the tip must come this much nearer to the camera, and no further off than so many of its deviations.
+#: With a mistake undone the tip must come this much nearer to the camera, and no further off than so many of its
+#: deviations.
 _NEARER, _NEAR = 0.33, 4.0
 
 
@@ -55,6 +56,7 @@ def exchanged(e: Estimate) -> list[str]:
         after = off(tip)
         if after < _NEARER * before and after < _NEAR * tool.camera_std_mm:
             told.append(
-                f"{run.source}: {what}: with that undone the tip is {after:.2f} mm from the camera's, now {before:.2f} mm"
+                f"{run.source}: {what}: with that undone the tip is {after:.2f} mm from the camera's, now "
+                f"{before:.2f} mm"
             )
     return told

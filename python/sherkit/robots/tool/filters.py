@@ -158,9 +158,10 @@ class Estimate(Shown):
     ``fibre_depth_std_mm``, NaN or infinite without force; ``held_depth_mm`` (n,) repeats the last depth of a force, as
     a display would. ``together`` is what a loop runs (:class:`sherkit._core.ToolFilter`): depth and tip, with the
     calibration's doubt in the deviations. ``depth`` and ``tip`` are its parts, or, where the tool asks for the paper's
-    noise, the filters of Eqs. 8 and 14. ``misfit`` (n,) is about 1 where the moments agree; ``faulty`` (n,) has a bit for each
-    grating that was not believed, ``faulty_sections`` (n, 3) says where, ``gated`` (n,) whose reading was not used, and
-    ``faults`` names them. ``arc_mm`` (n,) is the length of shaft beyond the hole, where ``depth`` is the paper's l.
+    noise, the filters of Eqs. 8 and 14. ``misfit`` (n,) is about 1 where the moments agree; ``faulty`` (n,) has a bit
+    for each grating that was not believed, ``faulty_sections`` (n, 3) says where, ``gated`` (n,) whose reading was not
+    used, and ``faults`` names them. ``arc_mm`` (n,) is the length of shaft beyond the hole, where ``depth`` is the
+    paper's l.
     ``paper`` are depth and tip (n, 4) by the paper's own filters (Eqs. 8 and 14), always beside the others, and
     ``hole`` (n, 4) what was learnt: its clearance (mm), what it gives way (mm/mN), the gratings' turn (rad), and by how
     much they count all depths deeper (mm). ``goes_along`` (n,) says from where on depths told of the bench's zero what

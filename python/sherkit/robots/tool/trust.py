@@ -18,8 +18,8 @@ _LAGS = 0.004
 
 @dataclass(frozen=True)
 class Trust:
-    """``verdict``: ``trusted``, ``too careful``, ``overconfident`` or ``unknown``; the sentence that says so with what to
-    do, and what else was noticed in the run."""
+    """``verdict``: ``trusted``, ``too careful``, ``overconfident`` or ``unknown``; the sentence that says so with what
+    to do, and what else was noticed in the run."""
 
     verdict: str
     sentence: str
@@ -60,8 +60,8 @@ def _noticed(e: Estimate) -> list[str]:
     if e.goes_along.any():
         since = float(e.run.time_s[int(np.argmax(e.goes_along))])
         out.append(
-            f"From {since:.1f} s on depths would put the bench's zero where no bench has it: the hole goes with the shaft, or "
-            "the robot's rows are late. The zero is learnt no more, and the deviation is larger"
+            f"From {since:.1f} s on depths would put the bench's zero where no bench has it: the hole goes with the "
+            "shaft, or the robot's rows are late. The zero is learnt no more, and the deviation is larger"
         )
     lags = float(np.median(e.lags))
     if lags > _LAGS:

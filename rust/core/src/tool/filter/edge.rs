@@ -4,18 +4,14 @@
 //! tenth of a second the edge is compared with where the motion alone has it: that tells clearance, give and turn, and what
 //! is left is its pace.
 
-use super::ToolFilter;
+use super::start::{Then, ToolFilter};
 use super::state::{CLEARANCE, DEEPER, GIVES, L, N, State, TURN};
 use crate::numbers::math::sqrt;
-use crate::numbers::rigid::Rigid;
 use nalgebra::{Vector2, Vector3};
 
 /// The pace is taken over this time, and remembered for the other, s.
 const OVER_S: f64 = 0.1;
 const KEPT_S: f64 = 5.0;
-/// The guess at the start, (mm/s)², counts as so much, s.
-const FIRST: f64 = 0.04;
-const GUESSED_S: f64 = 0.01;
 /// A square of what is left over its variance above which a window says nothing of the hole.
 const FITS: f64 = 16.0;
 /// What a hole gives way for a force changes by this share with the force.
@@ -23,37 +19,6 @@ const HARDENS: f64 = 0.1;
 /// Deviation of a force that nobody has read, mN; deviations of a force below which nobody notices it.
 const UNREAD_MN: f64 = 100.0;
 const NOTICED: f64 = 5.0;
-
-/// What was learnt of the edge: mean square pace of a coordinate, (mm/s)², and how much is known of it, s.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Edge {
-    pub(super) mean: f64,
-    known_s: f64,
-    pub(super) since: Option<Then>,
-}
-
-impl Default for Edge {
-    fn default() -> Self {
-        Self {
-            mean: FIRST,
-            known_s: GUESSED_S,
-            since: None,
-        }
-    }
-}
-
-/// The edge a tenth of a second ago: force, its noise, and what the shaft alone gave way for it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Then {
-    time_s: f64,
-    pose: Rigid,
-    l: f64,
-    turn: f64,
-    size: f64,
-    way: Vector2<f64>,
-    noise: f64,
-    gives: f64,
-}
 
 impl ToolFilter {
     /// A force was felt whose components have this variance, where shaft and hole give way so much (mm/mN).

@@ -5,20 +5,17 @@
 //! a force that is far off never does. A reading that fails is looked at under every hypothesis, until the evidence of one
 //! leads (Page's cumulative sum, *Biometrika* 41, 1954).
 
-use super::ToolFilter;
 use super::moments::{Moments, Shifts, of_section};
 use super::offsets::APART_NM;
 use super::reading::Said;
 use super::slips::Slips;
+use super::start::{Believed, GRATINGS, HYPOTHESES, ToolFilter, Watch};
 use super::state::{L, OFFSETS, State, TURN};
 use super::tip::DEEP_MM;
 use crate::tool::sensing::{FIBRES, SECTIONS};
 use crate::tool::status::{Look, Set, Status};
 
-const GRATINGS: usize = FIBRES * SECTIONS;
 const ALL: Set = (1 << GRATINGS) - 1;
-/// Nine gratings, three fibres, section III, three sections that are warmer than the others.
-const HYPOTHESES: usize = GRATINGS + FIBRES + 1 + SECTIONS;
 /// No shaft is bent or warmed so far, nm; repeats of one number after which a grating is not asked.
 const FARTHEST_NM: f64 = 8.0;
 const REPEATS: u8 = 3;
@@ -59,13 +56,6 @@ const JUMP_SHARE: f64 = 0.06;
 const REGRESSED_S: f64 = 10.0;
 const WILD_NM: f64 = 0.15;
 
-/// What is not believed: gratings, and sections (bits) whose warmth is their own.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Believed {
-    bad: Set,
-    warm: u8,
-}
-
 impl Believed {
     fn of(h: usize) -> Self {
         match h {
@@ -92,45 +82,6 @@ impl Believed {
         Self {
             bad: self.bad | more.bad,
             warm: self.warm | more.warm,
-        }
-    }
-}
-
-/// What was seen of the gratings.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Watch {
-    /// The last wavelengths, each in its place, and when; which peak shows where; how often each repeated a number.
-    last: [f64; GRATINGS],
-    at_s: f64,
-    elapsed_s: f64,
-    places: [usize; GRATINGS],
-    repeats: [u8; GRATINGS],
-    /// Evidence for each hypothesis, the leader, and for how many readings it leads.
-    sums: [f64; HYPOTHESES],
-    leader: usize,
-    leads_for: u16,
-    held: Believed,
-    good: u16,
-    refused: u16,
-    /// Readings for which fibres are looked at that may slip.
-    suspects: u16,
-}
-
-impl Default for Watch {
-    fn default() -> Self {
-        Self {
-            last: [f64::NAN; GRATINGS],
-            at_s: f64::NEG_INFINITY,
-            elapsed_s: 0.0,
-            places: core::array::from_fn(|k| k),
-            repeats: [0; GRATINGS],
-            sums: [0.0; HYPOTHESES],
-            leader: 0,
-            leads_for: 0,
-            held: Believed::default(),
-            good: 0,
-            refused: 0,
-            suspects: 0,
         }
     }
 }

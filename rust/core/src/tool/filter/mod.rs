@@ -17,6 +17,7 @@ mod moments;
 mod offsets;
 mod reading;
 mod slips;
+mod start;
 mod state;
 mod tip;
 mod told;
@@ -24,114 +25,18 @@ mod told;
 pub use super::status::{Consistency, Counts, Look, Set, Status, Told};
 pub use super::trusted::{Doubt, Trusted};
 pub use moments::Shifts;
+pub use start::ToolFilter;
 
-use super::poses::{Posed, Poses};
-use super::rod::Shaft;
+use super::poses::Posed;
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
-use crate::{Error, Result};
-use edge::Edge;
-use judging::Watch;
-use moments::Gratings;
-use nalgebra::{Matrix2, Matrix3};
-use offsets::Offsets;
-use reading::{Drift, Felt};
-use slips::Slips;
-use state::{BENCH, N, State};
-use tip::Tip;
+use start::possible;
+use state::BENCH;
 
 /// A stamp further ahead of the present than this is a wild number and no clock, s; a step is no longer than the other.
 const AHEAD_S: f64 = 0.3;
 const LONGEST_S: f64 = 1e6;
-/// No robot stands further away than this, mm.
-const FARTHEST_MM: f64 = 1e6;
-/// What a hole gives way before that is felt, and its deviation, mm/mN: tissue is as soft as a fortieth of this per mN.
-const GIVES: [f64; 2] = [0.005, 0.01];
-
-/// The filter.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ToolFilter {
-    trusted: Trusted,
-    shaft: Shaft,
-    gratings: Gratings,
-    /// Factors of the covariances of the bench's depth, and of length and stiffness.
-    bench: Matrix3<f64>,
-    beam: Matrix2<f64>,
-    poses: Poses,
-    state: State,
-    felt: Option<Felt>,
-    offsets: Offsets,
-    drift: Drift,
-    edge: Edge,
-    tip: Tip,
-    watch: Watch,
-    slips: Slips,
-    used_s: f64,
-    look: Look,
-    counts: Counts,
-    consistency: Consistency,
-}
-
 impl ToolFilter {
-    /// Starts at a depth (mm) with a variance (mm²), with the tool at a pose (tool to base frame), at a time (s).
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] for numbers that mean nothing.
-    pub fn new(
-        trusted: &Trusted,
-        depth_mm: f64,
-        variance: f64,
-        pose: &Rigid,
-        time_s: f64,
-    ) -> Result<Self> {
-        trusted.check()?;
-        let known = depth_mm.abs() < FARTHEST_MM && time_s.is_finite() && possible(pose);
-        if !(known && variance >= 0.0 && variance.is_finite()) {
-            return Err(Error::Invalid {
-                what: "tool: the first depth, pose and time must be finite, its variance zero or more",
-            });
-        }
-        let d = &trusted.doubt;
-        let gratings = Gratings::new(trusted);
-        let [one, two] = gratings.per_nm.map(|v| sqrt(v) * d.reference_nm);
-        let (mut x, mut deviations) = ([0.0; N], [1.0; N]);
-        x[..3].copy_from_slice(&[depth_mm, trusted.clearance_mm, GIVES[0]]);
-        deviations[..BENCH].copy_from_slice(&[
-            sqrt(variance),
-            d.clearance_mm,
-            GIVES[1],
-            d.turn_rad,
-            one,
-            one,
-            two,
-            two,
-            d.deeper_mm,
-        ]);
-        Ok(Self {
-            trusted: *trusted,
-            shaft: trusted.rod.shaft(),
-            gratings,
-            bench: factor(&d.depth),
-            beam: factor(&d.beam.fixed_resize::<3, 3>(0.0)).fixed_resize(0.0),
-            poses: Poses::new(Posed {
-                time_s,
-                pose: *pose,
-            }),
-            state: State::new(time_s, pose, x, deviations),
-            felt: None,
-            offsets: Offsets::default(),
-            drift: Drift::new(time_s, trusted.per_second_mm2 * 4.0),
-            edge: Edge::default(),
-            tip: Tip::default(),
-            watch: Watch::default(),
-            slips: Slips::default(),
-            used_s: f64::NEG_INFINITY,
-            look: Look::default(),
-            counts: Counts::default(),
-            consistency: Consistency::default(),
-        })
-    }
-
     /// Moves the tool to a pose at a time, and folds in a reading: its stamp on the clock of the steps (s) and nine
     /// wavelengths (nm; three fibres at each of the sections I, II, III). A stamp may lie up to 0.3 s back, and must be
     /// later than the one before. See [`Status`] for what may be refused.
@@ -236,35 +141,4 @@ impl ToolFilter {
     pub fn lags(&self) -> f64 {
         sqrt(self.offsets.lag)
     }
-}
-
-/// Whether a robot can stand so; false for NaN.
-#[inline]
-fn possible(pose: &Rigid) -> bool {
-    let mut possible = true;
-    for x in pose.translation.as_slice() {
-        possible &= x.abs() < FARTHEST_MM;
-    }
-    for x in pose.rotation.as_slice() {
-        possible &= x.abs() < 2.0;
-    }
-    possible
-}
-
-/// Factor `L` of a covariance, with zeros where it is not positive.
-fn factor(c: &Matrix3<f64>) -> Matrix3<f64> {
-    let mut l: Matrix3<f64> = Matrix3::zeros();
-    for i in 0..3 {
-        for j in 0..=i {
-            let left = c[(i, j)] - (0..j).map(|k| l[(i, k)] * l[(j, k)]).sum::<f64>();
-            l[(i, j)] = if i == j {
-                sqrt(left.max(0.0))
-            } else if l[(j, j)] > 0.0 {
-                left / l[(j, j)]
-            } else {
-                0.0
-            };
-        }
-    }
-    l
 }

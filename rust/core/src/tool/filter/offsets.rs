@@ -4,8 +4,8 @@
 //! references creep; in proportion to the bends before, how fibres lag, and so does what bends leave in the means of the
 //! sections beyond what the bench knows of it. Between rests they may be as far off as that.
 
-use super::ToolFilter;
 use super::moments::Moments;
+use super::start::{Offsets, ToolFilter};
 use super::state::{N, OFFSETS};
 
 /// Readings of a rest that are taken as one; by how much more than noise they may vary, and the noise their mean counts
@@ -39,33 +39,6 @@ const LEAST: f64 = 4e-8;
 const MOST: f64 = 1e-2;
 const TELLS_NM2: f64 = 0.01;
 pub(super) const APART_NM: f64 = 1e-3;
-
-/// What was learnt of them.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Offsets {
-    /// Of the present rest: sums of moments and of their squares over their variances, and how many.
-    sums: [f64; 4],
-    squares: f64,
-    count: f64,
-    /// The last rest, and its time, s.
-    rest: [f64; 4],
-    at_s: Option<f64>,
-    /// Squares of changes, nm², and of the times in which they came, s².
-    moved: [f64; 2],
-    waited: [f64; 2],
-    /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
-    pub(super) bent: [f64; 2],
-    pub(super) lag: f64,
-    in_means: f64,
-    at_rest: f64,
-    across: f64,
-    /// What moments say across their force beyond noise, nm², and the bends in which they do, nm².
-    crosses: f64,
-    crossing: f64,
-    /// Warmth now and at the last rest, nm.
-    pub(super) warm: Option<f64>,
-    warm_at_rest: f64,
-}
 
 impl Offsets {
     /// Variance of a grating by which moments pointed apart of late, beyond noise, nm².

@@ -5,8 +5,8 @@
 //! are least squares over what the gratings say: to first order the paper's Eqs. 1 and 2, but no ratio of two noisy numbers,
 //! and a section of which a grating is lost still counts.
 
-use super::ToolFilter;
 use super::moments::Moments;
+use super::start::{Drift, Felt, ToolFilter};
 use super::state::{BENCH, CLEARANCE, DEEPER, FRICTION, GIVES, L, N, OFFSETS, Row, Seen, State};
 use crate::numbers::math::sqrt;
 use crate::tool::status::Status;
@@ -60,26 +60,6 @@ impl Said {
     pub(super) fn far(&self) -> f64 {
         self.off.map_or(0.0, |(mm, seen)| mm * mm / seen.total)
     }
-}
-
-/// The last force that was read.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Felt {
-    pub(super) time_s: f64,
-    pub(super) force: Vector2<f64>,
-    pub(super) noise: f64,
-    pub(super) by_moments: [f64; 2],
-    pub(super) by_depth: f64,
-}
-
-/// Sums of innovations, of one, and of what lasts, over their variances; since when; the process noise to use, mm²/s.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Drift {
-    sum: f64,
-    weight: f64,
-    lasting: f64,
-    since_s: f64,
-    pub(super) per_second: f64,
 }
 
 impl Drift {

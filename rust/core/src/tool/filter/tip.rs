@@ -1,7 +1,7 @@
 //! A second touch, near the tip: section III, which the hole does not bend, measures its force.
 
-use super::ToolFilter;
 use super::moments::{Moments, Shifts};
+use super::start::{Tip, ToolFilter};
 use nalgebra::Vector2;
 
 /// How far off its force is, over the force: nobody says where section III stands.
@@ -18,18 +18,6 @@ const FELT: f64 = 28.0;
 const GONE: f64 = 6.0;
 /// What one rest counts for its zero.
 const RESTED: f64 = 0.2;
-
-/// Force at the tip, tool frame, mN; the variance of a component by noise, and of its zero; what is told of none.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Tip {
-    pub(super) force: Vector2<f64>,
-    variance: f64,
-    of_zero: f64,
-    zero: Vector2<f64>,
-    tells: bool,
-    /// Whether it is one.
-    pub(super) on: bool,
-}
 
 impl Tip {
     /// Takes it off moments at these distances, mm.

@@ -1,6 +1,6 @@
 //! Depth and tip now, and how well they are known together.
 
-use super::ToolFilter;
+use super::start::ToolFilter;
 use super::state::{DEEPER, L, OFFSETS, State, TURN};
 use crate::tool::rod::Bending;
 use crate::tool::status::Told;
