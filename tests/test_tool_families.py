@@ -9,7 +9,7 @@ from second_tool.wide import Wide
 from second_tool.wide_families import FAMILIES, Family, creeping, sticking
 from tool_families import EXPERIMENTS, judged
 
-SHORT_S = 6.0
+SHORT_S = 10.0
 #: At the tip it is the robot's own rows that are wrong.
 _ROBOT = "robot late"
 _LAGS = tuple(name for name in FAMILIES if name.startswith("lags"))

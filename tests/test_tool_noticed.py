@@ -94,7 +94,7 @@ def test_columns_are_held_against_the_drawing(change: Callable[[Table], None], s
 
 def test_exchanged_columns_of_a_run_are_said() -> None:
     """Catches x and y of the robot exchanged, and turns that are their inverse: a tip 7 mm off without a word."""
-    world = replace(CONDITIONS["exact_rod_pivot"], pivot_rad=0.3)
+    world = replace(CONDITIONS["exact_rod_pivot"], pivot_rad=0.8)
     recorded = world.run("vessels", seconds=15.0, seed=1)
     tool, run = tool_of(world, 1), run_of(recorded)
     assert exchanged(estimate(tool, run)) == []

@@ -12,9 +12,9 @@ from .alignment import at_times
 from .filters import Estimate
 from .runs import ToolRun
 
-#: With a mistake undone the tip must come this much nearer to the camera, and no further off than so many of its
-#: deviations.
-_NEARER, _NEAR = 0.33, 4.0
+#: Asked is where the tip stands further from the camera than so many of its deviations; with a mistake undone it must come
+#: this much nearer, and no further off than the others.
+_FAR, _NEARER, _NEAR = 2.5, 0.5, 4.0
 
 
 def _swapped(run: ToolRun) -> ToolRun:
@@ -45,7 +45,7 @@ def exchanged(e: Estimate) -> list[str]:
 
     before = off(e.together.value[:, 1:])
     told: list[str] = []
-    if before < _NEAR * tool.camera_std_mm:
+    if before < _FAR * tool.camera_std_mm:
         return told
     for what, undone in _UNDONE.items():
         again = undone(run)
