@@ -54,7 +54,7 @@ def test_the_filter_is_never_worse_than_the_papers(name: str) -> None:
         for experiment in EXPERIMENTS:
             j = judged(name, seed, experiment)
             depth, tip = j.ratios
-            assert depth < (1.05 if name != "lags 4 %" else 1.3), j
+            assert depth < (1.05 if name != "lags 4 %" else 1.5), j
             assert tip < (1.15 if name == _ROBOT else 1.05 if name not in _LAGS else 2.0), j
             assert j.lost < (0.01 if name != "lags 4 %" else 0.1), j
             if name not in _LAGS:
