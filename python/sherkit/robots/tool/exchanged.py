@@ -12,8 +12,8 @@ from .alignment import at_times
 from .filters import Estimate
 from .runs import ToolRun
 
-#: Asked is where the tip stands further from the camera than so many of its deviations; with a mistake undone it must come
-#: this much nearer, and no further off than the others.
+#: Asked is where the tip stands further from the camera than so many of its deviations; with a mistake undone it must
+#: come this much nearer, and no further off than the others.
 _FAR, _NEARER, _NEAR = 2.5, 0.5, 4.0
 
 
