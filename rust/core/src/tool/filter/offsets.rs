@@ -37,6 +37,7 @@ const WILD: f64 = 16.0;
 /// gratings differs, nm.
 const LEAST: f64 = 4e-8;
 const MOST: f64 = 1e-2;
+const WARMER: f64 = 2e-3;
 const TELLS_NM2: f64 = 0.01;
 pub(super) const APART_NM: f64 = 1e-3;
 
@@ -83,7 +84,9 @@ impl ToolFilter {
         if m.whole[0] && m.whole[1] && both > TELLS_NM2 {
             let apart = (one - two) * (one - two);
             let known = (g.noise + APART_NM * APART_NM) * (2.0 / 3.0) + d.mean * d.mean * both;
-            let told = (3.0 * (apart - known) / both).min(MOST);
+            let told = 3.0 * (apart - known) / both;
+            // more is a section that is warmer
+            let told = if told < WARMER { told } else { 0.0 };
             o.in_means =
                 (o.in_means + (told - o.in_means) * (elapsed_s / MEANS_S).min(1.0)).max(0.0);
         }
