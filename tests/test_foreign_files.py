@@ -105,6 +105,24 @@ def test_a_reading_with_a_unit_in_its_header_is_no_covariate(ours: pl.DataFrame)
         sk.from_frame(ours.rename({"y_mm": "y [um]"}))
 
 
+def test_a_joint_of_one_machine_is_a_reading_of_another() -> None:
+    """Catches a machine whose joints are called as the readings of others' runs that, once it is made, takes every run
+    for its own."""
+    stage = sk.Machine(
+        lambda q, p: q * (1.0 + p.scale), joints=("x_mm", "y_mm"), readings=("u_mm", "v_mm"),
+        parameters={"scale": ("1", 1e-3)}, name="stage_seen",
+    )  # fmt: skip
+    crank = sk.Machine(
+        lambda q, p: (100.0 + p.length) * np.column_stack([np.cos(q), np.sin(q)]),
+        joints=("q_rad",), readings=("x_mm", "y_mm"), parameters={"length": ("mm", 1.0)}, name="crank_seen",
+    )  # fmt: skip
+    place = np.linspace(1.0, 2.0, 12)
+    assert sk.from_frame({"q_rad": place, "x_mm": place, "y_mm": place}).layout == crank.layout
+    assert sk.from_frame({"x_mm": place, "y_mm": place, "u_mm": place, "v_mm": place}).layout == stage.layout
+    names = ("q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm")
+    assert sk.from_frame(dict.fromkeys(names, place)).layout.joints == names[:3]
+
+
 # -- numbers -------------------------------------------------------------------------------------------------
 
 

@@ -24,7 +24,7 @@ def fit_with(values: Any, covariance: Any, effect: Effect = RAIL_LEAN, readings:
     covariance = np.asarray(covariance, dtype=float)
     return SimpleNamespace(
         model=model, data=data, values=np.asarray(values, dtype=float), covariance=covariance,
-        unobserved_covariance=np.zeros_like(covariance),
+        unobserved_covariance=np.zeros_like(covariance), priors=False,
     )  # fmt: skip
 
 

@@ -193,6 +193,7 @@ def test_derivatives_of_the_whole_chain_against_differences(name: str, seed: int
     joints = rng.uniform(*machine.box.T, (6, len(machine.box)))
     known = {"time_s": 60.0 * np.arange(6.0), "temperature_c": 20 + rng.normal(size=6)}
     known |= {f"direction_{k + 1}": rng.choice([-1.0, 1.0], 6) for k in range(joints.shape[1])}
+    known |= {name: rng.normal(size=6) for name in machine.layout.velocities}
     rows = sk.Measurements.planned(joints, machine.layout, **known)
     sizes = np.array([p.size for p in model.parameters])
     values = 0.3 * sizes * rng.normal(size=len(sizes))

@@ -183,7 +183,7 @@ def test_switches_move_the_pictures(demo: Path) -> None:
     robot, data = sk.load_robot(demo / "demo/robot.toml"), sk.read_measurements(demo / "demo/whole.csv")
     fits = {
         "+ beam_alignment": sk.identify(
-            sk.delta.DeltaModel(robot, effects=effects_by_name(CATALOGUE, ("beam_alignment",))), data
+            sk.delta.DeltaModel(robot, effects=effects_by_name(CATALOGUE, ("beam_alignment",))), data, priors=False
         ),
         "geometry calibrated": sk.identify(sk.delta.DeltaModel(robot), data),
     }

@@ -10,8 +10,10 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
 import sherkit as sk
@@ -21,7 +23,8 @@ from sherkit.app.sandbox import Cancelled, Sandbox
 from sherkit.app.shown import _card
 from sherkit.app.workbench import Workbench
 from sherkit.cli.demo import EXAMPLE
-from sherkit.errors import EffectError
+from sherkit.errors import EffectError, FitError
+from sherkit.model.kinds import model_of
 from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
 
@@ -87,6 +90,31 @@ def test_effects_apart_give_what_they_give_here(bench: Workbench) -> None:
     made.end()
     np.testing.assert_allclose(study.fit.values, here.fit.values, rtol=1e-9, atol=1e-12)
     assert study.history[-1].error.rms == pytest.approx(here.history[-1].error.rms, rel=1e-9)
+
+
+def test_out_of_reach_no_effect_is_at_fault(tmp_path: Path) -> None:
+    """Catches an effect that looks at where the robot is, refused as "not finite" where a step of the fit leaves what
+    can be reached, here and apart, and where a row is marked since nothing reaches it."""
+    virtual = VirtualDelta.draw(EXAMPLE, 6, rail_lean_rad=8e-3, noise_mm=0.005)
+    data = virtual.measure(grid(20.0, 4, (-18.0, 0.0, 18.0)), repeats=2, seed=1)
+    made = Sandbox(lines(), lambda: None)
+    model = model_of(EXAMPLE).with_effect(made.effects[0])
+    far = model.start(data)
+    far[[p.name for p in model.parameters].index("rod_length_1")] = -100.0
+    try:
+        for what in (model.predict, model.derivatives):
+            with pytest.raises(FitError, match="cannot reach"):
+                what(data, far)
+    finally:
+        made.end()
+
+    away = data.to_frame().with_columns(outlier=pl.Series(np.arange(len(data)) == 3))
+    away[3, "q1_mm"] = 1e4
+    here: dict[str, Any] = {}
+    exec(lines(), here)
+    fit = sk.identify(EXAMPLE, sk.from_frame(away), effects=[here["ramp"], "rail_lean"])
+    assert fit.converged
+    assert np.isfinite(fit.values).all()
 
 
 #: Lines that misbehave in the effect or before it, with what is said of them.

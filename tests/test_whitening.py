@@ -83,8 +83,6 @@ def test_targets_that_are_read_in_turn_follow_their_own_in_time() -> None:
         own = which == target
         alone = Whitening(rho, lag[own])(rows[own])
         np.testing.assert_allclose(filtered(rows)[own], alone, atol=1e-14)
-    blocks = [filtered.on(lambda part: rows[part], part) for part in (slice(0, 8), slice(8, 9), slice(9, len(rows)))]
-    np.testing.assert_array_equal(np.concatenate(blocks), filtered(rows))
     shared = np.repeat(rng.normal(size=(visits, 2)), 3, axis=0) + 0.2 * rng.normal(size=(3 * visits, 2))
     _, back = one_after_another(np.arange(3 * visits), np.arange(3 * visits) % 3, np.arange(3 * visits))
     nothing = np.zeros((6 * visits, 0))

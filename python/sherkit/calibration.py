@@ -60,7 +60,7 @@ def calibrate(
     free: Sequence[str] = (),
     effects: Sequence[str | Effect] = (),
     loss: str = "linear",
-    priors: bool = False,
+    priors: bool | None = None,
     linear: bool = False,
     correction: str = "auto",
     with_outliers: bool = False,

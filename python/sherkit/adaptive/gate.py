@@ -49,7 +49,9 @@ def silence(data: Measurements, axes: Sequence[int], unknown: int, predicted: Fl
     if not rows.any():
         return Silent("none of its rows is used", "measure it again")
     joints = data.joints[rows]
-    if still(joints).all():
+    # of a machine without joints each row is a moment of its own
+    moves = joints.shape[1] > 0
+    if moves and still(joints).all():
         one = data.pose is not None and len(np.unique(data.pose[rows])) == 1
         what = f"all of its {len(joints)} rows are at one place" if one else "its encoders do not move"
         return Silent(what, "measure at a dozen places or more, over the whole workspace, with the joints read at each")
@@ -59,7 +61,7 @@ def silence(data: Measurements, axes: Sequence[int], unknown: int, predicted: Fl
         why = f"its {listed(stuck)} {verb} not change while the joints move"
         return Silent(why, "look at the sensor, and measure again")
     grid = _SAME * np.maximum(np.ptp(joints, axis=0), 1e-300)
-    places = len(np.unique(np.round((joints - joints.min(axis=0)) / grid), axis=0))
+    places = len(np.unique(np.round((joints - joints.min(axis=0)) / grid), axis=0)) if moves else len(joints)
     if places * len(axes) <= unknown:
         return Silent(
             f"its {len(joints)} rows are at {places} place{'s' if places > 1 else ''}, which cannot tell {unknown} "

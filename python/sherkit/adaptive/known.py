@@ -102,7 +102,7 @@ def run_at(fit: Fit, sigma: Floats) -> Run:
     """All rows of a fit over the noise ``sigma`` (columns,), in their order."""
     of, rows = FittedRun(fit), np.arange(len(fit.data))
     view = of.linearised(rows, of.catalogue, sigma[list(of.axes)])
-    return Run(of, rows, sigma, view, Whitening(0.0, np.ones(len(rows), dtype=np.int64)))
+    return Run(of, rows, sigma, view, Whitening.none(len(rows)))
 
 
 def _taken(rows: Measurements, axes: tuple[int, ...]) -> Bools:

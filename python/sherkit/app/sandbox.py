@@ -219,7 +219,7 @@ class _Process:
             raise self._gone() from None
 
     def _answer(self, rows: Rows | None = None) -> Any:
-        begun = self._clock_s()
+        begun, refused = self._clock_s(), None
         while True:
             try:
                 if not self._line.poll(_LOOK_S):
@@ -233,9 +233,14 @@ class _Process:
             if kind == "ready":  # what Python needs to begin is not the lines' own
                 begun = self._clock_s()
             elif kind == "position" and rows is not None:
-                self._send(_position(rows))
+                try:
+                    self._send(("position", rows.position))
+                except SherkitError as error:
+                    # out of reach it is no fault of the lines: a fit takes a smaller step
+                    refused = error
+                    self._send(("failed", str(error)))
             elif kind == "failed":
-                raise EffectError(value)
+                raise refused or EffectError(value)
             else:
                 return value
 
@@ -259,13 +264,6 @@ class _Process:
         self._process.kill()
         self._process.join()
         self._line.close()
-
-
-def _position(rows: Rows) -> tuple[str, Any]:
-    try:
-        return "position", rows.position
-    except SherkitError as error:
-        return "failed", str(error)
 
 
 # -- in the process ----------------------------------------------------------------------------------------------

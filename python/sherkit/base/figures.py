@@ -6,6 +6,8 @@ import math
 
 #: Digits after the point beyond which a figure is written with a power of ten.
 _MOST_DECIMALS = 7
+#: What two decimals would not show.
+_SMALL = 0.095
 
 
 def in_people_units(unit: str) -> tuple[str, float]:
@@ -23,11 +25,34 @@ def in_names(unit: str) -> str:
     return unit.replace("µ", "u")
 
 
+#: Where a quantity is read in a smaller unit: by its own, and how many make one.
+_SMALLER = {"mm": ("µm", 1e3), "m": ("µm", 1e6), "um": ("µm", 1.0), "rad": ("mrad", 1e3), "deg": ("mdeg", 1e3)}
+#: Plausible sizes beyond which a deviation says that the readings say nothing, and the same of whatever unit.
+_UNSEEN_SIZES, _UNSEEN = 100.0, 1e9
+#: Beyond this a figure is what an unobserved direction leaves of arithmetic.
+_MEANT = 1e30
+#: What stands in the place of a value of which the readings say nothing.
+NOT_OBSERVED = "not observed by these readings"
+
+
+def in_small_units(unit: str) -> tuple[str, float]:
+    """The unit in which people read errors of a quantity of ``unit``, and how many of these make one of it."""
+    return _SMALLER.get(unit, (unit, 1.0))
+
+
+def is_observed(value: float, std: float, size: float = math.inf) -> bool:
+    """Whether readings say anything of a value with this deviation, which has this plausible ``size``."""
+    return math.isfinite(std) and std <= min(_UNSEEN_SIZES * size, _UNSEEN * max(abs(value), 1.0))
+
+
 def with_error(value: float, std: float, *others: float) -> tuple[str, ...]:
-    """A value and its standard deviation, rounded to two figures of that; ``others`` to the same place.
+    """A value and its standard deviation, rounded to two figures of that; ``others`` to the same place. What the
+    readings say nothing of has words in its place.
 
     Source: JCGM 100:2008 (GUM), 7.2.6.
     """
+    if math.isfinite(std) and not is_observed(value, std):
+        return "not observed", "–", *(f"{v:.3g}" if is_observed(0.0, v) else "–" for v in others)
     if not (math.isfinite(value) and math.isfinite(std) and std > 0):
         return tuple(f"{v:.3g}" for v in (value, std, *others))
     decimals = 1 - math.floor(math.log10(float(f"{std:.1e}")))
@@ -38,8 +63,11 @@ def with_error(value: float, std: float, *others: float) -> tuple[str, ...]:
     return tuple(f"{round(v, decimals) + 0.0:.{shown}f}" for v in (value, std, *others))
 
 
-def stated(value: float, std: float, unit: str) -> str:
-    """``value ± std unit`` in the unit in which people read it."""
+def stated(value: float, std: float, unit: str, size: float = math.inf) -> str:
+    """``value ± std unit`` in the unit in which people read it; that it is not observed, where the readings say nothing
+    of a quantity of this plausible ``size``."""
+    if not (math.isnan(std) or is_observed(value, std, size)):
+        return NOT_OBSERVED
     shown, factor = in_people_units(unit)
     number, error = with_error(factor * value, factor * std)
     return f"{number} ± {error}{_behind(shown)}"
@@ -57,13 +85,15 @@ def _behind(unit: str) -> str:
 
 
 def number(value: float) -> str:
-    """A size with about three figures, the last one meant."""
+    """A size with about three figures, the last one meant; two of one that is small."""
     if not math.isfinite(value):
         return "–"
     size = abs(value)
+    if 0.0 < size < _SMALL:
+        return f"{value:.2g}"
     return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 10 else f"{value:.2f}"
 
 
 def finite(value: float) -> float | None:
-    """A figure as JSON holds it: none where it is not finite."""
-    return value if math.isfinite(value) else None
+    """A figure as JSON holds it: none where it is not finite, or so large that nothing was meant by it."""
+    return value if abs(value) < _MEANT else None

@@ -14,6 +14,7 @@ from ..base.arguments import as_annotated
 from ..base.figures import finite
 from ..base.notebook import Shown
 from ..data import Measurements
+from ..data.columns import bare, unit_in
 from ..data.reader import RunLike
 from ..errors import FitError
 from ..evidence.base import Base
@@ -34,6 +35,10 @@ QUIET = np.log(20.0)
 _FEWEST = 12
 #: Poses that are proposed, of how many.
 _POSES, _CANDIDATES = 8, 200
+
+
+#: Deviations by which a number moved; medians by which a zero surely did, and how constant a column is that is one.
+_MOVED, _SURELY, _CONSTANT = 2.0, 10.0, 1e-9
 
 
 @dataclass(frozen=True)
@@ -180,6 +185,11 @@ def concluded(pool: Pool) -> Comparison:
     poses = next_poses(joined, ties) if len(ties) > 1 else ()
     error = {"before": float(before.rms), "after": after, "needed": pool.needed}
     called = [_called(one, number) for one, number in zip(data, pool.numbers, strict=True)]
+    if verdict == "unchanged":
+        to_do = _zeros_moved(joined) or [unchanged_advice(float(before.rms), pool.needed, before.unit)]
+    else:
+        what = _advice(verdict, named, tied, bool(poses), lead.run.of.left if lead else 1.0)
+        to_do = [*differing(data, called), _doubt(large) + what]
     return Comparison(
         verdict=verdict,
         changed=tuple(sorted(named)),
@@ -192,20 +202,52 @@ def concluded(pool: Pool) -> Comparison:
         evidence=made.evidence / float(np.log(10.0)),
         ranked=tuple((" & ".join(one.names), one.value / float(np.log(10.0))) for one in sets.every[:5]),
         where=_where(made.base) if names else "",
-        advice="; ".join(
-            [
-                unchanged_advice(float(before.rms), pool.needed, before.unit)
-                if verdict == "unchanged"
-                else _doubt(large) + _advice(verdict, named, tied, bool(poses), lead.run.of.left if lead else 1.0),
-                *pool.to_measure,
-            ]
-        ),
+        advice="; ".join([*to_do, *pool.to_measure]),
         smallest_found=pool.smallest if verdict == "unchanged" else None,
         unseen=pool.unseen if verdict == "unchanged" else (),
         silent={name: str(one) for name, one in pool.silent.items()},
         aside={name: len(joined.runs[k].aside) + int(data[k].outlier.sum()) for k, name in enumerate(called)},
         joined=joined,
     )
+
+
+def _zeros_moved(joined: Joined) -> list[str]:
+    """Readings that are off by a constant since the first run, where the model has a parameter that is no other."""
+    out = []
+    for run in joined.runs[1:]:
+        columns = joined.model.derivatives(run.data, joined.fit.values)[:, list(joined.axes)]
+        for a, reading in enumerate(run.data.layout.readings[k] for k in joined.axes):
+            off = run.stand.moved.get(f"zero_{bare(reading)}_{unit_in(reading)}")
+            noise = float(np.median(np.abs(run.stand.residual[:, a]))) / np.sqrt(len(run.data))
+            if off is None or abs(off) < _SURELY * noise:
+                continue
+            most = np.abs(columns[:, a]).max(axis=0)
+            elsewhere = np.abs(np.delete(columns, a, axis=1)).max(axis=(0, 1), initial=0.0)
+            alike = (most > 0) & (np.maximum(np.ptp(columns[:, a], axis=0), elsewhere) <= _CONSTANT * most)
+            names = [p.name for p, one in zip(joined.fit.parameters, alike, strict=True) if one]
+            if names:
+                out.append(
+                    f"{reading} is off by {off:.4g} {unit_in(reading)} throughout: either its instrument was set anew, "
+                    f"or {' or '.join(names)} changed; these runs cannot tell which, and one of the two is to be set"
+                )
+    return out
+
+
+def differing(data: Sequence[Measurements], called: Sequence[str]) -> list[str]:
+    """Columns of the runs that were never in one what they were in another: what follows them may be all the change."""
+    out = []
+    for name, first in data[0].covariates.items():
+        if name in data[0].layout.velocities or name in data[0].layout.apart:
+            continue
+        for one, then in zip(data[1:], called[1:], strict=True):
+            values = one.covariates.get(name)
+            if values is None or (first.min() <= values.max() and values.min() <= first.max()):
+                continue
+            out.append(
+                f"{name} is {np.mean(first):.4g} in {called[0]} and {np.mean(values):.4g} in {then}: what follows it "
+                "shows as a change; compare runs in which it is the same, or diagnose both in one run"
+            )
+    return out
 
 
 def _nothing_said(pool: Pool) -> Comparison:
@@ -233,12 +275,19 @@ def verdict_of(made: Courses, names: Names | None) -> str:
 
 
 def estimated(about: About, names: Sequence[str]) -> tuple[Moved, ...]:
-    """The changes of these names with their deviations."""
-    return tuple(
-        Moved(p.name, value, std, p.unit, int(np.flatnonzero(factors)[0]))
-        for (effect, factors), told in zip(about.changes, about.told, strict=True) if effect.name in names
-        for p, value, std in told
-    )  # fmt: skip
+    """The changes of these names with their deviations: of each the numbers that moved, the surest where none did."""
+    out: list[Moved] = []
+    for (effect, factors), told in zip(about.changes, about.told, strict=True):
+        if effect.name in names:
+            since = int(np.flatnonzero(factors)[0])
+            surest = max(abs(value) / max(std, 1e-300) for _, value, std in told)
+            least = min(_MOVED, surest)
+            out += [
+                Moved(p.name, value, std, p.unit, since)
+                for p, value, std in told
+                if abs(value) / max(std, 1e-300) >= least
+            ]
+    return tuple(out)
 
 
 def _is_large(joined: Joined, names: Sequence[str], one: Moved) -> bool:

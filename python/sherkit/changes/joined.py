@@ -55,8 +55,8 @@ class About:
     free: Floats
     residual: Floats
 
-    #: Of where the sensor stands nothing is among them.
-    free_of_pose = ()
+    #: Of where the sensor stands, and of where targets sit, nothing is among them.
+    free_of_pose = targets_anywhere = ()
 
     @property
     def fit(self) -> Any:

@@ -316,7 +316,7 @@ def _evidence(
     unknown[len(rows) + at // m, at % m, at] = 1.0
     run = rows_as_run(
         over(stand.residual), np.concatenate([unknown, over(stand.columns)], axis=2),
-        [(e, over(columns[e.name])) for e in candidates], Whitening(0.0, np.ones(len(rows) + beyond, dtype=np.int64)),
+        [(e, over(columns[e.name])) for e in candidates], Whitening.none(len(rows) + beyond),
     )  # fmt: skip
     made = Maker(run, Visits.of(run))
     blocks_of_effects(made)

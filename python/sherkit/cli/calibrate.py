@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import reduce
 from pathlib import Path
 
 import click
 import numpy as np
 from rich.table import Table
 
-from ..base.figures import in_people_units, number, with_error
+from ..base.figures import in_people_units, in_small_units, number, with_error
 from ..base.names import listed
 from ..calibration import CORRECTIONS, Result, to_json
 from ..calibration import calibrate as run_calibration
 from ..data import Measurements
+from ..data.columns import unit_in
+from ..data.stream import joined
 from ..errors import MeasurementError, SherkitError
 from ..fit.least_squares import LOSSES
 from ..model.effect import effects_by_name, load_effects
-from ..model.kinds import catalogue_of, required_um
+from ..model.kinds import catalogue_of, model_of, required_um
 from ..model.robot_file import run_for
+from ..model.thermometers import thermometers_of
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..robots.delta import paper
@@ -27,7 +31,7 @@ from ..study import Study
 from . import output
 from .file_kinds import CALIBRATION, TOOL
 from .machine_file import own_way_of
-from .output import out, report_option, table
+from .output import columns_option, out, report_option, table
 from .paths import InputFile, OutputFile, require_kind
 
 NOT_CONVERGED = 3
@@ -35,7 +39,7 @@ NOT_CONVERGED = 3
 
 @click.command()
 @click.argument("robot", type=InputFile())
-@click.argument("run", type=InputFile())
+@click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN [MORE]...")
 @click.option("--local", type=InputFile(), help="A second run inside the region of interest.")
 @click.option("-o", "--output", "destination", type=OutputFile(CALIBRATION, TOOL), help="Write the calibration here.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
@@ -43,16 +47,22 @@ NOT_CONVERGED = 3
 @click.option("--free", default="", help="Parameters to identify, separated by commas; default: those of its kind.")
 @click.option("--effect", "added", multiple=True, help="A physical effect to identify too; see sherkit effects.")
 @click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")
-@click.option("--priors", is_flag=True, help="Take plausible sizes as knowledge, not only where nothing is observed.")
+@click.option(
+    "--priors/--no-priors",
+    default=None,
+    help="Take the drawing, with plausible sizes, as one more measurement: always, or never. Left out: where the "
+    "readings alone would leave something less sure than the drawing does.",
+)
 @click.option("--linear", is_flag=True, help="The paper's single linear step instead of the nonlinear minimum.")
 @click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
 @click.option("--exclude", default="", help="Lines of RUN to leave out as outliers, separated by commas.")
 @click.option("--with-outliers", is_flag=True, help="Use the rows that a diagnosis leaves out as gross errors too.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of random splits.")
 @report_option
+@columns_option
 def calibrate(
     robot: Path,
-    run: Path,
+    runs: tuple[Path, ...],
     local: Path | None,
     destination: Path | None,
     as_json: bool,
@@ -60,7 +70,7 @@ def calibrate(
     free: str,
     added: tuple[str, ...],
     files: tuple[Path, ...],
-    priors: bool,
+    priors: bool | None,
     linear: bool,
     correction: str,
     exclude: str,
@@ -68,11 +78,15 @@ def calibrate(
     seed: int,
     report: Path | None,
 ) -> int:
-    """Identify ROBOT (TOML) from the measurements RUN (CSV or Parquet), or a flexible tool from known loads.
+    """Identify ROBOT (TOML) from the measurements RUN (CSV or Parquet), joined with MORE measured later; or a flexible
+    tool from known loads.
 
     ROBOT may be the Python file of a machine, which is run.
     """
+    run, *more = runs
     if (own_way := own_way_of(robot, "calibrate")) is not None:
+        if more:
+            raise SherkitError(f"{more[0]}: known loads of a tool are one table, {run}")
         own_way(run, destination)
         return 0
     if destination is not None:
@@ -83,10 +97,11 @@ def calibrate(
     own = [e for path in files for e in load_effects(path)]
     with output.steps(7) as step:
         step(f"reading {run}")
-        data = _without(run_for(for_runs, run), exclude)
+        first = _without(run_for(for_runs, run), exclude)
+        data = reduce(joined, (run_for(for_runs, one) for one in more), first)
         inner = run_for(for_runs, local) if local else None
         names = [name.strip() for name in free.split(",") if name.strip()]
-        chosen = effects_by_name(catalogue_of(nominal), added, own)
+        chosen = effects_by_name(catalogue_of(nominal), added, [*own, *thermometers_of(model_of(nominal), data)])
         result = run_calibration(
             nominal,
             data,
@@ -112,7 +127,7 @@ def calibrate(
                 study.add(name)
             found = study.diagnose(step=step)
             step("writing the report")
-            sources = [robot, run, *([local] if local else []), *files]
+            sources = [robot, *runs, *([local] if local else []), *files]
             title = f"Calibration of {robot.stem} from {run.name}"
             output.write_report(report, title, study, found, sources, calibration=result.calibration, result=result)
     if as_json:
@@ -247,15 +262,20 @@ _NOISE = {
 }
 
 
+def _sized(value: float, unit: str) -> str:
+    return f"{value:.1f}" if unit == "µm" else f"{value:.3g}"
+
+
 def print_accuracy(calibration: Calibration) -> None:
     """Predicted accuracy at the centre and at the rims, against what the robot is for: what the poses show, what could
     hide between them, and what to measure against that."""
     needed = required_um(calibration.robot)
+    unit, factor = in_small_units(unit_in(calibration.coordinates[0]))
     made = table(
         f"Predicted accuracy{f' (needed: {needed:g} µm)' if needed else ''}",
         "at",
         *(name.rpartition("_")[0] + ", " + name.rpartition("_")[2] for name in calibration.coordinates),
-        "accuracy, µm",
+        f"accuracy, {unit}",
         "of it unseen",
         "repeatability",
         "one reading",
@@ -272,7 +292,7 @@ def print_accuracy(calibration: Calibration) -> None:
             note = "" if calibration.measured(place) else "extrapolated: no pose was measured there"
             scatter = calibration.repeatability(place)
             sizes = (predicted.total_mm, predicted.addition_mm, scatter, predicted.visit_mm)
-            made.add_row(name, *cells, *("unknown" if np.isnan(v) else f"{1e3 * v:.1f}" for v in sizes), note)
+            made.add_row(name, *cells, *("unknown" if np.isnan(v) else _sized(factor * v, unit) for v in sizes), note)
             if predicted.matters:
                 narrowing[predicted.effect] = predicted.advice
         except SherkitError as error:  # the rim may be beyond reach: say so in the table

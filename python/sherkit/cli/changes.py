@@ -17,6 +17,7 @@ from ..changes import Comparison, History, Verification
 from ..changes import compare as compare_runs
 from ..changes import history as history_of
 from ..changes import verify as verify_run
+from ..data.head import names_given
 from ..errors import SherkitError
 from ..fleets import FEWEST, Fleet, fleet
 from ..model.effect import load_effects
@@ -24,7 +25,7 @@ from ..model.kinds import Robot
 from ..robots.machine import robot_at
 from . import output
 from .file_kinds import PAGE
-from .output import out, table
+from .output import columns_option, out, table
 from .paths import InputFile, OutputFile
 
 Told = TypeVar("Told", Comparison, History)
@@ -41,6 +42,7 @@ INVALID = 3
               "that a diagnosis of BEFORE names.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option("--report", type=OutputFile(PAGE), help="Write a page with before and after beside each other.")
+@columns_option
 def compare(
     robot: Path, before: Path, after: tuple[Path, ...], added: tuple[str, ...], as_json: bool, report: Path | None
 ) -> None:
@@ -126,6 +128,7 @@ def _say_silent(silent: Mapping[str, str]) -> None:
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model of all runs.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
 @click.option("--report", type=OutputFile(PAGE), help="Write a page with the course of what has changed.")
+@columns_option
 def history(
     robot: Path, runs: tuple[Path, ...], dates: str, added: tuple[str, ...], as_json: bool, report: Path | None
 ) -> None:
@@ -160,6 +163,7 @@ def _say_course(found: History) -> None:
 @click.argument("run", type=InputFile())
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of sentences.")
 @click.option("--fail-if-invalid", is_flag=True, help=f"End with the exit code {INVALID} where it no longer holds.")
+@columns_option
 @click.pass_context
 def verify(ctx: click.Context, calibration: Path, run: Path, as_json: bool, fail_if_invalid: bool) -> None:
     """Say whether CALIBRATION (TOML) still holds, by the measurements RUN: a dozen poses, as plan --verify lists."""
@@ -197,6 +201,7 @@ def _say_verified(found: Verification) -> None:
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of each test.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Rules folds and flips.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+@columns_option
 def fleet_command(
     runs: tuple[Path | str, ...], robot: Path, added: tuple[str, ...], files: tuple[Path, ...], workers: int | None,
     level: float, seed: int, as_json: bool,
@@ -215,7 +220,7 @@ def fleet_command(
         def told(done: int, total: int) -> None:
             step(f"{done} of {total} machines")
 
-        if count == 1:
+        if count == 1 or names_given():  # other processes do not know them
             found = fleet(paths, robot, effects=added, own=own, level=level, seed=seed, progress=told)
         else:
             with processes(count) as pool:

@@ -17,7 +17,8 @@ from ..model.robot_file import columns_of
 from ..robots.machine import is_machine, robot_at
 from . import output
 from .file_kinds import TABLE
-from .output import out, table
+from .next_command import completed
+from .output import columns_option, out, table
 from .paths import InputFile, OutputFile
 
 
@@ -27,6 +28,7 @@ from .paths import InputFile, OutputFile
 @click.option("--write", "destination", type=OutputFile(TABLE), metavar="CLEAN.CSV",
               help="Write the rows, all mended, under the names and in the units that sherkit reads.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of tables.")
+@columns_option
 def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool) -> None:
     """List all that is wrong with the file RUN, with its lines and cures, and what its columns could be.
 
@@ -89,15 +91,16 @@ def _next(found: FileCheck, robot: Path | None, written: Path | None) -> None:
     machine = shlex.quote(str(robot)) if robot is not None else "ROBOT"
     if written is not None:
         output.say(f"{written}: {len(found.data or ())} rows, none lost")
+        # what was written has names of its own
         out.print(f"Next:\n     sherkit diagnose {machine} {shlex.quote(str(written))}", soft_wrap=True, markup=False)
     elif found.is_good:
-        run = shlex.quote(found.source)
-        out.print(f"Next:\n     sherkit diagnose {machine} {run}", soft_wrap=True, markup=False)
+        asked = completed(f"sherkit diagnose {machine} {shlex.quote(found.source)}")
+        out.print(f"Next:\n     {asked}", soft_wrap=True, markup=False)
     elif found.is_mended:
         if found.unsaid and not found.wrong:
             out.print("The names can stay: write at the beginning of the robot file")
             out.print(f"     {in_toml(found.unsaid)}", soft_wrap=True, markup=False)
         asked = f"sherkit check {shlex.quote(found.source)} {'' if robot is None else machine + ' '}--write clean.csv"
-        out.print(f"All of it can be mended:\n     {asked}", soft_wrap=True, markup=False)
+        out.print(f"All of it can be mended:\n     {completed(asked)}", soft_wrap=True, markup=False)
     else:
         out.print("What is to be done by hand comes first; then ask again.")

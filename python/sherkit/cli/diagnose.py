@@ -20,10 +20,12 @@ from ..diagnosis.findings import figure, p_value, plausibility
 from ..diagnosis.next_poses import SEPARATION
 from ..fit.identify import identify
 from ..model.effect import effects_by_name, load_effects
+from ..model.thermometers import thermometers_of
 from . import output
 from .file_kinds import TEMPLATE, TOOL
 from .machine_file import machine_at
-from .output import out, report_option, table
+from .next_command import completed, in_json
+from .output import columns_option, out, report_option, table
 from .paths import InputFile, OutputFile
 
 
@@ -34,15 +36,17 @@ from .paths import InputFile, OutputFile
 @click.option("--checks", "every_check", is_flag=True, help="List everything that was checked, not only what fails.")
 @click.option("--effects", "files", type=InputFile(), multiple=True, help="Python file of your effects.")
 @click.option("--effect", "added", multiple=True, help="An effect that is in the model already.")
+@click.option("--free", default="", help="Parameters to identify, separated by commas; default: those of its kind.")
 @click.option("-o", "--output", "written", type=OutputFile(TOOL),
               help="Of a flexible tool: write it with the effects of --effect and those that were named.")  # fmt: skip
 @click.option("--template", "destination", type=OutputFile(TEMPLATE), help="Write an effect of the shape found.")
 @click.option("--level", type=click.FloatRange(0.0005, 0.2), default=0.01, show_default=True, help="Of the test.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of random splits.")
 @report_option
+@columns_option
 def diagnose(
     robot: Path, runs: tuple[Path, ...], as_json: bool, every_check: bool, files: tuple[Path, ...],
-    added: tuple[str, ...], written: Path | None, destination: Path | None, level: float, seed: int,
+    added: tuple[str, ...], free: str, written: Path | None, destination: Path | None, level: float, seed: int,
     report: Path | None,
 ) -> None:  # fmt: skip
     """Say what ROBOT (TOML) is missing on the measurements RUN (CSV or Parquet), joined with MORE measured later.
@@ -57,8 +61,10 @@ def diagnose(
     with output.steps(12) as step:
         step(f"reading {runs[0]}")
         model, data = machine.read(runs)
+        every = (*own, *thermometers_of(model, data))
         step("identifying the model as it is")
-        fit = identify(model, data, effects=effects_by_name(model.known_effects, added, own))
+        freed = [name.strip() for name in free.split(",") if name.strip()]
+        fit = identify(model, data, free=freed, effects=effects_by_name(model.known_effects, added, every))
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
         if report is not None:
             step("writing the report")
@@ -66,7 +72,7 @@ def diagnose(
             machine.report(report, title, found, own=own, added=added, seed=seed, sources=(robot, *runs, *files))
     said = [] if written is None else machine.write(written, found)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(in_json(found.to_json(), shlex.join(map(str, machine.told(runs)))))
     else:
         print_diagnosis(found, *machine.told(runs), every_check=every_check)
         if said:
@@ -101,7 +107,7 @@ _WIDE = 105
 
 
 def _long(d: Diagnosis, value: float) -> str:
-    return f"{value:.2f}" if d.unit == "µm" else f"{value:.4g}"
+    return f"{value:.2f}" if d.unit == "µm" and not 0 < abs(value) < 0.01 else f"{value:.4g}"
 
 
 def _with_unit(column: str) -> str:
@@ -156,7 +162,7 @@ def _say(findings: Iterable[Finding], files: str = FILES) -> None:
         out.print(Padding(said, (0, 0, 0, 3), expand=False))
         if one.command:
             # a line of its own, which is copied as one however wide the screen is
-            out.print(Text(f"     {one.command.replace(FILES, files)}"), soft_wrap=True)
+            out.print(Text(f"     {completed(one.command, files)}"), soft_wrap=True)
 
 
 def _checks(checks: Sequence[Check]) -> Table:

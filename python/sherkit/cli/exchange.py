@@ -1,29 +1,23 @@
-"""``sherkit import`` and ``export``: files of other programs into sherkit's, and out of them."""
+"""``sherkit import``: files of other programs into sherkit's."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from ..base.extensions import IMPORTERS
 from ..data import Measurements, from_bluesky, from_rosbag
-from ..data.files import write_whole
-from ..errors import MeasurementError, RobotError, SherkitError
+from ..errors import MeasurementError, RobotError
 from ..model.robot_file import load_robot, save_robot
-from ..robots.c_header import calibration_header
-from ..robots.calibrated import Calibration, load_calibration
 from ..robots.printer import import_duet, import_klipper, import_marlin
-from ..robots.printer.calibration import PrinterCalibration, commands, held, klipper_config
-from ..robots.printer.robot import FIRMWARES, Found
+from ..robots.printer.robot import Found
 from ..robots.serial import Serial, points_of_poses
 from ..robots.serial.imported import CONVENTIONS, import_dh, import_urdf
 from . import output
-from .file_kinds import COMMANDS, HEADER, KLIPPER, ROBOT, TABLE
+from .file_kinds import ROBOT, TABLE
 from .groups import OpenGroup
-from .machine_file import own_way_of
-from .paths import InputFile, OutputFile, OutputFolder, require_kind
+from .paths import InputFile, OutputFile, OutputFolder
 from .printer import turned
 
 
@@ -106,6 +100,7 @@ def urdf(urdf: Path, base: str | None, tip: str | None, destination: Path) -> No
 @import_group.command("dh")
 @click.argument("table", type=InputFile())
 @click.option("--convention", type=click.Choice(CONVENTIONS), default=CONVENTIONS[0], show_default=True)
+@output.columns_option
 @_ROBOT_FILE
 def dh(table: Path, convention: str, destination: Path) -> None:
     """An arm: a CSV table of Denavit-Hartenberg or Hayati parameters (d_mm, a_mm, alpha_deg …), as a robot.toml."""
@@ -124,6 +119,7 @@ def _write_arm(robot: Serial, destination: Path) -> None:
 @click.argument("robot", type=InputFile())
 @click.argument("run", type=InputFile())
 @click.option("--lever-mm", type=float, default=100.0, show_default=True, help="How far two more points lie off.")
+@output.columns_option
 @_FOLDER
 def poses(robot: Path, run: Path, lever_mm: float, folder: Path) -> None:
     """An arm's full poses (x_mm … and rx_rad …, rx_deg … or qx …), as the places of three points of its tool."""
@@ -198,74 +194,3 @@ def _write_run(run: Measurements, destination: Path) -> None:
     layout = run.layout
     read = [name for name, taken in zip(layout.readings, run.taken.T, strict=True) if taken.any()]
     output.say(f"{destination}: {len(run)} rows of {', '.join((*layout.joints, *read))}")
-
-
-# -- Out of sherkit ---------------------------------------------------------------------------------------------------
-
-
-@click.command()
-@click.argument(
-    "what",
-    type=InputFile(words="|".join(("c", *FIRMWARES))),
-    nargs=-1,
-    required=True,
-    metavar="RUN_FILE | c CALIBRATION | c TOOL | FIRMWARE CALIBRATION",
-)
-@click.option("-o", "--output", "destination", type=OutputFile(TABLE, HEADER, KLIPPER, COMMANDS), required=True,
-              help="CSV or Parquet of a run; a C header; what a printer's firmware takes.")  # fmt: skip
-@click.option("--config", type=InputFile(), help="The printer.cfg to write the numbers into (Klipper).")
-def export(what: tuple[str | Path, ...], destination: Path, config: Path | None) -> None:
-    """Write the rows of RUN_FILE as CSV or Parquet, also while it is being measured; with c, a calibrated robot or a
-    flexible TOOL as a C header for the control loop; with klipper, reprapfirmware or marlin, a printer's CALIBRATION
-    for its firmware."""
-    if len(what) == 1:
-        # only what reads a run's file needs SQLite
-        from ..lab.experiment import export_run
-
-        require_kind(destination, "--output", (TABLE,))
-        rows = export_run(what[0], destination)
-        output.say(f"{rows} rows written to {destination}", destination)
-    elif len(what) == 2 and what[0] in FIRMWARES:
-        require_kind(destination, "--output", (KLIPPER if what[0] == "klipper" else COMMANDS,))
-        _printer(str(what[0]), Path(what[1]), destination, config)
-    elif len(what) == 2 and what[0] == "c":
-        require_kind(destination, "--output", (HEADER,))
-        _c(Path(what[1]), destination)
-    else:
-        raise click.UsageError(
-            "expected the file of a run; c and the file of a calibration or a flexible tool; or a firmware and the "
-            "file of a printer's calibration"
-        )
-
-
-def _c(calibration: Path, destination: Path) -> None:
-    """A calibrated robot, or a machine that has a header of its own, as a C header."""
-    if (own_way := own_way_of(calibration, "export")) is not None:
-        own_way(destination)
-        return
-    write_whole(destination, calibration_header(load_calibration(calibration), calibration.name))
-    output.say(f"{destination} written; cc loop.c $(sherkit c --cflags --libs) links it (sherkit c --example FOLDER)")
-
-
-def _printer(firmware: str, calibration: Path, destination: Path, config: Path | None) -> None:
-    """A calibrated printer for its firmware, and what that cannot hold."""
-    made = Calibration.load(calibration)
-    if not isinstance(made, PrinterCalibration):
-        raise SherkitError(
-            f"{calibration}: is of {made.robot.kind}; only the calibration of a printer goes into a firmware"
-        )
-    names = [p.name for p in made.whole.model(made.robot).parameters]
-    found = held(made.robot, dict(zip(names, made.whole.values.tolist(), strict=True)))
-    if firmware == "klipper":
-        if config is None:
-            raise SherkitError("--config: name the printer.cfg into which the numbers go")
-        write_whole(destination, klipper_config(config, found.towers))
-    else:
-        lines = commands(replace(made.robot, firmware=firmware), found.towers)
-        write_whole(destination, "\n".join(lines) + "\n")
-    output.say(f"{destination} written")
-    if made.whole.effects:
-        output.say(
-            f"{firmware} cannot hold {' and '.join(made.whole.effects)}: {1e3 * found.rms_mm:.0f} µm RMS of the height "
-            f"over the plate remain, {1e3 * found.largest_mm:.0f} µm at worst; put the machine right, then probe again"
-        )

@@ -155,6 +155,23 @@ def _is_commands(look: Look) -> bool:
     return bool(lines) and all(re.match(r"M(665|666|500)\b", line) for line in lines)
 
 
+def _is_urdf(look: Look) -> bool:
+    """One robot in XML, a xacro too."""
+    return bool(re.match(r"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<robot\b", look.begin, re.S))
+
+
+def _is_kinematics(look: Look) -> bool:
+    return bool(re.search(r"^kinematics:\s*$", look.begin, re.M))
+
+
+def _is_compensation(look: Look) -> bool:
+    """Lines of three numbers each, and nothing else."""
+    try:
+        return bool(look.text.strip()) and all(len([*map(float, one.split())]) == 3 for one in look.text.splitlines())
+    except ValueError:
+        return False
+
+
 def _is_run(look: Look) -> bool:
     return look.head.startswith(_SQLITE)
 
@@ -179,6 +196,9 @@ TEMPLATE = FileKind("an effect", (".py",), lambda look: "Written by `sherkit dia
 HEADER = FileKind("a C header", (".h", ".hh", ".hpp"), lambda look: "written by `sherkit export c`" in look.begin)
 KLIPPER = FileKind("a configuration of Klipper", (".cfg", ".conf"), _is_klipper)
 COMMANDS = FileKind("commands for a firmware", (".g", ".gcode", ".txt"), _is_commands)
+URDF = FileKind("a URDF", (".urdf", ".xacro", ".xml"), _is_urdf)
+KINEMATICS = FileKind("kinematics of an arm", (".yaml", ".yml"), _is_kinematics)
+COMPENSATION = FileKind("compensation of an axis", (".comp",), _is_compensation)
 PORTS = FileKind("addresses of instruments", (".json",), _is_ports)
 RESULTS = FileKind("results of simulated robots", (".jsonl", ".json"), _is_results)
 RUN = FileKind("a run file", (".sqlite", ".sqlite3", ".db"), _is_run)
@@ -189,7 +209,7 @@ TYPED = FileKind("lines of Python", (".py",), lambda look: look.path.with_name("
 
 KINDS = (
     RUN, TABLE, CALIBRATION, TOOL, ROBOT, PLANNED, CAMERA, PLANTED, PAGE, PICTURE, PRINTED, TEMPLATE, HEADER,
-    KLIPPER, COMMANDS, PORTS, RESULTS, BEGUN_FROM, STUDY,
+    KLIPPER, COMMANDS, URDF, KINEMATICS, COMPENSATION, PORTS, RESULTS, BEGUN_FROM, STUDY,
 )  # fmt: skip
 _ENDINGS = {ending for kind in KINDS for ending in kind.endings}
 

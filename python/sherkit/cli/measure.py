@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import shlex
 import signal
 import sys
 import threading
@@ -23,10 +24,17 @@ from ..lab.instruments import AxisController
 from ..model.kinds import kind_of
 from . import output
 from .file_kinds import PAGE, RUN
+from .next_command import completed
 from .paths import InputFile, OutputFile
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
 _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+def _again(experiment: Path) -> str:
+    """The command that goes on with a run, with the options that it was begun with."""
+    command = completed(f"sherkit measure {shlex.quote(str(experiment))}")
+    return command if "--resume" in shlex.split(command) else f"{command} --resume"
 
 
 @click.command()
@@ -85,7 +93,7 @@ def measure(
     ends = {
         "complete": "complete",
         "goal": "ended early, since the goal is reached",
-        "ended": f"ended; go on with: sherkit measure {experiment} --resume",
+        "ended": f"ended; go on with: {_again(experiment)}",
     }
     output.say(f"{stored} of {len(chosen.plan)} steps are in {path}: {ends[why]}")
     if is_live:
@@ -137,9 +145,7 @@ def until_diagnosed(
         why = _run(chosen, plan, file, lambda *_: loop.verdict, more)
         stored = len(file.done())
     if why == "ended":
-        output.say(
-            f"{stored} rows are in {path}: ended; go on with: sherkit measure {experiment} --until diagnosed --resume"
-        )
+        output.say(f"{stored} rows are in {path}: ended; go on with: {_again(experiment)}")
         return
     output.say(f"{stored} rows are in {path}: {loop.why}")
     for line in loop.told():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import sys
 import time
@@ -17,9 +18,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from ..base.figures import finite
 from ..data.files import is_output
+from ..data.head import columns_called
 from ..errors import SherkitError
 from .file_kinds import PAGE
+from .next_command import KEPT, completed
 from .paths import InputFile, OutputFile
 
 if TYPE_CHECKING:
@@ -37,6 +41,19 @@ err = Console(stderr=True, highlight=False)
 OWN_INSTRUMENTS = click.option(
     "--python", type=InputFile(), multiple=True, help="Python file of your instruments; it is run."
 )
+
+
+def _called(ctx: click.Context, option: click.Parameter, value: str) -> None:
+    if value:
+        ctx.meta.setdefault(KEPT, {})[option.name] = value
+        ctx.with_resource(columns_called(value.split(",")))
+
+
+#: For verbs that read tables of text: names for columns that have none, as long as the verb goes on.
+columns_option = click.option(
+    "--columns", metavar="A,B,C", default="", callback=_called, expose_value=False,
+    help="Names of the columns, in the order of the file, where it has none or others.",
+)  # fmt: skip
 
 
 def say_that_code_runs(files: tuple[Path, ...]) -> None:
@@ -61,8 +78,16 @@ def say(message: str, about: Path | None = None) -> None:
 
 
 def print_json(value: Any) -> None:
-    """JSON for programs; no NaN ever leaves."""
-    print(json.dumps(value, indent=2, allow_nan=False))
+    """JSON for programs; no NaN ever leaves, nor a figure by which nothing is meant."""
+    print(json.dumps(_meant(value), indent=2, allow_nan=False))
+
+
+def _meant(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _meant(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_meant(one) for one in value]
+    return finite(value) if isinstance(value, float) and math.isfinite(value) else value
 
 
 def table(title: str, *columns: str, note: str | None = None, texts: bool = False) -> Table:
@@ -174,5 +199,6 @@ def write_report(
         result=result,
         simulated=simulated,
         printed=printed or {},
+        completed=completed,
     )
     write_it(written, path)

@@ -59,8 +59,8 @@ class RobotFile:
         return model_of(self.nominal), self.data
 
     def told(self, runs: Sequence[Path]) -> tuple[Path, ...]:
-        """Robot and run, of one run."""
-        return (self.path, *runs) if len(runs) == 1 else ()
+        """Robot and runs."""
+        return (self.path, *runs)
 
     def require_writable(self, destination: Path | None) -> None:
         """A robot's calibration is a verb of its own."""

@@ -76,7 +76,7 @@ class ToolFile:
     # -- verbs in a way of its own -----------------------------------------------------------------------
 
     def _calibrate(self, loads: Path, destination: Path | None) -> None:
-        refuse_given("robot", "run", "destination", why="is not for the known loads of a flexible tool")
+        refuse_given("robot", "runs", "destination", "columns", why="is not for the known loads of a flexible tool")
         if destination is not None:
             require_kind(destination, "--output", (TOOL,))
         calibrate_tool(self.path, loads, destination)

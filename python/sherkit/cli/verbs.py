@@ -42,6 +42,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "export": (
         "sherkit export experiment.sqlite -o run.csv",
         "sherkit export c calibrated.toml -o robot.h",
+        "sherkit export urdf calibrated.toml -o arm.urdf",
+        "sherkit export program calibrated.toml targets.csv --controller kuka -o program.csv",
         "sherkit export klipper calibrated.toml --config printer.cfg -o new.cfg",
     ),
     "fleet": ("sherkit fleet machine_*.csv --robot robot.toml",),
@@ -112,7 +114,7 @@ _GROUPS = {
         "home": ("measure.home", "set the zero of axes"),
         "measure": ("measure.measure", "drive to each pose, read the instruments"),
         "lab": ("lab.lab", "emulated instruments of a laboratory"),
-        "export": ("exchange.export", "the rows of a run, also while it goes on"),
+        "export": ("export.export", "rows of a run; a calibration for a controller, C or ROS"),
         "schema": ("schema.schema", "what a file may hold, as JSON schema"),
     },
     "Import, cameras, C": {
@@ -172,10 +174,16 @@ def _output() -> ModuleType:
     return import_module(".output", __package__)
 
 
-def _pointer(error: SherkitError) -> str:
+#: Tables that a check lists the mistakes of.
+_TEXTS = (".csv", ".tsv", ".txt", ".dat")
+
+
+def _pointer(error: SherkitError, typed: list[str]) -> str:
     """Where a person is led who has met the first of a file's mistakes."""
     source = str(error).partition(": ")[0]
-    is_table = isinstance(error, MeasurementError) and source.endswith(".csv") and Path(source).is_file()
+    is_table = isinstance(error, MeasurementError) and source.endswith(_TEXTS) and Path(source).is_file()
+    if typed[:1] == ["check"] or "--columns" in str(error):
+        return ""
     return f"; sherkit check {shlex.quote(source)} lists all that is wrong with it" if is_table else ""
 
 
@@ -183,10 +191,12 @@ def run(typed: list[str]) -> None:
     """Runs what was typed; errors become one sentence and an exit code."""
     try:
         with warnings.catch_warnings():
+            # what libraries have to say of their arrays is nobody's on a screen
+            warnings.simplefilter("ignore", RuntimeWarning)
             warnings.showwarning = lambda message, *_, **__: _output().warn(str(message))
             code = cli.main(args=typed, prog_name="sherkit", standalone_mode=False, obj=typed)
     except SherkitError as error:
-        _output().fail(f"{error}{_pointer(error)}")
+        _output().fail(f"{error}{_pointer(error, typed)}")
         sys.exit(1)
     except (click.exceptions.Abort, KeyboardInterrupt):
         _output().fail("interrupted")

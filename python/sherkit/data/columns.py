@@ -15,6 +15,7 @@ import polars as pl
 from ..base import built_in
 from ..base.names import closest, listed
 from ..errors import MeasurementError, SherkitWarning
+from .called import DRIVEN, READ, in_order
 
 TIME = "time_s"
 TEMPERATURE = "temperature_c"
@@ -41,6 +42,7 @@ class Layout:
     itself, so that its columns are known no sooner than it is.
     ``joints_tell_pose``: rows with the same joint readings stand at the same pose. ``follows``: readings move with the
     joints; heights above a plate that is probed do not, and how little they vary says nothing of a mistake.
+    ``by_time``: rows of a run in which no joint moves are no repeats of one pose, but a course in time.
     """
 
     joints: tuple[str, ...]
@@ -56,6 +58,7 @@ class Layout:
     from_fixed: bool = False
     loads: tuple[str, ...] = ()
     own_joints: bool = False
+    by_time: bool = False
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
@@ -119,9 +122,9 @@ def know(*layouts: Layout, of_robot: bool = False) -> None:
     known.extend(one for one in layouts if one not in known)
 
 
-def layout_of(names: Collection[str]) -> Layout:
+def layout_of(names: Collection[str], own: Sequence[Layout] = ()) -> Layout:
     """The kind of run that these columns belong to: whose joints and coordinates they name most of; of several, that
-    with the fewest joints that they do not name."""
+    with the fewest joints that they do not name. Where they name no joint of any robot, the first of its ``own``."""
 
     def named(one: Layout) -> tuple[float, int]:
         joints = sum(n in names for n in one.joints)
@@ -129,14 +132,25 @@ def layout_of(names: Collection[str]) -> Layout:
         missing = len(one.joints) - joints if joints else len(names)
         return joints + 0.5 * sum(n in names for n in one.readings), -missing
 
-    return max(known_layouts(), key=named)
+    whole = [one for one in own if all(n in names for n in one.joints) and any(n in names for n in one.readings)]
+    if whole:
+        return max(whole, key=named)
+    nearest = max(_read_in(names), key=named)
+    return nearest if not own or any(name in names for name in nearest.joints) else own[0]
+
+
+def _read_in(names: Collection[str]) -> list[Layout]:
+    """The kinds of run of which a reading is there, in whatever unit; all where there is none. A joint of somebody's
+    machine may be named as the reading of another, ``x_mm``."""
+    bares = {bare(name) for name in names}
+    return [one for one in known_layouts() if any(bare(r) in bares for r in one.readings)] or known_layouts()
 
 
 def layout_to_come(names: Collection[str]) -> Layout | None:
     """The kind of run of a robot that is not known yet, whose joints have names of their own: what is left of the
     columns that are angles or lengths are its joints, until it is there (:func:`is_known`). None where some robot that
     is known has such a joint, in whatever unit, or where none is an angle."""
-    known, bares = known_layouts(), {bare(name) for name in names}
+    known, bares = _read_in(names), {bare(name) for name in names}
     if any(bare(joint) in bares for one in known for joint in one.joints):
         return None
     for one in known:
@@ -158,10 +172,24 @@ def is_known(layout: Layout) -> bool:
 _ENDINGS = ("mm", "um", "rad", "mrad", "deg", "px", "mN", "nm", "kg", "s")
 
 
+#: Columns whose owner says that they end in their unit, whatever it is.
+_OF_OWNERS: set[str] = set()
+
+
+def know_unit(name: str) -> bool:
+    """Makes known that a column's name ends in its unit, whatever text that is (``lamp_V``, ``scale_counts``); false
+    where it has no such end, or one that is a number or an axis."""
+    stem, _, unit = name.rpartition("_")
+    if not stem or not unit or unit.isdigit() or unit.lower() in ("x", "y", "z"):
+        return False
+    _OF_OWNERS.update((name, f"sigma_{name}", f"pose_sigma_{name}"))
+    return True
+
+
 def bare(name: str) -> str:
     """A column's name without its unit."""
     stem, _, unit = name.rpartition("_")
-    return stem if stem and unit in _ENDINGS else name
+    return stem if stem and (unit in _ENDINGS or name in _OF_OWNERS) else name
 
 
 def unit_in(name: str) -> str:
@@ -183,16 +211,19 @@ def check_unique(names: list[str], where: str) -> None:
         raise MeasurementError(f"{where}: column {listed(twice)} appears more than once")
 
 
-def check_columns(names: list[str], where: str, *, to_come: bool = True) -> Layout:
+def check_columns(names: list[str], where: str, own: Sequence[Layout] = (), *, to_come: bool = True) -> Layout:
     """The layout of a table. Refuses one that lacks what every run of its kind has, or holds a reading in another unit.
 
-    ``to_come``: the robot may be read later. Raises ``MeasurementError``; warns of a covariate whose name looks like a
-    misspelt column.
+    ``own`` are those of the robot whose run it is; ``to_come``: it may be read later. Raises ``MeasurementError``;
+    warns of a covariate whose name looks like a misspelt column.
     """
-    layout = (to_come and layout_to_come(names)) or layout_of(names)
+    layout = (to_come and layout_to_come(names)) or layout_of(names, own)
     for needed in layout.joints:
         if needed not in names:
-            raise MeasurementError(_missing(needed, names, where, "the reading of a joint", layout))
+            what = "the reading of a joint"
+            if not own and not any(name in names for name in layout.joints):
+                what += "; which ones a robot has its file says: sherkit check RUN ROBOT"
+            raise MeasurementError(_missing(needed, names, where, what, layout))
     if not any(r in names for r in layout.readings):
         what = f"at least one of {' or '.join([', '.join(layout.readings[:-1]), layout.readings[-1]])}"
         raise MeasurementError(_missing(layout.readings[0], names, where, what, layout))
@@ -243,7 +274,14 @@ _HEADER = re.compile(r"^(?P<stem>.*?)[\s_]*(?:\[(?P<square>[^\[\]]*)\]|\((?P<rou
 #: How much of the unit of a column is one of another, by what they measure.
 _BY_UNIT: tuple[dict[str, float], ...] = (
     {"m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3, "nm": 1e-6, "in": 25.4},
-    {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": math.pi / 180.0},
+    {
+        "rad": 1.0,
+        "mrad": 1e-3,
+        "urad": 1e-6,
+        "deg": math.pi / 180.0,
+        "arcmin": math.pi / 10_800.0,
+        "arcsec": math.pi / 648_000.0,
+    },
     {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     {"px": 1.0},
     {"c": 1.0},
@@ -333,9 +371,9 @@ def in_toml(columns: Columns) -> str:
     return f"columns = {{ {', '.join(f'{ours} = {_quoted(theirs)}' for ours, theirs in columns.items())} }}"
 
 
-def proposal(names: Sequence[str]) -> str:
+def proposal(names: Sequence[str], own: Sequence[Layout] = ()) -> str:
     """What could be meant by foreign names, as a mapping to be looked at: for the sentence that refuses them."""
-    found = meanings(names)[1]
+    found = meanings(names, own)[1]
     if not found:
         return ""
     bare_ones = [theirs for theirs in found.values() if not stated(theirs)[1]]
@@ -371,7 +409,11 @@ def _matched(names: Sequence[str], layout: Layout) -> dict[str, str]:
     rows: list[Any] = [w for w in words.values() if w.keys() == wanted.keys()]
     fitting = [w for w in rows if all(_fits(w[k], ours) for k, ours in wanted.items())]
     if len(fitting) == 1:
-        out = {ours: fitting[0][k] for k, ours in wanted.items()} | out
+        return {ours: fitting[0][k] for k, ours in wanted.items()} | out
+    for ours, called in ((layout.joints, DRIVEN), (layout.coordinates, READ)):
+        if not any(name in names or name in out for name in ours):
+            left = [name for name in free if name not in out.values()]
+            out |= in_order(left, ours, called, _fits)
     return out
 
 

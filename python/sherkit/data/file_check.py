@@ -16,9 +16,12 @@ import polars as pl
 
 from ..base.names import brief, closest, listed
 from ..errors import FitError, MeasurementError, SherkitWarning
+from .called import is_difference
 from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, known_layouts, meanings, stated, unit_in
+from .doubts import doubts
 from .frames import clean
-from .raw_table import NOTHING, WITH_UNIT, RawTable, Wrong, is_number, raw_table
+from .head import is_number
+from .raw_table import NOTHING, WITH_UNIT, RawTable, Wrong, raw_table
 from .reader import checked
 from .rows import Measurements
 from .tables import PARQUET, read_parquet
@@ -158,6 +161,9 @@ class _Checking:
                     why = f"is not read as '{ours}': {refused.removeprefix(f'{self.source}: ')}"
                     self.wrong.append(Wrong(why, f"name it '{ours}' if it is", column=theirs))
             refused = refused if data is None else ""
+        if data is not None:
+            told = (doubt.sentence for doubt in doubts(data) if not doubt.poses)
+            self.wrong += [Wrong(one, "look at it; it is read as it stands", mended=False) for one in told]
         return FileCheck(
             self.source, tuple(self.wrong), columns, further,
             {name: what for name, what in unused.items() if name in self.words or what}, data, refused,
@@ -177,6 +183,8 @@ class _Checking:
         has = listed(self.table.names, 12)
         otherwise = [f"'{theirs}' as {ours}" for ours, theirs in self.given.items() if theirs in fewest]
         has += f", where the robot's file reads {listed(otherwise)}" if otherwise else ""
+        if apart := [name for name in self.table.names if is_difference(name)]:
+            has += f" ('{brief(apart[0])}' is called a difference: what was read is that and what was driven to)"
         return f"{self.source}: is no run of {self.whose}: lacks {' and '.join(missing)}; the file has {has}"
 
     def _read(self, columns: Columns) -> tuple[Measurements | None, str]:
@@ -189,7 +197,7 @@ class _Checking:
             warnings.simplefilter("always", SherkitWarning)
             try:
                 line = np.array(self.table.line, dtype=np.int64)
-                data = clean(pl.DataFrame(self.cells), self.source, line, "line", renamed)
+                data = clean(pl.DataFrame(self.cells), self.source, line, "line", renamed, self.layouts)
                 self.require(data)
             except (FitError, MeasurementError) as error:
                 return None, str(error)
@@ -218,7 +226,7 @@ class _Checking:
         day: str | None = next((n for n, kind in moments.items() if kind == "day"), None)
         self.words += [one for one in moments if one not in (both or clock, day)]
         timed = both or clock
-        if timed is None or TIME in self.cells:
+        if timed is None or (TIME in self.cells and timed != TIME):
             self.words += [one for one in (timed, day) if one is not None and one not in self.words]
             return
         texts = self.cells[timed]

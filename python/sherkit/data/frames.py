@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -84,20 +84,21 @@ def _series(name: str, values: Any) -> pl.Series:
 
 
 def clean(
-    frame: pl.DataFrame, source: str, line: Ints | None, counted: str, columns: Columns | None = None
-) -> Measurements:
+    frame: pl.DataFrame, source: str, line: Ints | None, counted: str, columns: Columns | None = None,
+    layouts: Sequence[c.Layout] = (),
+) -> Measurements:  # fmt: skip
     """Checks cell by cell that a frame holds numbers where numbers belong, and builds the rows.
 
     ``line`` (n,) gives the place of each row for messages, a ``"line"`` or a ``"row"``; None counts from 0.
-    ``columns`` gives the names in the frame by ours.
+    ``columns`` gives the names in the frame by ours; ``layouts`` are those of its robot, where that is known.
     """
     c.check_unique([name.strip() for name in frame.columns], source)
     frame = frame.rename({name: name.strip() for name in frame.columns})
     frame, factors = renamed(frame, columns or {}, source)
     try:
-        layout = c.check_columns(frame.columns, source)
+        layout = c.check_columns(frame.columns, source, layouts)
     except MeasurementError as error:
-        raise MeasurementError(f"{error}{proposal(frame.columns)}") from None
+        raise MeasurementError(f"{error}{proposal(frame.columns, layouts)}") from None
     refuse_unmapped(frame.columns, layout, source)
     if frame.height == 0:
         raise MeasurementError(f"{source}: holds no row, only column names; expected measurements")

@@ -31,6 +31,32 @@ def directions(joints: Floats, order: Ints, *, begins: float) -> Floats:
     return out
 
 
+#: Rows that follow within this time, s, may have been read in motion.
+_DENSE_S = 0.5
+#: Part of the velocity by which it changes from row to row in the median, where rows show the course of a motion.
+_SMOOTH = 0.3
+_FEWEST_DENSE = 20
+
+
+def velocities(joints: Floats, time_s: NDArray[Any] | None) -> Floats | None:
+    """Velocities (n, k) of joints (n, k) by central differences, where rows follow one another so closely that they
+    show the course of a motion; None where a robot stood still between readings, as far as rows tell."""
+    if time_s is None or len(joints) < _FEWEST_DENSE or not joints.shape[1]:
+        return None
+    at = np.argsort(time_s, kind="stable")
+    gaps = np.diff(time_s[at])
+    if not 0 < np.median(gaps) < _DENSE_S or gaps.min() <= 0:
+        return None
+    each = np.diff(joints[at], axis=0) / gaps[:, None]
+    usual = np.median(np.abs(each), axis=0)
+    moves = usual > 0
+    if not moves.any() or (np.median(np.abs(np.diff(each, axis=0)), axis=0) > _SMOOTH * usual)[moves].any():
+        return None
+    out = np.empty_like(joints)
+    out[at] = np.gradient(joints[at], time_s[at], axis=0)
+    return out
+
+
 def begin_of(time_s: NDArray[Any] | None) -> float:
     """The earliest time; zero where none is known."""
     return float(np.min(time_s)) if time_s is not None and len(time_s) else 0.0

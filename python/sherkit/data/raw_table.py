@@ -17,10 +17,15 @@ from pathlib import Path
 from ..base.names import brief, spans
 from ..errors import MeasurementError
 from .columns import is_unit
+from .head import MARKS, by_spaces, is_number, nameless, names_given, tabbed
 
 #: Cells that say that nothing was read.
 NOTHING = ("---", "--", "-", "n/a", "na", "nan", "#n/a", "#nv", "null", "none", "?", "k.a.", "x", "*", "err", "error")
-_NUMBER = re.compile(r"[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?")
+#: First cells of rows that spreadsheets compute below the others, in small letters.
+_SUMMED = (
+    "mittelwert", "mittel", "mw", "mean", "average", "avg", "moyenne", "media", "std", "stdev", "sd", "stabw",
+    "stdabw", "standardabweichung", "min", "max", "minimum", "maximum", "median", "summe", "sum", "total",
+)  # fmt: skip
 #: A number with its unit behind it, in the same cell.
 WITH_UNIT = re.compile(r"(?P<number>[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*(?P<unit>[^\d\s.,:/-][^\d:]*)")
 #: Lines that tell how cells are parted, and where names begin.
@@ -71,11 +76,6 @@ class RawTable:
         return replace(self, names=tuple(self.names[k] for k in keep), rows=rows)
 
 
-def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with whatever marks between its digits."""
-    return _NUMBER.fullmatch(cell) is not None
-
-
 def raw_table(path: Path) -> RawTable:
     """Reads a CSV with all that is wrong with it. Raises :class:`~sherkit.errors.MeasurementError` where it holds no
     table at all."""
@@ -84,29 +84,31 @@ def raw_table(path: Path) -> RawTable:
     lines = [(n, s) for n, s in enumerate(texts, start=1) if s.strip() and not s.lstrip().startswith("#")]
     if not lines:
         raise MeasurementError(f"{path}: is empty; expected a line of column names and rows of measurements")
-    separator = _separator([s for _, s in lines[:_LOOKED_AT]])
+    called = names_given()
+    lines, separator = _parted(lines)
     cells = list(_cells(path, lines, separator))
-    first = next((k for k, (_, row) in enumerate(cells) if _is_data(row)), len(cells))
-    head, units = _head(path, cells[:first], wrong)
+    first = _first_row(cells, len(called))
+    if called:
+        head, units = list(called), list[str]()
+        if first:
+            wrong.append(Wrong("above the rows", "put # before it", tuple(n for n, _ in cells[:first])))
+    else:
+        above = _noted(texts, cells[first:]) + cells[:first]
+        head, units = _head(path, above, cells[first:], wrong)
     names = _names(head, units, wrong)
     rows, line = [], []
-    again, empty = [], []
+    out: dict[str, list[int]] = {}
     short: dict[int, list[int]] = {}
     for number, row in cells[first:]:
-        filled = [cell for cell in row if cell]
-        if not filled:
-            empty.append(number)
-        elif row[: len(head)] == head or (units and row[: len(units)] == units):
-            again.append(number)
+        if why := _is_none(row, head, units):
+            out.setdefault(why, []).append(number)
         elif len(row) < len(head) or any(row[len(head) :]):
             short.setdefault(len(row), []).append(number)
         else:
             rows.append(row[: len(head)])
             line.append(number)
-    if again:
-        wrong.append(Wrong("the names of the columns stand here again", "take the line out", tuple(again)))
-    if empty:
-        wrong.append(Wrong("holds separators alone", "take the line out", tuple(empty)))
+    for why, numbers in out.items():
+        wrong.append(Wrong(why, "take the line out", tuple(numbers)))
     for count, numbers in short.items():
         said = f"has {count} cell{'s' if count > 1 else ''}, the header has {len(head)}"
         wrong.append(Wrong(said, "complete the row, or take it out", tuple(numbers), mended=False))
@@ -136,17 +138,22 @@ def _text(path: Path, wrong: list[Wrong]) -> str:
         return content.decode("cp1252", errors="replace")
 
 
-def _separator(lines: Sequence[str]) -> str:
-    """What parts the cells: what most lines have equally often."""
+def _parted(lines: Sequence[tuple[int, str]]) -> tuple[list[tuple[int, str]], str]:
+    """What parts the cells: what most lines have equally often. Where spaces do, they become tabs."""
+    some = [line for _, line in lines[:_LOOKED_AT]]
 
     def agreed(mark: str) -> tuple[int, int]:
-        count, times = Counter(line.count(mark) for line in lines if mark in line).most_common(1)[0]
+        count, times = Counter(line.count(mark) for line in some if mark in line).most_common(1)[0]
         return times * (count > 0), count
 
-    marks = [mark for mark in ";\t,|" if any(mark in line for line in lines)]
+    marks = [mark for mark in ";\t,|" if any(mark in line for line in some)]
     # decimal commas are as many in every row, too: a mark that is no part of a number goes before
-    sure = [mark for mark in marks if mark != "," and agreed(mark)[0] >= 0.5 * len(lines)]
-    return max(sure or marks or [","], key=agreed)
+    sure = [mark for mark in marks if mark != "," and agreed(mark)[0] >= 0.5 * len(some)]
+    spaced = [len(line.split()) for line in some if by_spaces(line) and _is_data(line.split())]
+    if not sure and len(spaced) > 0.4 * len(some):
+        count = Counter(spaced).most_common(1)[0][0]
+        return [(n, tabbed(line, count)) for n, line in lines], "\t"
+    return list(lines), max(sure or marks or [","], key=agreed)
 
 
 def _cells(path: Path, lines: Sequence[tuple[int, str]], separator: str) -> Iterator[tuple[int, list[str]]]:
@@ -184,10 +191,54 @@ def _is_data(row: Sequence[str]) -> bool:
     return numbers >= 2 and numbers + sum(cell.lower() in NOTHING for cell in filled) > 0.5 * len(filled)
 
 
-def _head(path: Path, above: list[tuple[int, list[str]]], wrong: list[Wrong]) -> tuple[list[str], list[str]]:
+def _first_row(cells: Sequence[tuple[int, list[str]]], count: int) -> int:
+    """Where rows of measurements begin: below names, or at the first that has as many cells as there are ``count``
+    names, or as most have."""
+    data = [(k, len(row)) for k, (_, row) in enumerate(cells) if _is_data(row)]
+    if not data:
+        return len(cells)
+    first = data[0][0]
+    if not count and first and 2 * len([cell for cell in cells[first - 1][1] if cell]) > data[0][1]:
+        return first  # below names
+    most = count or Counter(n for _, n in data).most_common(1)[0][0]
+    return next((k for k, n in data if n == most), first)
+
+
+def _noted(texts: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """The last note above the rows, where it names as many columns as these have: so writes numpy.savetxt."""
+    if not rows:
+        return []
+    number, row = rows[0]
+    for n in range(number - 1, 0, -1):
+        if texts[n - 1].lstrip().startswith("#"):
+            note = texts[n - 1].strip().lstrip("#").strip()
+            for mark in (*MARKS, None):
+                own = [name.strip() for name in note.split(mark)]
+                if len(own) == len(row) == len({*own}) and not any(map(is_number, own)):
+                    return [(n, own)]
+            return []
+    return []
+
+
+def _is_none(row: Sequence[str], head: Sequence[str], units: Sequence[str]) -> str:
+    """Why a line among the rows is none; empty where it may be one."""
+    filled = [cell for cell in row if cell]
+    if not filled:
+        return "holds separators alone"
+    if list(row[: len(head)]) == list(head) or (units and list(row[: len(units)]) == list(units)):
+        return "the names of the columns stand here again"
+    if filled[0].lower().rstrip(":") in _SUMMED and len(filled) > 1:
+        return "is no row but what was computed of them"
+    return "holds a word alone" if len(filled) == 1 < len(head) and filled[0].isalpha() else ""
+
+
+def _head(
+    path: Path, above: list[tuple[int, list[str]]], rows: list[tuple[int, list[str]]], wrong: list[Wrong]
+) -> tuple[list[str], list[str]]:
     """The names of the columns, and the units below them; what stands above them are notes."""
-    if not above:
-        raise MeasurementError(f"{path}: has no line of column names above its rows")
+    if not above or (rows and (_is_data(above[-1][1]) or len([c for c in above[-1][1] if c]) < 2 <= len(rows[0][1]))):
+        number, cells = rows[0]
+        raise MeasurementError(f"{path}: {nameless(number, len(cells))}")
     units: list[str] = []
     number, row = above[-1]
     if len(above) > 1 and any(row) and all(is_unit(cell.strip("[]()")) for cell in row if cell):

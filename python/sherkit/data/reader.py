@@ -5,8 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import chain, islice
 from pathlib import Path
@@ -23,6 +22,7 @@ from . import columns as c
 from .columns import Columns
 from .files import bag_in, refuse_device
 from .frames import clean, from_frame
+from .head import MARKS, by_spaces, head_of, is_number, names_given
 from .rows import Measurements
 from .tables import PARQUET, read_parquet
 
@@ -128,8 +128,12 @@ def read_plain(path: Path) -> tuple[pl.DataFrame, Ints] | None:
         first = row.decode().removesuffix("\n").removesuffix("\r")
     except (OSError, ValueError):  # among them: an empty file, and text that is none
         return None
-    separator = max(",;\t", key=names.count)
+    if names_given() or by_spaces(names) or by_spaces(first):
+        return None
+    separator = max(MARKS, key=names.count)
     columns = [name.strip() for name in names.split(separator)]
+    if all(map(is_number, columns)):
+        return None
     cells = first.split(separator)
     if any(mark in names for mark in '"#\r\0') or not all(columns) or not len({*columns}) == len(columns) == len(cells):
         return None
@@ -176,8 +180,8 @@ _RUN_FILE = b"SQLite format 3"
 
 @as_annotated
 def read_measurements(path: str | Path, *, columns: Columns | None = None) -> Measurements:
-    """Reads a run. CSV may use comma, semicolon or tab (the last two with decimal comma); lines starting with
-    ``#`` are notes, columns without a name are left out.
+    """Reads a run. Cells are parted by comma, semicolon, tab or spaces (all but the first with decimal comma); lines
+    starting with ``#`` are notes, columns without a name are left out.
 
     ``columns`` gives the names of the file by ours, ``{"q1_mm": "Enc1 [um]"}``; where a header states a unit, in
     brackets or at its end, what it holds is converted, and that is said in a :class:`~sherkit.errors.SherkitWarning`.
@@ -187,11 +191,16 @@ def read_measurements(path: str | Path, *, columns: Columns | None = None) -> Me
         run = sk.read_measurements("demo/whole.csv")
         print(len(run), run.layout.readings)
     """
+    return read_run(path, columns)
+
+
+def read_run(path: str | Path, columns: Columns | None = None, layouts: Sequence[c.Layout] = ()) -> Measurements:
+    """The same of a robot that has these ``layouts``, of which sentences speak where the columns fit nothing."""
     path = checked(path)
     if path.suffix.lower() in PARQUET:
-        return clean(read_parquet(path), str(path), None, "row", columns)
+        return clean(read_parquet(path), str(path), None, "row", columns, layouts)
     frame, line = read_plain(path) or next(csv_blocks(path))
-    return clean(frame, str(path), line, "line", columns)
+    return clean(frame, str(path), line, "line", columns, layouts)
 
 
 def checked(path: str | Path) -> Path:
@@ -227,14 +236,14 @@ def csv_blocks(path: Path, most: int | None = None) -> Iterator[tuple[pl.DataFra
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = enumerate(file, start=1)
-            number, header = next(_data(lines), (0, ""))
-            if not header:
+            head = head_of(str(path), enumerate(file, start=1))
+            if head is None:
                 raise MeasurementError(f"{path}: is empty; expected a line of column names and rows of measurements")
-            if "\0" in header:
+            if "\0" in head.names:
                 raise _not_text(path)
-            separator = max(",;\t", key=header.count)
-            names = [name.strip() for name in _cells(path, number, header, lines, separator)]
+            lines, separator, names = head.lines, head.separator, list(head.called)
+            if not names:
+                names = [name.strip() for name in _cells(path, head.number, head.names, lines, separator)]
             c.check_unique([name for name in names if name], str(path))
             found, mark = False, DecimalMark(path)
             while part := list(islice(lines, most)):
@@ -284,7 +293,7 @@ def _block(
         found, wanted = len(row), len(names)
         if found != wanted:
             hint = "; decimal commas need semicolons between cells" if found > wanted and separator == "," else ""
-            if found > wanted and not any(map(_is_number, row)):
+            if found > wanted and not any(is_number(cell.strip()) for cell in row):
                 hint = f"; if the names of the columns stand in line {number}, put # before the lines above it"
             raise MeasurementError(f"{path}: line {number} has {found} cells, the header has {wanted}{hint}")
         lines.append(number)
@@ -301,10 +310,6 @@ def _frame(rows: str | list[list[str]], names: list[str], separator: str) -> pl.
     else:
         frame = pl.DataFrame(rows, schema=schema, orient="row")
     return frame.select(pl.col(str(k)).alias(name) for k, name in enumerate(names) if name)
-
-
-def _is_number(cell: str) -> bool:
-    return bool(re.fullmatch(r"\s*[-+]?[\d.,]*\d[\d.,eE+-]*\s*", cell))
 
 
 def _not_text(path: Path) -> MeasurementError:
@@ -327,15 +332,15 @@ def _not_text(path: Path) -> MeasurementError:
 RunLike = Any
 
 
-def run_of(given: RunLike, columns: Columns | None = None) -> Measurements:
-    """The measurements; ``columns`` gives the names of a file or a frame by ours.
+def run_of(given: RunLike, columns: Columns | None = None, layouts: Sequence[c.Layout] = ()) -> Measurements:
+    """The measurements; ``columns`` gives the names of a file or a frame by ours, ``layouts`` are those of its robot.
 
     Raises :class:`~sherkit.errors.MeasurementError` for what holds none, and as the readers do.
     """
     if isinstance(given, Measurements):
         return given
     if isinstance(given, str | os.PathLike):
-        return read_measurements(Path(given), columns=columns)
+        return read_run(Path(given), columns, layouts)
     if isinstance(given, Mapping) or hasattr(given, "columns"):
         return from_frame(given, columns=columns)
     raise MeasurementError(

@@ -59,7 +59,7 @@ def _check_poses(data: Any, pose: Ints) -> None:
     rows = np.flatnonzero(~data.outlier)
     if not len(rows):
         return
-    extent = float(np.ptp(data.joints[rows], axis=0).max())
+    extent = float(np.ptp(data.joints[rows], axis=0).max(initial=0.0))
     in_order = len(rows) == len(pose) and bool((pose[1:] >= pose[:-1]).all())
     order = rows if in_order else rows[np.argsort(pose[rows], kind="stable")]
     sorted_pose = pose[order]
@@ -131,4 +131,4 @@ def _warn_of_units(data: Any) -> None:
 
 def _spread(values: Floats) -> float:
     low, high = np.percentile(values[:: 1 + len(values) // _ENOUGH], [5, 95], axis=0)
-    return float((high - low).max())
+    return float((high - low).max(initial=0.0))

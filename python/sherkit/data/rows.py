@@ -17,7 +17,7 @@ from ..base.names import listed, nearest
 from ..base.types import Bools, Floats, Ints
 from ..errors import EffectError, ShapeError, SherkitWarning
 from . import columns as c
-from .in_time import begin_of, directions, order_in_time
+from .in_time import begin_of, directions, order_in_time, velocities
 from .lagged import Room
 from .row_checks import check_rows
 from .set_up import SetUp, names_of
@@ -93,7 +93,7 @@ class Measurements:
         pose and repeat given twice. Warns where units do not fit.
         """
         layout = c.layout_of(list(values)) if layout is None else layout
-        n = len(values[layout.joints[0]])
+        n = len(next(iter(values.values())))
         line = np.arange(n, dtype=np.int64) if line is None else line
 
         def stack(names: Sequence[str]) -> Floats:
@@ -110,6 +110,8 @@ class Measurements:
         whole = {k: values[k].astype(np.int64) if k in values else None for k in (c.POSE, c.REPEAT)}
         known = set(layout.known)
         rest = {k: v for k, v in values.items() if k not in known}
+        if not {*layout.velocities} & {*rest} and (moving := velocities(joints, values.get(c.TIME))) is not None:
+            rest |= dict(zip(layout.velocities, moving.T, strict=False))
         if c.SETUP in rest:
             rest[c.SETUP] = names_of(rest[c.SETUP], f"{source}: {counted}", line)
         data = cls(
@@ -317,7 +319,8 @@ class Measurements:
         if self.pose is not None:
             given = np.column_stack([self.pose, *self.apart])
             return np.unique(given, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
-        if not self.layout.joints_tell_pose:
+        still = self.layout.by_time and self.time_s is not None and not (self.joints != self.joints[:1]).any()
+        if still or not self.layout.joints_tell_pose:
             return np.arange(len(self), dtype=np.int64)
         # The joints alone make a pose, as its number does where one is given. The side from which it was approached,
         # a payload, the temperature may differ between repeats: they move the point by much less than another pose

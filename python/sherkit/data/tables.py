@@ -6,13 +6,14 @@ import io
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import polars as pl
 
 from ..errors import MeasurementError
 from .files import write_whole
+from .head import head_of
 
 PARQUET = (".parquet", ".pq")
 #: The first and the last bytes of every Parquet file.
@@ -39,9 +40,22 @@ except BaseException as error:
 
 
 def read_table(path: Path) -> pl.DataFrame:
-    """Reads Parquet where the name says so, else CSV with notes after ``#``. Raises polars' own errors for CSV."""
+    """Reads Parquet where the name says so, else text with notes after ``#``, its cells parted as :mod:`.head` finds
+    them. Raises polars' own errors for text."""
     if path.suffix.lower() in PARQUET:
         return read_parquet(path)
+    if not path.is_file():
+        return pl.read_csv(path, comment_prefix="#", infer_schema_length=None)  # a pipe cannot be read twice
+    with suppress(UnicodeDecodeError), path.open(encoding="utf-8-sig", newline="") as file:
+        head = head_of(str(path), enumerate(file, start=1))
+        if head is not None and (head.called or head.separator != ","):
+            first = "" if head.called else head.names.rstrip("\r\n") + "\n"
+            text = io.StringIO(first + "".join(line for _, line in head.lines))
+            names = list(head.called) or None
+            return pl.read_csv(
+                text, separator=head.separator, has_header=not names, new_columns=names, comment_prefix="#",
+                infer_schema_length=None,
+            )  # fmt: skip
     return pl.read_csv(path, comment_prefix="#", infer_schema_length=None)
 
 

@@ -14,6 +14,7 @@ from ..evidence.blocks import Block
 from ..evidence.fitted_run import FittedRun
 from ..evidence.settings import columns_at
 from ..evidence.sizes import TOLD, is_plausible
+from ..fit.error import known_of
 from ..fit.folds import Beside
 from .answers import CandidateReport
 
@@ -108,7 +109,9 @@ def _held_out(base: Base, columns: Sequence[Floats], fold: Ints) -> list[_HeldOu
         # in the unit of the readings, so that axes count by their error
         return np.concatenate([view.fitted(rows), every[rows]], axis=2) * sigma[:, None]
 
-    folds = Beside(of, [one.shape[2] for one in columns], view.residual * sigma, fold)
+    known = known_of(run.of.fit)
+    known = None if known is None else known * np.square(sigma).mean()
+    folds = Beside(of, [one.shape[2] for one in columns], view.residual * sigma, fold, known)
     return [_error(folds, squares, run.of.per_row) for squares in folds.held_out]
 
 

@@ -49,12 +49,12 @@ def largest(found: Diagnosis, one: CandidateReport) -> str:
     if one.effect in found.known:
         return found.known[one.effect].short
     worst = one.largest
-    return f"{worst['name']} = {stated(worst['value'], worst['std'], worst['unit'])}"
+    return f"{worst['name']} = {stated(worst['value'], worst['std'], worst['unit'], worst['size'])}"
 
 
 def figure(d: Diagnosis, value: float) -> str:
     """A size in the unit of a diagnosis: a tenth of a micrometre is enough, of a pixel it is not."""
-    return f"{value:.1f}" if d.unit == "µm" else f"{value:.3g}"
+    return f"{value:.1f}" if d.unit == "µm" and not 0 < abs(value) < 0.1 else f"{value:.3g}"
 
 
 def p_value(value: float) -> str:
@@ -255,8 +255,13 @@ def _which(d: Diagnosis) -> Iterator[Finding]:
         told = f"{sentence(d.signature)} {indistinguishable(d.signature)}".rstrip()
         yield Finding(
             WHICH, "shape", told,
-            to_do=f"write a template of an effect with this shape: {_TEMPLATE}",
+            to_do="" if _is_of_instrument(d) else f"write a template of an effect with this shape: {_TEMPLATE}",
         )  # fmt: skip
+
+
+def _is_of_instrument(d: Diagnosis) -> bool:
+    """Whether what is left differs in every other row: no robot does."""
+    return d.signature is not None and d.signature["shape"] == "alternating"
 
 
 def _apart(d: Diagnosis) -> Iterator[Finding]:
@@ -295,6 +300,8 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
         # a model of another sort may say itself where what is named is written to
         into = getattr(getattr(d.fit.model, "plain", None), "writes", None)
         yield "add it", f"sherkit {into or f'calibrate {FILES} {named} -o calibrated.toml'}"
+    elif _is_of_instrument(d):
+        yield "take the mean of both (two faces, two heads), or record in a column which of them read each row", ""
     elif d.signature is not None:
         yield "write a template of an effect with the shape of what is left", _TEMPLATE
         yield "or repeat the run in another order and at another temperature: what moves with them is named by them", ""

@@ -18,7 +18,7 @@ from ..errors import SherkitError
 from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
 from ..evidence.run import in_time
-from ..fit.error import ErrorSize, held_out_error
+from ..fit.error import ErrorSize, held_out_error, known_of
 from ..fit.folds import Folds, roots_of
 from ..model.effect import Effect
 
@@ -40,14 +40,14 @@ def rms(squares: Floats, scale: Floats) -> float:
     return float(np.sqrt(np.mean(squares * scale**2)))
 
 
-def folds_of(view: Linearised, fold: Ints) -> Folds:
+def folds_of(view: Linearised, fold: Ints, known: Floats | None = None) -> Folds:
     """What was fitted, by folds (repetitions, n)."""
-    return Folds.of(view.fitted, view.residual, fold)
+    return Folds.of(view.fitted, view.residual, fold, known)
 
 
-def squares_of(view: Linearised, fold: Ints) -> Floats:
+def squares_of(view: Linearised, fold: Ints, known: Floats | None = None) -> Floats:
     """Squared errors (repetitions, n, m) of rows that were held out in turn."""
-    folds = folds_of(view, fold)
+    folds = folds_of(view, fold, known)
     parts = [folds.errors(view.fitted(rows), view.residual[rows], rows) for rows in view.blocks]
     return np.concatenate(parts, axis=1) ** 2
 
@@ -64,7 +64,11 @@ def by_noise_alone(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]
     rows = in_time(run, np.flatnonzero(run.whole))
     if len(rows) * len(run.axes) > _ENOUGH * run.fit.rank:
         return 1.0
-    folds = folds_of(run.linearised(rows, (), sigma[list(run.axes)]), np.stack([fold[rows] for fold in repeated_folds]))
+    folds = folds_of(
+        run.linearised(rows, (), sigma[list(run.axes)]),
+        np.stack([fold[rows] for fold in repeated_folds]),
+        known_of(run.fit),
+    )
     rng = np.random.default_rng(seed)
     each = [_drawn(folds.repetition(k), rng) for k in range(len(repeated_folds))]
     told = run.data.repeatability if run.noise[1] == "repeats" else None
@@ -136,16 +140,16 @@ def held_out_gain(
     try:
         full = run.without_effects(also) if also else run
         less = full.without_effects((effect.name,))
-        more, plain = (one.linearised(rows, (), scale) for one in (full, less))
+        views = tuple(one.linearised(rows, (), scale) for one in (full, less))
     except SherkitError:
         return HeldOutGain(effect.name, np.inf, 0.0, 0.0)
-    with_it, without = (squares_of(one, fold) for one in (more, plain))
+    with_it, without = (squares_of(v, fold, known_of(one.fit)) for v, one in zip(views, (full, less), strict=True))
     gain = without.sum(axis=2) - with_it.sum(axis=2)
     return HeldOutGain(
         effect.name,
         without=rms(without, scale) * run.per_row,
         with_it=rms(with_it, scale) * run.per_row,
-        p=_by_chance(gain.mean(axis=0), more.group),
+        p=_by_chance(gain.mean(axis=0), views[0].group),
     )
 
 

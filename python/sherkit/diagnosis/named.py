@@ -17,7 +17,7 @@ from ..evidence.described import MOST, Described
 from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
 from ..evidence.names import Names, names_of
-from ..evidence.noise import family_of
+from ..evidence.noise import base_of
 from ..evidence.periods import Period, period_of
 from ..evidence.run import Run, run_of
 from ..evidence.sets import EffectSet, Sets
@@ -91,9 +91,8 @@ def searched(
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
     first = StepReport(None, error_of(run, sigma, repeated_folds))
     step("evidence")
-    family = family_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma))
-    sets = Sets(family, Base.of(family, family.run), step)
-    base = sets.base
+    base = base_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma), effects)
+    sets = Sets(base.family, base, step)
     nothing = Named(base, base, Described((), 0.0, base), None, run, steps=(first,))
     if run.is_exact or not look or base.evidence < -np.log(level):
         return nothing
@@ -110,41 +109,63 @@ def searched(
     kept = sets.fitted(added) if added else None
     if kept is None:
         return replace(nothing, names_judged=names, left=names.alone, notes=notes)
-    added, told = on_all_rows(run, added)
     step("held-out errors")
-    final, ordered, gains, steps = _judged(run, added, sigma, repeated_folds, first)
-    # visits of a pose share what is its own: rows held out by whole poses know
-    if worse := {one.effect: "rows held out are not clearly nearer with it" for one in gains if not one.holds}:
+    # visits of a pose share what is its own: rows held out by whole poses know, also which of several ties it is
+    judged = _judged(run, added, sigma, repeated_folds, first)
+    for tie in () if refused else sorted(names.ties, key=lambda one: len(one.blocks)):
+        if judged.holding == len(kept.blocks):
+            break
+        other = _judged(run, tie.blocks, sigma, repeated_folds, first)
+        if other.holding > judged.holding:
+            kept, judged = tie, other
+    if kept is not lead and not refused:
+        names = replace(names, lead=kept, beside=sets.described(kept.base, MOST, 1))
+    told = judged.told
+    if worse := {g.effect: "rows held out are not clearly nearer with it" for g in judged.gains if not g.holds}:
         names = replace(names, refused=refused | worse)
         notes += [f"{name} was found and is not named: {why}" for name, why in worse.items()]
-        added = [block for block in added if block.name not in worse]
+        added = [block for block in judged.added if block.name not in worse]
         kept = sets.fitted(added) if added else None
         if kept is None:
             return replace(nothing, names_judged=names, left=names.alone, notes=notes)
-        final, ordered, gains, steps = _judged(run, added, sigma, repeated_folds, first)
-    left = names.beside if kept is lead else sets.described(kept.base, MOST, 1)
-    return Named(base, kept.base, left, names, final, ordered, gains, steps, [*notes, *told])
+        judged = _judged(run, added, sigma, repeated_folds, first)
+    left = names.beside if kept is names.lead else sets.described(kept.base, MOST, 1)
+    return Named(base, kept.base, left, names, judged.final, judged.added, judged.gains, judged.steps, [*notes, *told])
 
 
 def _too_many(run: FittedRun, final: FittedRun) -> str:
     """Why a fit with what was found is no witness; empty where it is one."""
-    left = len(np.unique(run.data.standing[run.whole])) * len(run.axes) - final.fit.rank
-    if left < final.fit.rank - run.fit.rank:
-        return "it takes more numbers than these poses leave to judge it by"
+    left = len(np.unique(run.data.groups[run.whole])) * len(run.axes) - final.fit.rank
+    if left < final.fit.rank:
+        return "all that is fitted takes more numbers than these poses leave to judge it by"
     if run.fit.converged and not final.fit.converged:
         return "with it the fit does not converge"
     return ""
 
 
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """The ``final`` fit with what was ``added``, in the order in which the error falls, step by step, what each
+    ``gains`` on rows held out, and what is ``told`` of periods."""
+
+    final: FittedRun
+    added: list[Block]
+    gains: list[HeldOutGain]
+    steps: tuple[StepReport, ...]
+    told: tuple[str, ...]
+
+    @property
+    def holding(self) -> int:
+        """How many of them rows held out are nearer with."""
+        return sum(one.holds for one in self.gains)
+
+
 def _judged(
-    run: FittedRun,
-    added: Sequence[Block],
-    sigma: Floats,
-    repeated_folds: Sequence[Ints],
-    base: StepReport,
-) -> tuple[FittedRun, list[Block], list[HeldOutGain], tuple[StepReport, ...]]:
-    """The fit with all that was found, in the order in which the error falls, and what each earns."""
-    steps, left, partial = [base], list(added), run
+    run: FittedRun, found: Sequence[Block], sigma: Floats, repeated_folds: Sequence[Ints], base: StepReport
+) -> _Judged:
+    """Effects that were found, each at the setting that all rows give."""
+    left, told = on_all_rows(run, found)
+    steps, partial = [base], run
     ordered: list[Block] = []
     while left:
         options = [(error_of(with_it, sigma, repeated_folds), k, with_it)
@@ -157,7 +178,7 @@ def _judged(
         for block in ordered
         if block.effect is not None
     ]
-    return partial, ordered, gains, tuple(steps)
+    return _Judged(partial, ordered, gains, tuple(steps), told)
 
 
 def refit(run: FittedRun, blocks: Sequence[Block]) -> FittedRun:

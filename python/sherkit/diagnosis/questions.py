@@ -23,6 +23,7 @@ from ..fit.set_up import held, set_up_mistakes, unread
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
+from ..model.thermometers import thermometers_of
 from .answers import Diagnosis, verdict_of
 from .candidates import candidates_of, strongest
 from .checked import checks_of
@@ -75,6 +76,8 @@ def diagnose(
             )
     step("mistakes of the set-up")
     run = FittedRun(fit)
+    given = {one.name for one in (*effects, *run.model.effects)}
+    effects = (*effects, *(one for one in thermometers_of(run.model, run.data) if one.name not in given))
     mistakes = () if run.is_exact else set_up_mistakes(fit.model, fit.data, fit.values)
     table = () if run.is_exact else tuple(doubt for doubt in doubts(fit.data) if doubt.poses)
     # what a mistake leaves says nothing on physics, nor do poses that cannot tell it

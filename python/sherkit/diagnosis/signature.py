@@ -19,7 +19,7 @@ from .template import what_parts
 #: Evidence, in nats, by which one shape is clearly better than another (Kass and Raftery, "Bayes factors", JASA 1995).
 CLEARLY = 3.0
 #: Kinds of shapes, the simplest first.
-_SIMPLEST = ("smooth", "step", "interaction", "hysteretic", "periodic")
+_SIMPLEST = ("alternating", "smooth", "step", "interaction", "hysteretic", "periodic")
 #: Level at which an axis takes part in a signature.
 _AXIS_LEVEL = 1e-3
 
@@ -42,10 +42,11 @@ def signature_of(names: Names, named: Sequence[str]) -> dict[str, Any] | None:
     excess = max(base.rss - noise * base.free, gain, 1e-300)
     run = base.family.run
     axes = [run.of.names[a] for a in run.of.axes]
+    values = {**run.view.way, **run.view.variables}
     told = {
         **_told(run, first, _axes_of(base, with_it, noise, len(first.at), axes)),
         "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),
-        "ranges": {name: _range({**run.view.way, **run.view.variables}[name]) for name in first.depends_on},
+        "ranges": {name: _range(values[name]) for name in first.depends_on if name in values},
         "indistinguishable": [_told(run, other, axes) for other in others],
     }
     return told | {"apart": what_parts(told, run.view.pattern_of, run.view.place)}

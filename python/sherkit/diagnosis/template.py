@@ -79,6 +79,7 @@ def _how(shape: Mapping[str, Any]) -> str:
         "hysteretic": f"depends on the way {what} came there "
         f"(width {shape.get('at') or 0.0:g} {unit_in(shape['depends_on'][0])})",
         "interaction": f"depends on {what} together",
+        "alternating": "differs in every other row, as they were read (two faces, two heads, two sides?)",
     }[shape["shape"]]
 
 
@@ -93,6 +94,11 @@ def template(
     """
     if not name.isidentifier() or iskeyword(name):
         raise EffectError(f"'{name}' cannot be the name of an effect; expected a name as of a Python function")
+    if signature["shape"] == "alternating":
+        raise EffectError(
+            "what differs in every other row is the instrument's: take the mean of both (two faces, two heads), or "
+            "record in a column which of them read each row, and write an effect of that column"
+        )
     joint = signature.get("joint")
     if not joint and not set(signature["axis"]) <= set(layout.names[: len(layout.coordinates)]):
         raise EffectError("what is left is one of distances, to which an effect of yours can add nothing of its own")

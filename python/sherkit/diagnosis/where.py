@@ -18,6 +18,7 @@ from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
 from ..evidence.run import Run
 from ..evidence.settings import columns_at
+from ..evidence.thresholds import NOTHING
 from ..evidence.whitening import orthonormal
 
 _BINS = 6
@@ -136,6 +137,7 @@ def smallest_found(base: Base, block: Block, level: float) -> tuple[float, float
     columns = run.flat(columns_at(run, block.effect, block.setting))
     size = np.array([p.size for p in block.effect.parameters])
     at_size = float(np.square(columns - base.basis @ (base.basis.T @ columns)).sum(axis=0) @ size**2)
+    whole = float(np.square(columns).sum(axis=0) @ size**2)
     rank, free, count = float(len(size)), base.free, len(base.residual)
     asked = -float(np.log(level) + family.log_weight[family.where(block)])
 
@@ -143,7 +145,7 @@ def smallest_found(base: Base, block: Block, level: float) -> tuple[float, float
         return float(log_bayes(np.array([gain / (gain + free)]), np.array([rank]), free, count)[0]) - asked
 
     most = 1e3 * (asked + rank + 10.0)
-    if at_size <= 0 or short(most) < 0:
+    if at_size <= NOTHING * whole or short(most) < 0:
         return float("inf"), float("inf")
     gain = float(scipy.optimize.brentq(short, 0.0, most))
     needed = float(

@@ -152,6 +152,9 @@ class FittedRun(Saved):
         known = dict(zip((p.name for p in self.model.parameters), self.fit.values.tolist(), strict=True))
         start = np.array([known.get(p.name, 0.0) for p in model.parameters])
         fit = identify(model, self.data, noise=self.fit.noise, start=start, priors=self.fit.priors)
+        if not fit.converged and not fit.priors:
+            # more may be more than the readings decide
+            fit = identify(model, self.data, noise=self.fit.noise, start=start, priors=True)
         made = self._refits[tuple(added)] = FittedRun(fit, before)
         return made
 
@@ -164,7 +167,9 @@ class FittedRun(Saved):
             if effect.name in names:
                 taken[self.owns(effect)] = True
                 model = model.without_effect(effect.name)
-        return FittedRun(identify(model, self.data, noise=self.fit.noise, start=self.fit.values[~taken]))
+        return FittedRun(
+            identify(model, self.data, noise=self.fit.noise, start=self.fit.values[~taken], priors=self.fit.priors)
+        )
 
     def on(self, rows: Ints, sigma: Floats | None = None) -> FittedRun:
         """The full fit on these rows alone, with this noise (columns,) or that which each row has, from the values of
@@ -175,11 +180,13 @@ class FittedRun(Saved):
         every = np.array_equal(rows, np.arange(len(self.data)))
         if every and self._is_minimum and np.allclose(each, self.fit.noise.sigma, rtol=_SAME, atol=0.0):
             return self
-        return FittedRun(identify(self.model, data, noise=noise, start=self.fit.values))
+        return FittedRun(identify(self.model, data, noise=noise, start=self.fit.values, priors=self.fit.priors))
 
     def as_in(self, other: FittedRun) -> FittedRun:
         """The full fit of the rows of ``other`` to this model, from the values of this one."""
-        return FittedRun(identify(self.model, other.data, noise=other.fit.noise, start=self.fit.values))
+        return FittedRun(
+            identify(self.model, other.data, noise=other.fit.noise, start=self.fit.values, priors=self.fit.priors)
+        )
 
     def without(self, rows: Ints) -> FittedRun:
         """The full fit with these rows marked as outliers, from the drawing: where no reading tells, what they did to

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .base import Base, log_bayes
 from .described import MOST, Described
 from .sets import EffectSet, Sets
-from .sizes import ABSURD, sizes_of
-from .thresholds import ALARM, NEEDED, SURE, TELLS, TIED
+from .sizes import ABSURD, PLAUSIBLE, sizes_of
+from .thresholds import ALARM, NEEDED, PLAINLY, SURE, TELLS, TIED
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
@@ -26,7 +26,8 @@ class Told:
     name: str
     needed: float
     tells: float
-    absurd: bool
+    #: How many plausible sizes its largest parameter is.
+    size: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,24 +75,38 @@ def names_of(sets: Sets) -> Names:
     # where effects say far more than shapes no other beginning of these changes that
     if lead.value + beside.evidence - alone.evidence < 2.0 * NEEDED:
         alone = sets.described(sets.base, MOST, _STARTS)
-    told = tuple(_told(sets, lead, beside, alone, k) for k in range(len(lead.blocks)))
-    refused = {
-        one.name: why for one in told if (why := _refused(Names(lead, told, {}, (), beside, alone, sets.base), one))
-    }
-    if any(one.absurd for one in told):
-        refused = {one.name: "its size would be absurd" for one in told}
-    return Names(lead, told, refused, _ties(lead, found), beside, alone, sets.base)
+    judged = Names(lead, (), {}, _ties(lead, found), beside, alone, sets.base)
+    # three or more with many numbers imitate anything
+    partly = not lead.explains or judged.shapes_say_more or len(lead.blocks) > 2
+    told: dict[str, Told] = {}
+    refused: dict[str, str] = {}
+    kept: EffectSet | None = lead
+    while kept is not None:
+        # what is named is told without the help of what is not
+        left = beside if kept is lead else sets.described(kept.base, MOST, _STARTS)
+        those = [_told(sets, kept, left, alone, k) for k in range(len(kept.blocks))]
+        told |= {one.name: one for one in those}
+        why = {one.name: reason for one in those if (reason := _refused(kept, one, partly=partly))}
+        refused |= why
+        partly = True
+        stay = [block for block in kept.blocks if block.name not in why]
+        less = sets.fitted(stay) if why and stay else None
+        # what says as much without them had no help of them
+        kept = None if less is None or less.value > kept.value - TIED else less
+    if any(one.size > ABSURD for one in told.values()):
+        refused = dict.fromkeys(told, "its size would be absurd")
+    return replace(judged, told=tuple(told.values()), refused=refused)
 
 
 def _told(sets: Sets, lead: EffectSet, beside: Described, alone: Described, k: int) -> Told:
     block = lead.blocks[k]
     assert block.effect is not None, "shapes are not named"
     fit = lead.run.of
-    absurd = bool((sizes_of(fit.fit)[fit.owns(block.effect)] > ABSURD).any())
+    size = float(sizes_of(fit.fit)[fit.owns(block.effect)].max())
     others = tuple(one for one in lead.blocks if one is not block)
     less = sets.fitted(others) if others else None
     if others and less is None:
-        return Told(block.name, np.inf, np.inf, absurd)
+        return Told(block.name, np.inf, np.inf, size)
     without = alone if less is None else sets.described(less.base, MOST, _STARTS)
     needed = lead.value + beside.evidence - (0.0 if less is None else less.value) - without.evidence
     # its columns as the full fit has them
@@ -101,22 +116,21 @@ def _told(sets: Sets, lead: EffectSet, beside: Described, alone: Described, k: i
     base = without.base
     part = base.takes(columns) / max(base.rss, 1e-300)
     tells = log_bayes(np.array([part]), np.array([columns.shape[1]]), base.free, len(base.residual))
-    return Told(block.name, needed, float(tells[0]), absurd)
+    return Told(block.name, needed, float(tells[0]), size)
 
 
-def _refused(names: Names, one: Told) -> str:
-    """Why an effect is not named; empty where it may be."""
-    assert names.lead is not None, "it is of a set"
-    # three or more with many numbers imitate anything
-    partly = not names.lead.explains or names.shapes_say_more or len(names.lead.blocks) > 2
+def _refused(lead: EffectSet, one: Told, *, partly: bool) -> str:
+    """Why an effect of a set is not named; empty where it may be. ``partly`` where the set does not explain all."""
     # where one or two explain all, what follows no cause may do a little better, but not clearly
     least = NEEDED if partly else -SURE
-    steps = [block for block in names.lead.blocks if block.effect and block.effect.search == "time_s"]
+    steps = [block for block in lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"
     if one.needed < least:
         return "shapes that follow no cause say as much in its place"
-    if partly and one.tells < TELLS:
+    if partly and one.size > PLAUSIBLE:
+        return "its size is more than any robot's, and something is left that it does not explain"
+    if partly and one.tells < TELLS and one.needed < PLAINLY:
         return "it says nothing beside the shapes that describe this run without it"
     return ""
 

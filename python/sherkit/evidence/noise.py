@@ -1,4 +1,4 @@
-"""Noise that carries over from row to row, told apart from what is missing: the two look alike where rows are few.
+"""Noise that carries over from row to row, and axes of more noise, told apart from what is missing.
 
 A step in a short run makes neighbours alike, and a filter that takes this for noise hides the step and breeds waves.
 So the correlation of the noise is chosen together with what is missing, by the likelihood of both.
@@ -12,49 +12,74 @@ from dataclasses import replace
 import numpy as np
 
 from ..base.types import Floats
+from ..model.effect import Effect
 from .base import Base, log_bayes
 from .blocks import Block
 from .family import Family
-from .run import Run
+from .run import Run, shared_by_targets
 from .whitening import Whitening, correlation_in_time, orthonormal
 
 #: Most blocks beside which the correlation is looked at.
-_MOST = 4
+_MOST = 6
 
 
-def family_of(run: Run) -> Family:
-    """The family of a run, under the filter in time that goes best with what may be missing."""
-    if run.white.rho == 0.0:
-        return Family(run)
-    plain = replace(run, white=Whitening(0.0, run.white.lag, run.white.back))
-    family = Family(plain)
-    first = now = Base.of(family, plain)
+def base_of(run: Run, effects: Sequence[Effect]) -> Base:
+    """What is in the model of a run, under the filter in time and the weights of axes that go best with what may be
+    missing.
+
+    Where an effect moves one axis, that axis is as loud as the effect until it is in the model.
+    """
+    family = Family(run)
+    first = now = Base.of(family, run)
+    if run.of.is_exact:
+        return first
     found: list[Block] = []
-    best = _score(first, now, found, run.white), run.white
-    while len(found) < _MOST:
+    best = -np.inf, run.white, np.ones(run.axes), now
+    while True:
+        loud = loudness(now)
+        rho = correlation_in_time(run.view.residual, now.basis, run.white.back)
+        for white in [run.white, Whitening(rho, run.white.lag, run.white.back)][: 2 if rho else 1]:
+            best = max(best, (_score(first, now, found, white, loud), white, loud, now), key=lambda one: one[0])
         i = int(np.argmax(now.each))
-        if now.each[i] < 0:
+        if len(found) == _MOST or now.each[i] < 0:
             break
         found.append(family.blocks[i])
         now = now.beside(found[-1])
-        rho = correlation_in_time(plain.view.residual, now.basis, run.white.back)
-        white = Whitening(rho, run.white.lag, run.white.back)
-        best = max(best, (_score(first, now, found, white), white), key=lambda one: one[0])
-    return family if best[1].rho == 0.0 else Family(replace(run, white=best[1]))
+    _, white, loud, now = best
+    shared = shared_by_targets(now.residual.reshape(len(run), run.axes), run.of.data.series[run.rows])
+    weighed = replace(run.weighed(loud, effects), shared=shared)
+    if white.rho == 0.0 and weighed.of is run.of:
+        if shared == run.shared:
+            return first
+        family = Family(weighed, made=(family.columns, family.blocks))
+    else:
+        family = Family(replace(weighed, white=white))
+    return Base.of(family, family.run)
 
 
-def _score(first: Base, now: Base, found: Sequence[Block], white: Whitening) -> float:
-    """Logarithm of the likelihood of a run under a filter, with the prior weights of what was ``found``."""
+def loudness(base: Base) -> Floats:
+    """Root mean square of what is left on each axis (m,), in noises."""
+    m = base.family.run.axes
+    held = np.square(base.basis).sum(axis=1).reshape(-1, m).mean(axis=0)
+    left = np.square(base.residual).reshape(-1, m).mean(axis=0)
+    return np.sqrt(left / np.maximum(1.0 - held, 0.05)).clip(1e-300)
+
+
+def _score(first: Base, now: Base, found: Sequence[Block], white: Whitening, loud: Floats) -> float:
+    """Logarithm of the likelihood of a run under a filter and loudness of axes (m,), with the prior weights of what was
+    ``found``."""
     run = first.family.run
+    loud = loud / np.exp(np.log(loud).mean())
 
     def left(basis: Floats) -> float:
-        flat = white(run.view.residual).reshape(-1)
-        q = orthonormal(white(basis.reshape(len(run), run.axes, -1)))
+        flat = (white(run.view.residual) / loud).reshape(-1)
+        q = orthonormal(white(basis.reshape(len(run), run.axes, -1)) / loud[:, None])
         return float(np.square(flat - q @ (q.T @ flat)).sum())
 
     alone = left(first.basis)
-    # the filter's determinant, on each axis
-    out = run.axes * float(np.log(white.here).sum()) - 0.5 * first.free * np.log(max(alone, 1e-300))
+    # the filter's determinant, on each axis; that of weights is one
+    out = run.axes * float(np.log(white.here).sum())
+    out -= 0.5 * first.free * np.log(max(alone, 1e-300))
     if found:
         rank, count = np.array([now.basis.shape[1] - first.basis.shape[1]]), len(first.residual)
         out += float(log_bayes(np.array([1.0 - left(now.basis) / max(alone, 1e-300)]), rank, first.free, count)[0])

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ..base.types import Floats, Ints
 from ..errors import FitError
 from ..model.effect import Effect
 from .fitted_run import FittedRun
-from .linearised import Linearised, step_gains, within
-from .thresholds import HELD_SHAPE, UNEVEN
-from .whitening import Whitening, correlation_in_time, independent, orthonormal
+from .linearised import Linearised
+from .thresholds import UNEVEN
+from .whitening import Whitening, independent
 
 #: Fewest rows of which anything can be said.
 _FEWEST = 10
-#: Chance that pure noise has a step.
-_STEPS = 1e-6
-#: Waves of time in the basis that tells noise: slower than them, nothing counts as noise.
-_SLOW_WAVES = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +46,7 @@ class Run:
         :class:`~sherkit.errors.FitError` for too few rows."""
         rows = in_time(fit, rows)
         view = fit.linearised(rows, effects, sigma[list(fit.axes)])
-        return cls(fit, rows, sigma, view, Whitening(0.0, np.ones(len(rows), dtype=np.int64)))
+        return cls(fit, rows, sigma, view, Whitening.none(len(rows)))
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -87,6 +82,17 @@ class Run:
         n, m = columns.shape[:2]
         return self.white(columns).reshape(n * m, *columns.shape[2:])
 
+    def weighed(self, loud: Floats, effects: Sequence[Effect]) -> Run:
+        """The same rows with axes that are louder (m,) than the others by much weighing less, fitted anew."""
+        loud = np.clip(loud, 1e-6, 1e6)
+        if (np.abs(np.log(loud / loud.mean())) < UNEVEN).all():
+            return self
+        sigma = self.sigma.copy()
+        sigma[list(self.of.axes)] *= loud
+        fit = self.of.on(np.arange(len(self.of.data)), sigma)
+        view = fit.linearised(self.rows, effects, sigma[list(fit.axes)])
+        return replace(self, of=fit, sigma=sigma, view=view)
+
     def seen_by(self, fit: FittedRun) -> Run:
         """The same rows with the same noise as another fit of them sees them."""
         view = fit.linearised(self.rows, (), self.sigma[list(fit.axes)])
@@ -96,23 +102,15 @@ class Run:
 def run_of(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Run:
     """The ``rows`` of a fit over the noise ``sigma`` (columns,), with what gives columns of the ``effects``.
 
-    Axes that are louder than the others, once everything smooth and every effect is taken out, weigh less; the fit is
-    then made anew. Raises :class:`~sherkit.errors.FitError` for too few rows.
+    Raises :class:`~sherkit.errors.FitError` for too few rows.
     """
     rows = in_time(fit, rows)
     view = fit.linearised(rows, effects, sigma[list(fit.axes)])
     lag, back = one_after_another(fit.data.order, fit.data.series, rows)
-    rho, left = _noise_in(view, back)
-    loud = np.sqrt(np.square(left).mean(axis=0)).clip(1e-300)
-    if not fit.is_exact and (np.abs(np.log(loud / loud.mean())) > UNEVEN).any():
-        sigma = sigma.copy()
-        sigma[list(fit.axes)] *= np.clip(loud, 1e-6, 1e6)
-        fit = fit.on(np.arange(len(fit.data)), sigma)
-        view = fit.linearised(rows, effects, sigma[list(fit.axes)])
-    return Run(fit, rows, sigma, view, Whitening(rho, lag, back), _shared(left, fit.data.series[rows]))
+    return Run(fit, rows, sigma, view, Whitening(0.0, lag, back))
 
 
-def _shared(left: Floats, series: Ints) -> float:
+def shared_by_targets(left: Floats, series: Ints) -> float:
     """How many times as much noise (n, m) there is in the direction in which targets of one visit err together, as in
     the mean of all: three witnesses may be one. ``series`` (n,) are their numbers, rows in the order of time."""
     numbers = np.unique(series)
@@ -163,45 +161,3 @@ def one_after_another(order: Ints, series: Ints, rows: Ints) -> tuple[Ints, Ints
 def unit(values: Floats) -> Floats:
     """Values (n,) brought to -1 … 1."""
     return np.asarray(2.0 * (values - values.min()) / max(float(np.ptp(values)), 1e-300) - 1.0)
-
-
-def _largest_step(view: Linearised) -> Floats:
-    """The step (n, 1) that takes most beside what is fitted: neighbours on one side of it are alike, and axes are loud,
-    whatever the noise is. Nothing (n, 0) where chance may have taken it."""
-    n, m = view.residual.shape
-    basis, cuts = orthonormal(view.fitted(view.whole)), np.arange(2, n - 2)
-    free = n * m - basis.shape[1]
-    if view.time is None or not len(cuts) or free <= m:
-        return np.zeros((n, 0))
-    flat = view.residual.reshape(-1)
-    left = (flat - basis @ (basis.T @ flat)).reshape(n, m)
-    inside = within((column.reshape(n, m) for column in np.ascontiguousarray(basis.T)), cuts)
-    gain = step_gains(left, inside, cuts, HELD_SHAPE)
-    variance = max(float((left**2).sum() - gain.max()) / (free - m), 1e-300)
-    if scipy.special.chdtrc(m, float(gain.max()) / variance) * len(cuts) > _STEPS:
-        return np.zeros((n, 0))
-    return (np.arange(n) >= cuts[np.argmax(gain)]).astype(float)[:, None]
-
-
-def _noise_in(view: Linearised, back: Ints | None) -> tuple[float, Floats]:
-    """How much noise carries over from row to row, and what is left (n, m), in noises, beside all that is fitted, all
-    effects, and what is smooth in any variable or slow in time; where that takes much of an axis, made up for."""
-    n, m = view.residual.shape
-    smooth = [unit(v)[:, None] ** np.arange(1, 4) for v in view.variables.values()]
-    if view.time is not None:
-        smooth.append(np.cos(np.pi / 2 * np.outer(unit(view.time) + 1, np.arange(1, min(_SLOW_WAVES, n // 8) + 1))))
-    few = np.concatenate([_largest_step(view), *smooth], axis=1)[:, : n // 4]
-    f = orthonormal(few - few.mean(axis=0), 1e-6)
-    last = view.effects[-1][1].stop if view.effects else 0
-    rest = np.concatenate([view.fitted(view.whole), view.effects_in(view.whole)[:, :, :last]], axis=2)
-    by_row = rest.reshape(n, -1)
-    q = orthonormal((by_row - f @ (f.T @ by_row)).reshape(rest.shape), 1e-6)[:, : max(n * m // 8, 1)]
-    basis = np.zeros((n, m, m * f.shape[1] + q.shape[1]))
-    for a in range(m):
-        basis[:, a, a * f.shape[1] : (a + 1) * f.shape[1]] = f
-    basis[:, :, m * f.shape[1] :] = q.reshape(n, m, -1)
-    every = basis.reshape(n * m, -1)
-    residual = view.residual.reshape(-1)
-    left = (residual - every @ (every.T @ residual)).reshape(n, m)
-    free = 1.0 - np.square(basis).sum(axis=2).mean(axis=0)
-    return correlation_in_time(view.residual, every, back), left / np.sqrt(np.maximum(free, 0.05))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -159,6 +159,9 @@ class Sets:
             other = self.fitted([*others, refined(beside, step)]) if block.effect.link != step.effect.link else None
             as_near = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
             if other is not None and other.base.rss < as_near and (other.explains or not lead.explains):
+                # it stands in the other's place: its numbers more are those of where it was put
+                other = replace(other, value=max(other.value, lead.value))
+                self._fitted[_key(other.blocks)] = other
                 return other
         return lead
 

@@ -28,7 +28,7 @@ _ON_ONE_AXIS = 12.0
 
 def blocks_of_shapes(made: Maker) -> None:
     """Adds slopes, curves, waves, products, play and steps of every variable of the rows, which
-    :attr:`~.linearised.Linearised.variables` has."""
+    :attr:`~.linearised.Linearised.variables` has, and what differs in every other row."""
     view = made.view
     count = {name: len(np.unique(made.like.variables[name])) for name in view.variables if name in made.like.variables}
     u = {name: made.unit(name) for name in count if count[name] >= _FEWEST}
@@ -50,6 +50,10 @@ def blocks_of_shapes(made: Maker) -> None:
     if made.reference is None:
         for name, values in view.way.items():
             made.on_axes("smooth", (name,), [made.function(unit(values))], order=1)
+        fit = made.run.of
+        if fit is not None and not fit.data.series.any():
+            every_other = fit.data.order[made.run.rows] % 2
+            made.on_axes("alternating", ("row",), [made.function(2.0 * every_other - 1.0)])
     for moment in made.moments:
         step = made.function(made.since(moment))
         made.on_axes("step", ("time_s",), [step], each=False, setting=moment)

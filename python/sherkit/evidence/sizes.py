@@ -22,9 +22,9 @@ TOLD, PLAUSIBLE, ABSURD = 3.0, 5.0, 500.0
 
 def sizes_of(fit: Fit) -> Floats:
     """How many plausible sizes each parameter (p,) is at least, give or take two deviations; none of what is free of
-    where the sensor stands, and of where it was put since."""
+    where the sensor stands, of where it was put since, and of where targets sit."""
     of_pose = fit.model.free_of_pose
-    free = {*of_pose, *map(slip_of, of_pose)}
+    free = {*of_pose, *map(slip_of, of_pose), *fit.model.targets_anywhere}
     size = np.array([np.inf if p.name in free or _is_set_up(p) else p.size for p in fit.parameters])
     return np.maximum(np.abs(fit.values) - 2 * fit.std_from_readings, 0.0) / size
 

@@ -20,6 +20,8 @@ TIED = float(np.log(1e4))
 #: By how much a name must beat the best shapes in its place (d), and what it must tell beside all of them (t). Of 57
 #: spherical runs with physics of no catalogue d = 9 let 19 innocents through, these 8, and kept half of the true names.
 NEEDED, TELLS = 30.0, 5.0
+#: From where on a name that is needed so much need tell nothing beside shapes: true ones had 43 to 82, innocents less.
+PLAINLY = 40.0
 
 #: Part of a column's square below which the model holds it: of an effect, and of a shape, which is no more exact.
 HELD_EFFECT, HELD_SHAPE = 1e-6, 4e-4
@@ -31,4 +33,4 @@ TWIN = 0.97
 FEW_VISITS = 0.8
 
 #: Logarithm of how much louder one axis is than the mean, from which on axes are weighed anew.
-UNEVEN = 0.25
+UNEVEN = 0.3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from typing import Self
 
 import numpy as np
 
@@ -35,6 +35,11 @@ class Whitening:
         self.here = 1.0 / np.sqrt(1.0 - carried**2)
         self.before = -carried * self.here
 
+    @classmethod
+    def none(cls, rows: int) -> Self:
+        """What leaves so many rows as they are."""
+        return cls(0.0, np.ones(rows, dtype=np.int64))
+
     @property
     def is_plain(self) -> bool:
         """Whether it leaves everything as it is."""
@@ -57,27 +62,6 @@ class Whitening:
         out = values * self.here.reshape(shape)
         out[self.early] += values[self.late] * self.before[self.late].reshape(shape)
         return out
-
-    def on(self, values: Callable[[slice], Floats], rows: slice) -> Floats:
-        """These rows (b, …) of what ``values`` gives for a stretch of rows, filtered."""
-        if self.rho == 0.0:
-            return values(rows)
-        late, early = self._within(rows)
-        first = int(np.min(early, initial=rows.start)) if isinstance(early, np.ndarray) else max(rows.start - 1, 0)
-        raw = values(slice(first, rows.stop))
-        shape = (-1,) + (1,) * (raw.ndim - 1)
-        out = raw[rows.start - first :] * self.here[rows].reshape(shape)
-        led = raw[early - first] if isinstance(early, np.ndarray) else raw[: len(raw) - 1]
-        out[late] += led * self.before[rows][late].reshape(shape)
-        return out
-
-    def _within(self, rows: slice) -> tuple[slice | Ints, slice | Ints]:
-        """Which of these rows, counted from the first of them, follow another, and which of all they follow."""
-        if self.back is None:
-            first = max(rows.start, 1)
-            return slice(first - rows.start, None), slice(first - 1, rows.stop - 1)
-        late = np.flatnonzero(self.back[rows])
-        return late, rows.start + late - self.back[rows][late]
 
 
 def whiten(values: Floats, rho: float, back: Ints | None = None) -> Floats:

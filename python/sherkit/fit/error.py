@@ -112,6 +112,10 @@ class Fitted(Protocol):
         """The noise of each reading."""
 
     @property
+    def priors(self) -> bool:
+        """Whether all plausible sizes are known."""
+
+    @property
     def predicted(self) -> Floats:
         """What it says (n, m)."""
 
@@ -181,10 +185,20 @@ def held_out_error(
             last[:] = [(some, by_model(some).parameters * weight[some, :, None])]
         return last[0][1]
 
-    folds = Folds.of(columns, residual, fold)
+    folds = Folds.of(columns, residual, fold, known_of(fit))
     errors = [(folds.errors(columns(some), residual[some], some) ** 2).mean(axis=0) for some in blocks(len(rows))]
     squares = np.where(there, np.concatenate(errors) * (data.layout.per_unit * sigma) ** 2, np.nan)
     return ErrorSize.of(squares, data.layout.unit, held_out=True, names=data.layout.readings, together=axes_of(data))
+
+
+def known_of(fit: Fitted) -> Floats | None:
+    """What is known of how far the parameters are off their fitted values, as :class:`~.folds.Folds` has it; None where
+    nothing is."""
+    known = np.array([p.known or fit.priors for p in fit.model.parameters], dtype=bool)
+    if not known.any():
+        return None
+    precision = np.where(known, 1.0, 0.0) / np.square([p.size for p in fit.model.parameters])
+    return np.stack([precision, -precision * fit.values])
 
 
 def _refitted(fit: Fitted, refit: Callable[[Measurements], Floats], rows: Ints, fold: Ints) -> ErrorSize:

@@ -84,7 +84,8 @@ class Folds:
 
     All repetitions stand one after another: ``grams`` (f, k, k), ``right`` (f, k) products with the residual,
     ``squares`` (f,) of the residual and ``counts`` (f,) of numbers in it. ``place`` (repetitions, n) is where the fold
-    of a row stands, ``length`` (k,) what the columns were divided by.
+    of a row stands, ``length`` (k,) what the columns were divided by. ``known`` (2, k) is what is known of the
+    coefficients without any row: their precision, and its product with their values.
     """
 
     grams: Floats
@@ -93,16 +94,17 @@ class Folds:
     counts: Ints
     place: Ints
     length: Floats
+    known: Floats
 
     @classmethod
-    def of(cls, columns: Callable[[slice], Floats], residual: Floats, fold: Ints) -> Folds:
+    def of(cls, columns: Callable[[slice], Floats], residual: Floats, fold: Ints, known: Floats | None = None) -> Folds:
         """``columns`` gives those (b, m, k) of a stretch of rows; ``fold`` (repetitions, n) is the fold of each row."""
         (grams,), place = summed(columns, residual, fold, lambda part: [part.T @ part])
         length = _lengths(np.diagonal(grams, axis1=1, axis2=2)[: len(grams) // len(fold), :-1])
         counts = residual.shape[1] * np.bincount(place.ravel(), minlength=len(grams))
         return cls(
             grams[:, :-1, :-1] / np.multiply.outer(length, length), grams[:, :-1, -1] / length, grams[:, -1, -1],
-            counts, place, length,
+            counts, place, length, _known(known, length),
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -111,20 +113,32 @@ class Folds:
     def some(self, which: Sequence[int]) -> Folds:
         """With these of the columns only."""
         w = list(which)
-        return Folds(self.grams[:, w][:, :, w], self.right[:, w], self.squares, self.counts, self.place, self.length[w])
+        return Folds(
+            self.grams[:, w][:, :, w],
+            self.right[:, w],
+            self.squares,
+            self.counts,
+            self.place,
+            self.length[w],
+            self.known[:, w],
+        )
 
     def repetition(self, k: int) -> Folds:
         """Those of one repetition."""
         count = len(self) // len(self.place)
         own = slice(k * count, (k + 1) * count)
         place = self.place[k : k + 1] - own.start
-        return Folds(self.grams[own], self.right[own], self.squares[own], self.counts[own], place, self.length)
+        return Folds(
+            self.grams[own], self.right[own], self.squares[own], self.counts[own], place, self.length, self.known
+        )
 
     @property
     def outside(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Gram matrices, right sides, sums of squares and counts of all rows outside each fold."""
+        """Gram matrices, right sides, sums of squares and counts of all rows outside each fold; what is known without
+        any row is in each."""
         inside = (self.grams, self.right, self.squares, self.counts)
-        return tuple(_outside(one, len(self.place)) for one in inside)  # type: ignore[return-value]
+        gram, right, squares, counts = (_outside(one, len(self.place)) for one in inside)
+        return gram + np.diag(self.known[0]), right + self.known[1], squares, counts
 
     @property
     def solutions(self) -> Floats:
@@ -159,7 +173,14 @@ class Beside:
     each fold are known under the fit to the others (:attr:`held_out`).
     """
 
-    def __init__(self, columns: Callable[[slice], Floats], counts: Sequence[int], residual: Floats, fold: Ints) -> None:
+    def __init__(
+        self,
+        columns: Callable[[slice], Floats],
+        counts: Sequence[int],
+        residual: Floats,
+        fold: Ints,
+        known: Floats | None = None,
+    ) -> None:
         more, times, count = sum(counts), len(fold), np.array(counts, dtype=np.int64)
         first = np.cumsum(count) - count
         #: Sets of one size together: which, and their columns (s, k).
@@ -192,10 +213,12 @@ class Beside:
         self.own = turn.T @ by_fitted[:, :, :p] @ turn
         self.across = turn.T @ by_fitted[:, :, p:]
         self.along = right[:, :p] @ turn
-        roots = roots_of(_outside(self.own, times))
+        given = _known(known, length[:p])
+        roots = roots_of(_outside(self.own, times) + turn.T @ (given[0][:, None] * turn))
         #: Outside each fold: products of the fitted ones with the others, and what they say of these and, last, of the
         #: residual; what they leave of the products with the residual.
         cross = _outside(np.concatenate([self.across, self.along[:, :, None]], axis=2), times)
+        cross[:, :, -1] += given[1] @ turn
         self.says = roots @ (roots.transpose(0, 2, 1) @ cross)
         self.cross = cross[:, :, :-1]
         self.left = _outside(self.right, times) - (self.cross.transpose(0, 2, 1) @ self.says[:, :, -1:])[:, :, 0]
@@ -259,6 +282,11 @@ def _outside(inside: Floats | Ints, times: int) -> Floats:
     """Of something summed over each fold, what is outside it, within its repetition of so many."""
     repetitions = inside.reshape(times, len(inside) // times, *inside.shape[1:])
     return (repetitions.sum(axis=1, keepdims=True) - repetitions).reshape(inside.shape)
+
+
+def _known(known: Floats | None, length: Floats) -> Floats:
+    """What is known of coefficients (2, k), of columns of unit length."""
+    return np.zeros((2, len(length))) if known is None else known / np.stack([length**2, length])
 
 
 def _lengths(squares: Floats) -> Floats:

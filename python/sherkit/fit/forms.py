@@ -22,6 +22,8 @@ from ..base.names import listed
 from ..base.types import Floats
 from ..model.effect import Effect, Parameter
 
+#: What readings that say nothing weigh, beside a plausible size.
+_NOTHING = 1e-6
 #: A form with a smaller p is refused.
 _LEVEL = 0.01
 #: Forms whose criterion is nearer than this to the leading one fit as well (Kass and Raftery, JASA 1995).
@@ -133,6 +135,13 @@ def known_of(fit: Any, effect: Effect) -> Known | None:
     if not (np.isfinite(theta).all() and np.isfinite(c).all() and np.diag(c).min() > 0):
         return None
     weight = linalg.pinv(c, rcond=1e-12, hermitian=True)
+    if fit.priors:
+        # what the readings alone say: the drawing, at one plausible size, taken off
+        told = weight @ theta
+        value, turn = linalg.eigh(weight - np.eye(len(weight)))
+        value = np.maximum(value, _NOTHING)
+        weight, c = (turn * value) @ turn.T, (turn / value) @ turn.T
+        theta = c @ told
     price = np.log(max(int(fit.data.used.sum()), 3))
     free = len(theta) * price
     scored = []

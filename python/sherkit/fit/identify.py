@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-
-import sherkit._core as _core
+import scipy
 
 from ..base import linalg
 from ..base.arguments import Count, Seed, as_annotated
@@ -26,7 +25,7 @@ from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.noise import Noise, noise_of
 from ..data.reader import RunLike
-from ..errors import FitError, RobotError
+from ..errors import FitError
 from ..model.any import Model
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter, named_effects
@@ -35,11 +34,16 @@ from ..model.robot_file import RobotLike, load_robot, run_for
 from .error import ErrorSize, held_out_error, of_residuals
 from .folds import blocks_of
 from .least_squares import LOSSES, LeastSquares, reached, scale, spread
+from .minimum import NEAR, beginning, noise_ratio, over_the_wall
 from .set_up import set_up_mistakes
 from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
 _ROBUST_ROUNDS = 30
+#: Evaluations of a fit that begins at the drawing.
+_EVALUATIONS = 100
+#: Chance by which readings contradict a drawing that is right.
+_CONTRADICTED = 1e-3
 #: It has settled when no value moves by more than this part of its plausible size; and it may still move by this part
 #: of its deviation when the rounds are over.
 _SETTLED = 1e-7
@@ -230,7 +234,7 @@ def identify(
     free: Sequence[str] = (),
     effects: Sequence[str | Effect] = (),
     loss: str = "linear",
-    priors: bool = False,
+    priors: bool | None = None,
     linear: bool = False,
     start: Sequence[float] | Floats | None = None,
     noise: Noise | None = None,
@@ -240,8 +244,10 @@ def identify(
     Robot and run may be given by their files, the run as a frame too.
     ``free`` names them (default: those of the kind of robot). ``effects`` are identified besides: names of the
     catalogue, or the user's own. ``loss`` is ``linear``, ``huber``, ``cauchy`` or ``tukey``.
-    ``priors`` treats the plausible sizes as Gaussian knowledge. ``linear`` takes the paper's single step of
-    Eq. 11. ``noise`` overrides what :func:`~sherkit.data.noise.noise_of` finds.
+    ``priors`` takes the drawing, with the plausible sizes as deviations, as one more measurement. Left out, that is so
+    where the readings alone would leave combinations of parameters less sure than the drawing does, or reach no
+    minimum. ``linear`` takes the paper's single step of Eq. 11. ``noise`` overrides what
+    :func:`~sherkit.data.noise.noise_of` finds.
 
     Raises :class:`~sherkit.errors.FitError` for rows out of reach, an unknown loss, or too few readings, and
     :class:`~sherkit.errors.EffectError` for an effect that is not known.
@@ -259,20 +265,49 @@ def identify(
     noise = noise or noise_of(data)
     if not data.used.any():
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
+    fit = _fitted(model, data, noise, start, loss=loss, priors=bool(priors), linear=linear)
+    if priors is None and not linear and not (fit.converged and fit.supported == fit.rank):
+        # what readings do not decide the drawing does, unless they contradict it
+        drawn = _fitted(model, data, noise, start, loss=loss, priors=True, linear=False)
+        if not fit.converged or not _contradict(fit, drawn):
+            fit = drawn
+    return fit
+
+
+def _contradict(plain: Fit, drawn: Fit) -> bool:
+    """Whether the readings of a ``plain`` fit contradict the drawing, with which that ``drawn`` was made: it leaves
+    more than as many numbers as are fitted would by chance."""
+    left = [
+        float(np.square(one.residuals[one.data.used] / one.noise.sigma[one.data.used]).sum()) for one in (plain, drawn)
+    ]
+    return left[1] - left[0] > float(scipy.special.chdtri(plain.rank, _CONTRADICTED)) * plain.scale**2
+
+
+def _fitted(
+    model: ModelWithEffects,
+    data: Measurements,
+    noise: Noise,
+    start: Sequence[float] | Floats | None,
+    *,
+    loss: str,
+    priors: bool,
+    linear: bool,
+) -> Fit:
     weights = np.where(data.used, 1.0 / noise.sigma, 0.0)
     problem = LeastSquares(model, data)
-    values = model.start(data) if start is None else model.starting_at(start)
-
     known = priors or any(p.known for p in model.parameters)
     try:
+        values = beginning(model, data, weights) if start is None else model.starting_at(start)
         if known and noise.origin == "unknown":
-            # a prior is weighed against the noise, which only the residuals tell
-            loose, _ = problem.solve(weights, values, linear=linear)
-            weights = weights / max(scale(problem.residuals(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
-        solver, ended = problem.solve(weights, values, priors=priors, linear=linear)
+            weights = weights / max(
+                noise_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear), 1e-12
+            )
+        # what begins at another fit is near its minimum, or has none
+        most = _EVALUATIONS if start is None else NEAR
+        solver, ended = problem.solve(weights, values, priors=priors, linear=linear, max_evaluations=most)
         result = solver.result()
         if not reached(ended, result):
-            solver, ended = _over_the_wall(problem, weights, solver, ended, priors=priors)
+            solver, ended = over_the_wall(problem, weights, solver, ended, priors=priors)
             result = solver.result()
     except FitError as error:
         mistakes = set_up_mistakes(model, data) if start is None else ()
@@ -328,23 +363,6 @@ def identify(
         converged=at_minimum,
         evaluations=evaluations,
     )
-
-
-def _over_the_wall(
-    problem: LeastSquares, weights: Floats, solver: _core.Solver, ended: str, *, priors: bool
-) -> tuple[_core.Solver, str]:
-    """Goes on from behind a small step of the cost, where a model is not smooth: a whole step from where every damped
-    one went up. Where that leads nowhere better, all stays."""
-    there = problem.solve(weights, solver.trial, priors=priors, linear=True)[0].trial
-    try:
-        other, how = problem.solve(weights, there, priors=priors)
-    except (FitError, RobotError):
-        return solver, ended
-    before, after = solver.result(), other.result()
-    variance = before["cost"] / max(before["rows"] - before["rank"], 1)
-    # where the cost jumps, a minimum may lie a little above the point beside the wall
-    better = after["cost"] <= before["cost"] + (variance if reached(how, after) else 0.0)
-    return (other, how) if better else (solver, ended)
 
 
 def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:

@@ -121,10 +121,10 @@ def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rou
 
 def as_fitted(model: ModelWithEffects, data: Measurements, values: Floats) -> Plausible:
     """Any fit, judged in the same way, as if its zeros had to be plausible too, but for where a sensor stands that may
-    stand anywhere. Raises as the model's ``predict``."""
+    stand anywhere, and where targets sit. Raises as the model's ``predict``."""
     data = thinned(data)
     rms = robust_rms(data.readings - model.predict(data, values), data.used)
-    datum = of_pose(model)
+    datum = of_set_up(model)
     return Plausible(
         values, rms, spread_of(data), moved_by(values, sizes_of(model), datum), part_elsewhere(model, data)
     )
@@ -140,15 +140,15 @@ def moved_by(values: Floats, sizes: Floats, datum: Bools) -> float:
     return 0.5 * float(((values / sizes)[~datum] ** 2).sum())
 
 
-def of_pose(model: ModelWithEffects) -> Bools:
-    """Parameters (p,) of the pose of a sensor that may stand anywhere."""
-    anywhere = model.stands_anywhere
+def of_set_up(model: ModelWithEffects) -> Bools:
+    """Parameters (p,) of the pose of a sensor that may stand anywhere, and of where the targets sit on the tool."""
+    anywhere = {*model.stands_anywhere, *model.targets_anywhere}
     return np.array([p.name in anywhere for p in model.parameters], dtype=bool)
 
 
 def may_be_anything(model: ModelWithEffects, data: Measurements) -> Bools:
-    """Parameters (p,) that may be anything: where a sensor stands that is free, and those whose derivative is the same
-    in every row, zeros of an instrument.
+    """Parameters (p,) that may be anything: where a sensor stands that is free, where targets sit, and those whose
+    derivative is the same in every row, zeros of an instrument.
 
     Raises as the model's ``derivatives``.
     """
@@ -160,14 +160,14 @@ def may_be_anything(model: ModelWithEffects, data: Measurements) -> Bools:
     taken = used.any(axis=0)
     with np.errstate(invalid="ignore"):
         same = (high - low <= 1e-9 * np.abs(high)) | ~taken
-    return of_pose(model) | np.asarray(same.all(axis=0) & (taken & (np.abs(high) > 0)).any(axis=0))
+    return of_set_up(model) | np.asarray(same.all(axis=0) & (taken & (np.abs(high) > 0)).any(axis=0))
 
 
-def thinned(data: Measurements) -> Measurements:
-    """Rows enough to see a mistake, spread over the run."""
-    if len(data) <= _MOST_ROWS:
+def thinned(data: Measurements, most: int = _MOST_ROWS) -> Measurements:
+    """Rows enough to see a mistake, at ``most`` so many, spread over the run."""
+    if len(data) <= most:
         return data
-    return data.select(np.unique(np.linspace(0, len(data) - 1, _MOST_ROWS).astype(np.int64)))
+    return data.select(np.unique(np.linspace(0, len(data) - 1, most).astype(np.int64)))
 
 
 def robust_rms(left: Floats, used: Bools, *, centred: bool = False) -> Floats:

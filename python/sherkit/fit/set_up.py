@@ -15,13 +15,25 @@ from ..data.doubts import angles, commanded, doubts
 from ..data.noise import noise_of
 from ..errors import SherkitError
 from ..model.base import ModelWithEffects
-from .plausible import COUNTED, NOT_COMPUTED, Plausible, as_fitted, may_be_anything, plausible_fit, thinned
+from .plausible import (
+    COUNTED,
+    NOT_COMPUTED,
+    Plausible,
+    as_fitted,
+    may_be_anything,
+    plausible_fit,
+    sizes_of,
+    thinned,
+)
 from .set_up_hypotheses import SetUp, hypotheses, turned_frame
 
 # -- Readings that are the same in every row, and such as no row holds ----------------------------------------------
 
 #: A reading that never changes is a mistake where the place moves it by more than this part of what moves most.
 _MOVES = 0.05
+#: A distance that the drawing moves by fewer deviations, as plausible sizes of its parameters have them, is constant by
+#: design.
+_BY_DESIGN = 10.0
 _FEWEST = 5
 
 
@@ -38,8 +50,13 @@ def constant(data: Measurements) -> Ints:
 def held(data: Measurements) -> tuple[str, ...]:
     """What a constant reading leaves open, in a sentence for each."""
     return tuple(
-        f"{data.layout.readings[k]} is constant, the same in all {int(data.used[:, k].sum())} rows: whatever lets the "
-        "robot move less would fit it, so that gains and scales cannot be told from it"
+        f"{data.layout.readings[k]} is constant, the same in all {int(data.used[:, k].sum())} rows: "
+        + (
+            "lengths are known up to one factor, which is the drawing's here; a known distance between two of the "
+            "places that were touched would tell it"
+            if data.layout.readings[k] == data.layout.distance
+            else "whatever lets the robot move less would fit it, so that gains and scales cannot be told from it"
+        )
         for k in constant(data)
     )
 
@@ -66,6 +83,13 @@ def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator
     except SherkitError:
         return
     moves = np.ptp(drawn, axis=0)
+    distance = data.layout.distance
+    if distance is not None and data.layout.readings.index(distance) in still:
+        # a probe that touches, a ball in its socket: constant, where an arm a little off its drawing makes it so
+        k = data.layout.readings.index(distance)
+        by_plausible = model.derivatives(data, model.start(data))[:, k] * sizes_of(model)
+        if moves[k] < _BY_DESIGN * np.sqrt(np.square(np.std(by_plausible, axis=0)).sum()):
+            still = still[still != k]
     if model.stands_anywhere:
         # how it is turned is told by the readings that are in doubt: of directions as many as the drawing's must move
         rows = data.taken[:, : data.coordinates].all(axis=1)
@@ -116,7 +140,8 @@ _NEARLY = 0.05
 _SQUARE = 0.1
 #: How often a turned frame is registered anew to what the model predicts.
 _TURNS = 4
-#: So many set-ups that look best at first are fitted to their end.
+#: Rows by which set-ups are looked at first; so many that look best are fitted to their end.
+_AT_FIRST = 100
 _LOOKED_AT = 8
 #: Readings for each parameter, fewer of which fit anything.
 _READINGS = 3
@@ -243,7 +268,7 @@ def _much_better(
     """The set-up that explains the run much better than it ``stands`` or fits ``now``, first, and those that are as
     good: every coordinate that it touches gets better, and none worse."""
     every = list(hypotheses(model, data))
-    first = [plausible_fit(one.model, one.data, datum, rounds=1) for one in every]
+    first = [plausible_fit(one.model, thinned(one.data, _AT_FIRST), datum, rounds=1) for one in every]
     likely = sorted((found.misfit, k) for k, found in enumerate(first) if found is not None)[:_LOOKED_AT]
     fitted = [(every[k], plausible_fit(every[k].model, every[k].data, datum)) for _, k in likely]
     if not model.stands_anywhere:

@@ -245,6 +245,12 @@ class ModelWithEffects(Saved, ABC):
         the sensor stands. None where a part of it is known or held."""
         return ()
 
+    @property
+    def targets_anywhere(self) -> tuple[str, ...]:
+        """Names of the parameters of where on the tool the targets sit, as far as nothing is known of it: who clamps
+        one there need not know."""
+        return ()
+
     def for_run(self, data: Measurements) -> Self:
         """The same model for a run: its time counted from the begin, unless it has an origin of time, since what moves
         on from one row to the next must not hang on the year."""

@@ -324,9 +324,16 @@ class ChainModel(SeenModel):
         return 3 if effect.link == "body" else data.coordinates
 
     def rows(self, data: Measurements, values: Floats) -> Rows:
-        """The rows, with the position that the built-in model gives."""
-        full = self.full(values)
-        return Rows(data, lambda: self.core_for(data).predict(full, self.plain_block(data))[0][:, : data.coordinates])
+        """The rows, with the position that the built-in model gives. It raises as :meth:`predict`; of outliers out of
+        reach it is NaN."""
+
+        def position() -> Floats:
+            full = self.full(values)
+            out, reached = self.core_for(data).predict(full, self.plain_block(data))
+            self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
+            return out[:, : data.coordinates]
+
+        return Rows(data, position)
 
     def linearised(self, data: Measurements, values: Floats) -> Derivatives:
         """All at once by the core; the user's effects carried from their link to the readings."""

@@ -19,6 +19,7 @@ from ..base.types import Floats
 from ..data.columns import unit_in
 from ..errors import EffectError, SherkitError
 from .python_file import Named, named, run_python
+from .rows import run_of
 
 # -- Parameters of a model ------------------------------------------------------------------------------------------
 
@@ -148,8 +149,12 @@ class Effect(Shown):
                 f"'{self.link}' it is {USER_LINKS[self.link]}"
             )
         out = out.astype(float)
-        if not np.isfinite(out).all():
-            row = int(np.argmax(~np.isfinite(out).all(axis=1)))
+        wrong = ~np.isfinite(out).all(axis=1)
+        # a row that was marked since no model reaches it has no position either
+        away = wrong & run_of(rows).outlier
+        out[away] = 0.0
+        if (wrong & ~away).any():
+            row = int(np.argmax(wrong & ~away))
             raise EffectError(f"effect '{self.name}' is not finite at row {row}")
         return out
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ import tomli_w
 from ..base.arguments import as_annotated
 from ..base.names import listed
 from ..data import Measurements
-from ..data.columns import Columns, check_columns, is_known
+from ..data.columns import Columns, Layout, check_columns, is_known
 from ..data.files import write_whole
 from ..data.reader import RunLike, run_of
 from ..data.toml import Table, read_toml
-from ..errors import MeasurementError, RobotError, SherkitWarning
+from ..errors import MeasurementError, RobotError, SherkitError, SherkitWarning
 from .kinds import Robot, kind_of, robot_from_tables
 
 #: The table of a robot file that is about its runs, not about the robot.
@@ -41,6 +42,11 @@ def load_robot(path: str | os.PathLike[str]) -> Robot:
             "of a machine, and in Python it is imported"
         )
     tables = read_toml(Path(path), "robot")
+    if "kind" not in tables and isinstance(tables.get("calibration"), dict):
+        raise RobotError(
+            f"{path}: is a calibration, where the file of a robot is expected: give that which it was made from; "
+            "sherkit verify asks whether the calibration still holds"
+        )
     _columns_in(tables, path)
     robot = robot_from_tables({key: value for key, value in tables.items() if key != _COLUMNS}, str(path))
     for asked in kind_of(robot).asks:
@@ -60,10 +66,10 @@ def run_for(robot: object, data: RunLike, columns: Columns | None = None) -> Mea
         columns = columns_of(robot)
     own = getattr(robot, "brings", None)
     if own is None:
-        return _by_what_is_known(run_of(data, columns))
+        return _by_what_is_known(run_of(data, columns, _layouts_of(robot)))
     given = getattr(robot, "columns", None)
     try:
-        return run_of(data, columns or given or None).read_as(own.layout)
+        return run_of(data, columns or given or None, (own.layout,)).read_as(own.layout)
     except MeasurementError as error:
         if given is None or columns or given or not isinstance(data, str | os.PathLike):
             raise
@@ -71,6 +77,15 @@ def run_for(robot: object, data: RunLike, columns: Columns | None = None) -> Mea
         raise MeasurementError(
             f"{error} ({own.name} has {names}; for a file with other names: sk.Machine(…, columns={{ours: theirs}}))"
         ) from None
+
+
+def _layouts_of(robot: object) -> tuple[Layout, ...]:
+    """The kinds of run that a robot may have; none where it is not known, which its own reader says."""
+    with warnings.catch_warnings(), suppress(SherkitError):
+        warnings.simplefilter("ignore", SherkitWarning)
+        known = load_robot(robot) if isinstance(robot, str | os.PathLike) else robot
+        return tuple(kind_of(known).layouts) if isinstance(getattr(known, "kind", None), str) else ()  # type: ignore[arg-type]
+    return ()
 
 
 def _by_what_is_known(data: Measurements) -> Measurements:

@@ -8,6 +8,11 @@ from typing import Any
 from .effect import Effect, Sentences, catalogue_of_core
 
 COMMON: dict[str, Sentences] = {
+    "reading_delay": Sentences(
+        physics="A reading shows the robot a little earlier than the joints beside it: filters, transfer, buffers.",
+        residuals="Proportional to the velocity of the joints; none where the robot stands still.",
+        remedy="Trigger instrument and encoders together; or measure at rest.",
+    ),
     "joint_scale": Sentences(
         physics="The ratio of gear, belt or scale is not quite what the drawing says, so an encoder counts too much or "
         "too little.",

@@ -9,7 +9,7 @@ import hashlib
 import json
 import platform
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -24,9 +24,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import sherkit._core as _core
 
-from ..base.figures import in_people_units, stated, with_error
+from ..base.figures import in_people_units, in_small_units, stated, with_error
 from ..base.names import CALIBRATED, listed, state_with
 from ..calibration import Result
+from ..data.columns import unit_in
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from ..diagnosis.answers import APART, FILES, NEXT
@@ -82,6 +83,10 @@ class SourceFile:
         return cls(str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest())
 
 
+def _with_files(command: str, files: str) -> str:
+    return command.replace(FILES, files)
+
+
 @dataclass(frozen=True, eq=False)
 class Report:
     """What a report tells. ``study`` is at the state that is told last; ``found`` was asked of ``found.base``.
@@ -102,6 +107,8 @@ class Report:
     printed: Mapping[str, Mapping[str, Mapping[str, tuple[int, int]]]] = field(default_factory=dict)
     #: Lines that a command adds: what else was measured, in sentences.
     remarks: Sequence[str] = field(default_factory=tuple)
+    #: A command that is proposed, with the files in their place: a command line adds the options that it was given.
+    completed: Callable[[str, str], str] = _with_files
 
 
 def write_report(report: Report, path: str | Path) -> None:
@@ -127,8 +134,13 @@ def html(report: Report) -> str:
         "listed": listed,
         "plausibility": plausibility,
         "known": stated,
-        "given": lambda command: command.replace(FILES, _given(report)),
+        "given": lambda command: report.completed(command, _given(report)),
     }
+    told = report.found.to_json()
+    told["findings"] = [
+        one | {"command": report.completed(one["command"], _given(report))} if one.get("command") else one
+        for one in told["findings"]
+    ]
     return environment.get_template("report.html").render(
         report=report,
         found=report.found,
@@ -163,7 +175,7 @@ def html(report: Report) -> str:
         variables=[(k, quantity(name)) for k, name in enumerate(swaps["variables"])] if swaps else [],
         titles=list(enumerate(swaps["titles"])) if swaps else [],
         still=maps,
-        machine=_in_script(report.found.to_json()),
+        machine=_in_script(told),
         required=required_um(report.study.robot),
         versions=[("sherkit", _core.__version__), ("Python", platform.python_version()),
                   *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))],
@@ -394,12 +406,15 @@ def _accuracy_lines(calibration: Calibration | None) -> list[tuple[str, str, str
     if calibration is None:
         return []
     out = []
+    unit, factor = in_small_units(unit_in(calibration.coordinates[0]))
+    digits = ".1f" if unit == "µm" else ".3g"
     for name, place in calibration.places():
         try:
             predicted = calibration.predicted_accuracy(place)
             text = (
-                f"{1e3 * predicted.total_mm:.1f} µm (mean of many visits), of it {1e3 * predicted.addition_mm:.1f} "
-                f"unseen; {1e3 * predicted.visit_mm:.1f} µm for a single reading"
+                f"{factor * predicted.total_mm:{digits}} {unit} (mean of many visits), of it "
+                f"{factor * predicted.addition_mm:{digits}} unseen; {factor * predicted.visit_mm:{digits}} {unit} "
+                "for a single reading"
             )
             text += f": mostly {predicted.effect}. {predicted.advice}" if predicted.matters else ""
             text += "" if calibration.measured(place) else " (extrapolated: no pose was measured there)"

@@ -13,10 +13,11 @@ import numpy as np
 import polars as pl
 from numpy.typing import ArrayLike
 
+from ..base.figures import in_small_units
 from ..base.types import Bools, Floats
 from ..data.columns import TEMPERATURE, TIME, bare, unit_in
 from ..fit.error import radius_95
-from ..model.batch import Batch
+from ..model.batch import Batch, matrix
 from ..model.effect import Effect
 from .deployed import BASE, SENSOR, Deployed
 from .part import Part, UnobservedEffect, at_rest, by_effect
@@ -48,6 +49,8 @@ class PredictedAccuracy:
     advice: str = ""
     temperature_c: float | None = None
     time_s: float | None = None
+    #: Of radius, addition and visit, where the robot's coordinates are no lengths.
+    unit: str = "mm"
 
     @property
     def total_mm(self) -> float:
@@ -62,14 +65,18 @@ class PredictedAccuracy:
     def __str__(self) -> str:
         if math.isnan(self.radius_mm):
             return "out of reach"
-        within, shown = f"within {1e3 * self.total_mm:.1f} µm in 95 of 100 cases", f"{1e3 * self.radius_mm:.1f} µm"
+        within, shown = f"within {self._sized(self.total_mm)} in 95 of 100 cases", self._sized(self.radius_mm)
         if self.visit_mm > self.total_mm:
-            within = f"the mean of many visits {within}, single readings within {1e3 * self.visit_mm:.1f} µm"
+            within = f"the mean of many visits {within}, single readings within {self._sized(self.visit_mm)}"
         within += self._when
         if not self.effect:
             return f"{within}; the poses leave no room for an effect between them"
         text = f"{within}: {shown} by what the poses show, the rest by what they could not, mostly {self.effect}"
         return f"{text}. {self.advice}" if self.matters and self.advice else text
+
+    def _sized(self, value: float) -> str:
+        unit, factor = in_small_units(self.unit)
+        return f"{factor * value:{'.1f' if unit == 'µm' else '.3g'}} {unit}"
 
     @property
     def _when(self) -> str:
@@ -102,6 +109,8 @@ class PredictedAccuracies:
     coordinates: tuple[str, ...]
     temperature_c: float | None = None
     time_s: float | None = None
+    #: Of radius, addition and visit, where the robot's coordinates are no lengths.
+    unit: str = "mm"
 
     @property
     def total_mm(self) -> Floats:
@@ -115,7 +124,7 @@ class PredictedAccuracies:
         one = self.worst[row]
         sizes = (float(self.radius_mm[row]), float(self.addition_mm[row]), float(self.visit_mm[row]))
         said = ("", "") if one is None else (one.name, self._advice(one))
-        return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s)
+        return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s, unit_in(self.coordinates[0]) or "mm")
 
     def _advice(self, one: Hiding) -> str:
         """Where to measure, and what it would bring."""
@@ -294,7 +303,20 @@ class Accurate(Deployed):
         """
         x, where = self._places(coordinates), self.frame_of(frame)
         inverse = self.inverse_batch(x, frame=frame, temperature_c=temperature_c, direction=direction)
-        x = self._own(x, where)
+        return self._predicted(self._own(x, where), inverse, where, temperature_c, direction)
+
+    def predicted_accuracies_with(
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
+    ) -> PredictedAccuracies:
+        """:meth:`predicted_accuracies` with ``joints`` (n, j), which a place alone may leave open."""
+        q, where = matrix(joints, "joint readings", self._joints), self.frame_of(frame)
+        x = self.forward_batch(q, temperature_c=temperature_c)
+        return self._predicted(x.values, Batch(q, x.reached, x.why), where, temperature_c, None)
+
+    def _predicted(
+        self, x: Floats, inverse: Batch, where: str, temperature_c: float | None, direction: ArrayLike | None
+    ) -> PredictedAccuracies:
+        """For places (n, k) of :attr:`frame` and the joints that lead there."""
         rows = np.flatnonzero(inverse.reached)
         joints = np.ascontiguousarray(inverse.values[rows])
         radius, addition, visit = (np.full(len(x), np.nan) for _ in range(3))

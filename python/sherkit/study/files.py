@@ -20,7 +20,7 @@ from ..data import Measurements, from_frame
 from ..data.files import write_whole
 from ..data.tables import parquet_errors
 from ..data.toml import Table
-from ..errors import NotWritten, SherkitError
+from ..errors import EffectError, NotWritten, SherkitError
 from ..fit.error import ErrorSize
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
@@ -220,7 +220,10 @@ def model_state(model: ChainModel) -> dict[str, Any]:
 def model_from(state: Table, robot: Robot, own: Sequence[Effect]) -> ChainModel:
     """The model of a state of the study. Raises :class:`~sherkit.errors.EffectError` where an effect is not known."""
     plain = model_of(robot, state.texts("free"))
-    effects = effects_by_name(plain.known_effects, state.texts("effects"), own)
+    try:
+        effects = effects_by_name(plain.known_effects, state.texts("effects"), own)
+    except EffectError as error:
+        raise EffectError(f"{error}; your own are given again: Study.load(folder, effects=[...])") from None
     settings: dict[str, Any] = {name: state.number(name) if state.has(name) else None for name in plain.settings()}
     return replace(plain, effects=effects, **settings)
 

@@ -27,6 +27,7 @@ from ..model.chain import ChainModel
 from ..model.effect import WITHIN, Effect, effects_by_name
 from ..model.kinds import model_of, robot_from_table
 from ..model.robot_file import RobotLike, robot_of, run_for
+from ..model.thermometers import with_thermometers
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from . import files
@@ -198,7 +199,7 @@ class Study(Shown):
             chosen = effect
         else:
             known = {**self.model.known_effects, **self.model.held}
-            (chosen,) = effects_by_name(known, (effect,), tuple(self.own.values()))
+            (chosen,) = effects_by_name(known, (effect,), with_thermometers(self.own, self.model, self.data))
         if chosen.name in self.effects or chosen.name in WITHIN:
             raise EffectError(f"'{chosen.name}' is in the model already")
         missing = missing_columns(chosen, self.data)
@@ -395,10 +396,8 @@ class Study(Shown):
         """Reads a study, with what can be undone. User effects must be given again; no code is loaded from the folder.
 
         Raises :class:`~sherkit.errors.EffectError` where one is missing, :class:`~sherkit.errors.SherkitError` naming
-        file and key for what is no study.
-        """
-        folder = Path(folder)
-        state = files.read_state(folder)
+        file and key for what is no study."""
+        state = files.read_state(folder := Path(folder))
         study = cls.__new__(cls)
         with state.table("robot") as r:
             study.robot = robot_from_table(r)
@@ -428,12 +427,13 @@ class Study(Shown):
         return study
 
     def _model_from(self, state: Table) -> ChainModel:
-        return files.model_from(state, self.robot, tuple(self.own.values()))
+        return files.model_from(state, self.robot, with_thermometers(self.own, model_of(self.robot), self.data))
 
     def _fit_of(self, step: StudyStep) -> Fit | None:
         """The fit of an earlier step, where the rows of today give what it left."""
         try:
-            effects = effects_by_name(self.model.known_effects, step.effects, tuple(self.own.values()))
+            own = with_thermometers(self.own, self.model, self.data)
+            effects = effects_by_name(self.model.known_effects, step.effects, own)
         except EffectError:  # an effect of the user's that is no longer given
             return None
         fit = identify(replace(self.model, effects=effects), self.data, loss=self.loss)

@@ -10,13 +10,13 @@ from ..rows import Measurements
 from .alike import alike, piled
 from .doubt import Doubt
 from .repeats import averaged, commanded, copied, declared
-from .values import angles, on_a_line, order_lost, temperature, time_in_milliseconds
+from .values import angles, frozen, on_a_line, order_lost, temperature, time_in_milliseconds
 
 __all__ = ["RULES", "Doubt", "angles", "commanded", "doubts"]
 
 #: What is asked of every table.
 RULES: tuple[Callable[[Measurements], Iterator[Doubt]], ...] = (
-    time_in_milliseconds, copied, averaged, alike, piled, declared, temperature, order_lost, on_a_line,
+    frozen, time_in_milliseconds, copied, averaged, alike, piled, declared, temperature, order_lost, on_a_line,
 )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...base import linalg
+from ...base.names import listed
 from ...base.types import Floats, Ints
 from .. import columns as c
 from ..columns import TEMPERATURE, TIME, unit_in
@@ -33,7 +34,7 @@ def time_in_milliseconds(data: Measurements) -> Iterator[Doubt]:
     gaps = np.diff(np.sort(data.time_s))
     velocities = [v for v in (data.covariates.get(name) for name in data.layout.velocities) if v is not None]
     usual = float(np.median(gaps))
-    if len(velocities) == data.joints.shape[1]:
+    if velocities and len(velocities) == data.joints.shape[1]:
         # joints tell how fast time runs, where their speeds are known
         order = np.argsort(data.time_s, kind="stable")
         way = np.abs(np.diff(data.joints[order], axis=0)).sum()
@@ -56,8 +57,8 @@ def time_in_milliseconds(data: Measurements) -> Iterator[Doubt]:
 def order_lost(data: Measurements) -> Iterator[Doubt]:
     """Times that rise at even steps over rows that were sorted: by a reading, down to its noise, or by the pose's
     number with all repeats side by side. When what was read first is lost with them, and so are directions."""
-    if data.time_s is None or len(data) < max(FEWEST, _SMALL_STEPS):
-        return
+    if data.time_s is None or len(data) < max(FEWEST, _SMALL_STEPS) or not (data.joints != data.joints[:1]).any():
+        return  # where nothing moves there is but the order in time
     order = np.flatnonzero(~data.outlier)
     steps = np.diff(data.time_s[order])
     usual = float(np.median(steps))
@@ -140,6 +141,28 @@ def _line(places: Floats) -> Floats | None:
     if length[0] == 0 or length[1] > _BESIDE * length[0]:
         return None
     return np.asarray(turn[0])
+
+
+#: How far readings of a robot that stands still never scatter, by the unit of a reading.
+_NEVER_STILL = {"mm": 1.0, "rad": 0.02, "deg": 1.0, "px": 20.0}
+
+
+def frozen(data: Measurements) -> Iterator[Doubt]:
+    """Joints that are the same in every row while readings scatter from row to row as those of other places."""
+    rows = np.flatnonzero(~data.outlier)
+    if not data.joints.shape[1] or len(rows) < FEWEST or np.ptp(data.joints[rows], axis=0).any():
+        return
+    for k, name in enumerate(data.layout.coordinates):
+        values = data.readings[rows[data.used[rows, k]], k]
+        least = _NEVER_STILL.get(unit_in(name) or "")
+        # half of how far neighbours lie apart, so that no slow course counts
+        if least is not None and len(values) >= FEWEST and np.median(np.abs(np.diff(values))) > 2.0 * least:
+            yield Doubt(
+                f"{listed(list(data.layout.joints))}: the same in all {len(rows)} rows, while {name} scatters by "
+                f"{float(np.std(values)):.3g} {unit_in(name)}: the source of the joints froze, it seems; look at what "
+                "writes them (a topic that was not renewed, a stopped recorder), and measure again"
+            )
+            return
 
 
 # -- Temperatures and angles of another unit -------------------------------------------------------------------------

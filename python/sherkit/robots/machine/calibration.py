@@ -152,10 +152,12 @@ class MachineCalibration(Calibration):
 
     def places(self) -> list[tuple[str, Floats]]:
         """The middle of the run and what its joints' corners show."""
-        low, high = np.array(self.box).T
+        low, high = np.array(self.box, dtype=float).reshape(-1, 2).T
         joints = np.stack([0.5 * (low + high), low, high])
+        names: tuple[str, ...] = ("middle of its joints", "joints at their lower ends", "joints at their upper ends")
+        if not len(low):
+            joints, names = joints[:1], ("where it stands",)
         shown = self._rows(joints)[0]
-        names = ("middle of its joints", "joints at their lower ends", "joints at their upper ends")
         return [(name, place) for name, place in zip(names, shown, strict=True) if np.isfinite(place).all()]
 
     def planes(self, per_side: int) -> Planes:

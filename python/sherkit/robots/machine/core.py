@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.types import Bools, Floats
-from ...data.columns import bare, unit_in
+from ...data.columns import bare, factor, unit_in
 from ...data.lagged import DRAWN_C
 from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block
@@ -104,14 +104,14 @@ class Generic:
 
 
 def generic_effects(
-    joints: Sequence[str], readings: Sequence[str], spans: Sequence[float], is_place: bool
+    joints: Sequence[str], readings: Sequence[str], spans: Sequence[float], shown: Sequence[float], is_place: bool
 ) -> tuple[Generic, ...]:
-    """Those of a machine with these joints, which range over ``spans``, and readings, in the order of the chain;
-    whether the readings are a place in space."""
+    """Those of a machine with these joints, which range over ``spans``, and readings, which then range over ``shown``,
+    in the order of the chain; whether the readings are a place in space."""
     k, m = len(joints), len(readings)
     units, read = [unit_in(name) for name in joints], [unit_in(name) for name in readings]
     small = [_SMALL.get(unit, 1e-3 * span) for unit, span in zip(units, spans, strict=True)]
-    seen = [_SMALL.get(unit, 1.0) for unit in read]
+    seen = [_SMALL.get(unit, _SCALE * span or 1.0) for unit, span in zip(read, shown, strict=True)]
     out = [
         Generic("joint_offset", "joints", _each("offset", joints, units, small), _own(np.ones_like)),
         Generic("joint_scale", "joints", _each("scale", joints, [""] * k, [_SCALE] * k), _own(lambda q: q)),
@@ -121,17 +121,24 @@ def generic_effects(
         coupled = tuple((f"{bare(joints[i])}_by_{bare(joints[j])}", _ratio(units[i], units[j]),
                          _SCALE * spans[i] / spans[j]) for i, j in pairs)  # fmt: skip
         out.append(Generic("joint_coupling", "joints", coupled, _coupling(pairs)))
-    turning = [i for i, unit in enumerate(units) if unit == "rad"]
+    turns = [factor(unit, "rad") for unit in units]
+    turning = {i: by for i, by in enumerate(turns) if by is not None}
     if turning:
-        rings = [joints[i] for i in turning]
         for name, times in (("encoder_eccentricity", 1.0), ("encoder_two_per_turn", 2.0)):
-            out.append(Generic(name, "joints", _waves(rings, "rad", 2e-3 / times), _wave_of(turning, times)))
+            each = tuple(one for i, by in turning.items() for one in _waves([joints[i]], units[i], 2e-3 / times / by))
+            out.append(Generic(name, "joints", each, _wave_of({i: times * by for i, by in turning.items()})))
     # one period for joints of one unit: that of most of them
-    unit = max(units, key=units.count)
-    if unit in ("mm", "rad"):
+    unit = max(units, key=units.count, default="")
+    by = factor(unit, "rad")
+    if unit == "mm" or by is not None:
         which = [i for i in range(k) if units[i] == unit]
-        lines = _waves([joints[i] for i in which], unit, {"mm": 0.005, "rad": 1e-3}[unit])
+        lines = _waves([joints[i] for i in which], unit, 0.005 if by is None else 1e-3 / by)
         out.append(Generic("encoder_cyclic", "joints", lines, _cyclic(which), search=f"period_{unit}"))
+    # who reads a joint a moment after the point sees it where it was then
+    late = tuple(f"{name}_per_s" for name in joints)
+    out.append(
+        Generic("reading_delay", "joints", (("delay", "s", 0.02),), lambda _, at: -at.velocity[:, :, None], late)
+    )
     widths = _each("width", joints, units, [0.2 * s for s in small])
     out.append(Generic("backlash", "joints", widths, lambda q, at: _diagonal(0.5 * at.direction), ("direction",)))
     out.append(
@@ -149,8 +156,8 @@ def generic_effects(
         out.append(Generic("thermal_growth", "body", grows, lambda x, at: _warmer(at)[:, None, None] * x[:, :, None],
                            ("temperature_c",)))  # fmt: skip
         out.append(Generic("droop", "body", (("fall_at_1_m", "mm", 1.0),), _droop))
-        turns = tuple((f"turn_{axis}", "rad", 2e-3) for axis in "xyz")
-        out.append(Generic("instrument_turned", "sensor", turns, _turned))
+        turned = tuple((f"turn_{axis}", "rad", 2e-3) for axis in "xyz")
+        out.append(Generic("instrument_turned", "sensor", turned, _turned))
     per_hour = _each("rate", readings, [f"{u}/h" for u in read], seen)
     out += [
         Generic("drift", "body", per_hour, lambda x, at: _diagonal(_hours(at)[:, None] + 0 * x), ("time_s",)),
@@ -168,7 +175,7 @@ def generic_effects(
         row["parameters"]),
                            lambda x, at: _diagonal(_late(at, at.sensor_slip_time_s)[:, None] + 0 * x), ("time_s",),
                            "time_s", by_pose=True))  # fmt: skip
-    return tuple(out)
+    return tuple(one for one in out if one.parameters)
 
 
 def sensor_pose(names: Collection[str]) -> Generic:
@@ -230,21 +237,21 @@ def _coupling(pairs: Sequence[tuple[int, int]]) -> Formula:
     return formula
 
 
-def _wave(q: NDArray[Any], which: Sequence[int], turns: float) -> NDArray[Any]:
-    """(n, k, 2 len(which)): sine and cosine of each of these joints, at its own place."""
-    out = np.zeros((*q.shape, 2 * len(which)), dtype=q.dtype)
-    for p, i in enumerate(which):
-        out[:, i, 2 * p] = np.sin(turns * q[:, i])
-        out[:, i, 2 * p + 1] = np.cos(turns * q[:, i])
+def _wave(q: NDArray[Any], turns: Mapping[int, float]) -> NDArray[Any]:
+    """(n, k, 2 len(turns)): sine and cosine of each of these joints, at its own place; so many rad for each unit."""
+    out = np.zeros((*q.shape, 2 * len(turns)), dtype=q.dtype)
+    for p, (i, by) in enumerate(turns.items()):
+        out[:, i, 2 * p] = np.sin(by * q[:, i])
+        out[:, i, 2 * p + 1] = np.cos(by * q[:, i])
     return out
 
 
-def _wave_of(which: Sequence[int], turns: float) -> Formula:
-    return lambda q, _: _wave(q, which, turns)
+def _wave_of(turns: Mapping[int, float]) -> Formula:
+    return lambda q, _: _wave(q, turns)
 
 
 def _cyclic(which: Sequence[int]) -> Formula:
-    return lambda q, at: _wave(q, which, at.wave)
+    return lambda q, at: _wave(q, dict.fromkeys(which, at.wave))
 
 
 def _warmer(at: Known) -> Floats:

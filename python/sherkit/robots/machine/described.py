@@ -12,13 +12,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...base.figures import in_small_units
 from ...base.names import listed
 from ...base.notebook import Shown
 from ...base.saved import Saved
 from ...base.types import Floats
-from ...data.columns import TEMPERATURE, TIME, Layout, unit_in
+from ...data.columns import TEMPERATURE, TIME, Layout, know_unit, unit_in
 from ...data.toml import Table
-from ...errors import NotConverged, RobotError
+from ...errors import FitError, NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
 from ...model.effect import Parameter
 from ...model.sensor_pose import FREE, OWN_AXES, POSE, SensorPose
@@ -28,8 +29,6 @@ from .same import not_in
 
 #: Where joints range whose limits nobody gives, by unit: so far from zero on both sides.
 _RANGE = {"mm": 100.0, "um": 1e5, "m": 0.1, "rad": 1.0, "mrad": 1e3, "deg": 60.0}
-#: Units in which people read errors, and how many make one of the readings'.
-_SHOWN = {"mm": ("µm", 1e3), "m": ("µm", 1e6), "um": ("µm", 1.0), "rad": ("mrad", 1e3), "deg": ("mdeg", 1e3)}
 #: What a machine says of where its instrument stands, in one word.
 _POSES = {"free": SensorPose(shift_sd_mm=FREE, turn_sd_deg=FREE), "held": OWN_AXES}
 _RESERVED = (TIME, TEMPERATURE, "pose", "repeat", "outlier")
@@ -60,13 +59,16 @@ class Described(Saved, Shown):
         object.__setattr__(self, "name", self.name or _called(self.function))
         object.__setattr__(self, "kind", self.name)
         for what, names in (("joints", self.joint_names), ("readings", tuple(self.readings))):
-            if isinstance(self.joints, str) or isinstance(self.readings, str) or not names:
+            # nothing moves of a spindle that warms, of a mast in the wind: it has readings alone
+            if isinstance(self.joints, str) or isinstance(self.readings, str) or not (names or what == "joints"):
                 raise RobotError(f"{what}: expected a tuple of column names, got {getattr(self, what)!r}")
         doubled = [*self.joint_names, *self.readings]
         if wrong := [n for n in doubled if doubled.count(n) > 1 or n in _RESERVED]:
             raise RobotError(f"the column '{wrong[0]}' is named twice, or has a meaning of its own")
-        if wrong := [n for n in doubled if not unit_in(n)]:
-            raise RobotError(f"the column '{wrong[0]}' names no unit: expected an end such as _mm, _rad, _deg or _px")
+        if wrong := [n for n in doubled if not unit_in(n) and not know_unit(n)]:
+            raise RobotError(
+                f"the column '{wrong[0]}' names no unit: expected an end such as _mm, _rad, _deg, _px, _V or _counts"
+            )
         units = {unit_in(name) for name in self.readings}
         if len(units) > 1:
             raise RobotError(f"readings: expected one unit for all, got {listed(sorted(units))}")
@@ -109,16 +111,18 @@ class Described(Saved, Shown):
     def box(self) -> Floats:
         """Where each joint may stand (k, 2), in its unit."""
         if isinstance(self.joints, Mapping):
-            return np.array([tuple(map(float, one)) for one in self.joints.values()])
-        return np.array([(-1.0, 1.0)] * len(self.joints)) * [[_RANGE.get(unit_in(n), 1.0)] for n in self.joints]
+            ranges = [tuple(map(float, one)) for one in self.joints.values()]
+        else:
+            ranges = [(-_RANGE.get(unit_in(n), 1.0), _RANGE.get(unit_in(n), 1.0)) for n in self.joints]
+        return np.array(ranges, dtype=float).reshape(-1, 2)
 
     @cached_property
     def layout(self) -> Layout:
         """The columns of its runs."""
         unit = unit_in(self.readings[0])
-        shown, per_unit = _SHOWN.get(unit, (unit, 1.0))
+        shown, per_unit = in_small_units(unit)
         velocities = tuple(f"{name}_per_s" for name in self.joint_names)
-        return Layout(self.joint_names, tuple(self.readings), shown, per_unit, velocities=velocities)
+        return Layout(self.joint_names, tuple(self.readings), shown, per_unit, velocities=velocities, by_time=True)
 
     @property
     def pose(self) -> SensorPose | None:
@@ -132,9 +136,19 @@ class Described(Saved, Shown):
         """What its chain has beside its function: the numbers of the sensor's pose that are open, and the effects that
         every machine can have, for these joints and readings, but for what its function has already."""
         spans, pose = np.ptp(self.box, axis=1).tolist(), self.pose
-        every = generic_effects(self.joint_names, tuple(self.readings), spans, pose is not None)
+        every = generic_effects(self.joint_names, tuple(self.readings), spans, self._shown, pose is not None)
         sd = np.zeros(len(POSE)) if pose is None else pose.sd(FREE, FREE)
         return not_in(self.asked, pose, [name for name, one in zip(POSE, sd, strict=True) if one > 0], every)
+
+    @property
+    def _shown(self) -> list[float]:
+        """How far each reading goes over the ranges of the joints; zero where that cannot be told."""
+        try:
+            shown = self.asked(self.asked.somewhere, np.zeros(len(self.own)))
+        except FitError:  # who asks next says it
+            return [0.0] * len(self.readings)
+        known = shown[np.isfinite(shown).all(axis=1)]
+        return np.ptp(known, axis=0).tolist() if len(known) else [0.0] * len(self.readings)
 
     @property
     def effects(self) -> tuple[Generic, ...]:
@@ -157,8 +171,8 @@ class Described(Saved, Shown):
 
     @property
     def joint_unit(self) -> str:
-        """Unit of the first joint."""
-        return unit_in(self.joint_names[0])
+        """Unit of the first joint; empty where there is none."""
+        return unit_in(self.joint_names[0]) if self.joint_names else ""
 
     @property
     def joint_limits(self) -> tuple[float, float] | None:

@@ -44,6 +44,8 @@ class Steps:
 
     def columns(self, function: Function, at: Floats, which: Sequence[int]) -> Floats:
         """Derivatives (n, m, len(which)) by these inputs at the rows ``at`` (n, i)."""
+        if not len(which):
+            return np.zeros((*np.shape(function(at)), 0))
         return np.stack([self._column(function, at, k) for k in which], axis=2)
 
     def _column(self, function: Function, at: Floats, k: int) -> Floats:
@@ -261,6 +263,8 @@ _SLACK = 0.02
 
 def starts(forward: Callable[[Floats], Floats], readings: Floats, box: Floats) -> Floats:
     """For each of the readings (n, m) the nearest place (n, k) of the joints, of many over their ``box`` (k, 2)."""
+    if not len(box):  # nothing moves
+        return np.zeros((len(readings), 0))
     low, high = box.T
     joints = low + (high - low) * scipy.stats.qmc.Halton(len(low), scramble=False).random(_PLACES + 1)[1:]
     shown = forward(joints)
@@ -285,6 +289,8 @@ def settled(
     ``forward`` gives readings and their derivatives by the joints. Machines with more joints than readings take the
     nearest solution to where they begin; with fewer, only readings that they can show are reached.
     """
+    if not start.shape[1]:
+        return start, np.ones(len(start), dtype=bool)
     low, high = box.T
     span = high - low
     joints = start.copy()

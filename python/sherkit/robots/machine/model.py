@@ -14,7 +14,7 @@ from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import unit_in
-from ...errors import EffectError
+from ...errors import EffectError, FitError
 from ...model.base import Reachable
 from ...model.chain import ChainModel
 from ...model.effect import Effect
@@ -27,6 +27,8 @@ _POSES = 400
 #: Rows and steps by which one walks to where a sensor stands; the rank by which a step is made; and how near one must
 #: come, of how far the places lie apart.
 _WALKED, _STEPS, _RANK, _NEAR = 100, 12, 1e-8, 1e-2
+#: The settings that are the period of the encoders, in the unit of the joints.
+_PERIODS = ("period_mm", "period_rad", "period_deg", "period_mrad", "period_urad", "period_arcmin", "period_arcsec")
 _DIGITS = {"mm": 2, "rad": 4, "deg": 2, "px": 1}
 
 
@@ -43,6 +45,11 @@ class MachineModel(ChainModel):
     time_origin_s: float = 0.0
     period_mm: float | None = None
     period_rad: float | None = None
+    period_deg: float | None = None
+    period_mrad: float | None = None
+    period_urad: float | None = None
+    period_arcmin: float | None = None
+    period_arcsec: float | None = None
 
     one_posture: ClassVar = False
 
@@ -75,16 +82,15 @@ class MachineModel(ChainModel):
             "thermal_shift_lag_s": self.thermal_shift_lag_s,
             "time_origin_s": self.time_origin_s,
         }
-        own = {"period_mm": self.period_mm, "period_rad": self.period_rad}
         searched = {one.search for one in self.robot.effects}
         if self.robot.pose is not None:
             times["sensor_slip_time_s"] = self.sensor_slip_time_s
-        return times | {name: value for name, value in own.items() if name in searched}
+        return times | {name: getattr(self, name) for name in _PERIODS if name in searched}
 
     @cached_property
     def core(self) -> MachineCore:
         """The chain."""
-        period = self.period_mm or self.period_rad or 1.0
+        period = next((given for name in _PERIODS if (given := getattr(self, name))), 1.0)
         times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         return MachineCore(self.robot.asked, self.robot.links, self.robot.pose, 2.0 * np.pi / period, *times)
 
@@ -120,6 +126,15 @@ class MachineModel(ChainModel):
         near = np.sqrt((missed**2).mean()) <= _NEAR * np.sqrt(base[reached].var(axis=0).sum())
         return values if near else start
 
+    def require_own(self, data: Measurements) -> None:
+        """As of any model; and where nothing moves, a course in time or a column is what tells anything."""
+        super().require_own(data)
+        if not data.layout.joints and data.time_s is None and not data.covariates:
+            raise FitError(
+                f"{data.source}: of a machine without joints a run needs time_s, or a column that its readings may "
+                "follow"
+            )
+
     def check_effect(self, effect: Effect, data: Measurements, values: Floats) -> None:
         """As of any model; and a displacement asks for readings that are those of a point."""
         if effect.link == "body" and len(self.robot.readings) != 3:
@@ -144,7 +159,7 @@ class MachineModel(ChainModel):
 
     def reason(self, data: Measurements, row: int, values: Floats) -> str:
         """A function that gives no number, or a column that is not there."""
-        shown = self.robot.asked(data.joints[row : row + 1], np.asarray(values)[: len(self.bare)])
+        shown = self.robot.asked(data.joints[row : row + 1], np.asarray(values)[: len(self.robot.own)])
         if not np.isfinite(shown).all():
             return f"the model's function '{self.robot.name}' gives no number there"
         return "an effect that is at work needs a column that these rows lack"

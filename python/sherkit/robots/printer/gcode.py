@@ -240,7 +240,14 @@ def _grid(path: Path, before: list[str], grid: list[list[float]]) -> list[tuple[
 
 
 def _ring(path: Path, before: list[str], heights: Mapping[str, str]) -> list[tuple[float, float, float]]:
-    radius = one(words(before, "G33"), "R", "G33", str(path))
+    sent = words(before, "G33")
+    if "R" not in sent:
+        raise RobotError(
+            f"{path}: the report of G33 does not say how far from the middle it probed, which is what Marlin was built "
+            "with (DELTA_PRINTABLE_RADIUS); write that behind the command in this file, as in 'G33 R100 V2', or probe "
+            "again with such a command"
+        )
+    radius = one(sent, "R", "G33", str(path))
     out = [(0.0, 0.0, float(heights["c"]))] if "c" in heights else []
     for name, turn in _AROUND.items():
         if name in heights:

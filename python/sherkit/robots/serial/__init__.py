@@ -4,8 +4,10 @@ from ...model.kinds import Kind
 from .calibration import SerialCalibration
 from .drawing import drawing
 from .full_poses import points_of_poses
+from .identified import as_identified
 from .imported import read_in_the_other_convention
 from .model import SerialModel
+from .programs import program_of, read_targets
 from .robot import MOST_JOINTS, POSITION, Joint, Plane, Serial, layout_of_arm
 from .virtual import AREAS, Hidden, VirtualSerial, postures
 
@@ -41,6 +43,9 @@ __all__ = [
     "SerialCalibration",
     "SerialModel",
     "VirtualSerial",
+    "as_identified",
     "points_of_poses",
     "postures",
+    "program_of",
+    "read_targets",
 ]

@@ -2,38 +2,43 @@
 
 from __future__ import annotations
 
+import os
+import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import polars as pl
-import scipy
 
 from ...base.arguments import as_annotated
 from ...base.names import listed
 from ...base.types import Floats
 from ...data import Measurements
-from ...data.frames import clean
-from ...data.reader import RunLike, run_of
+from ...data.columns import stated
+from ...data.frames import clean, to_polars
+from ...data.reader import RunLike, checked, csv_blocks
+from ...data.tables import PARQUET, read_parquet
 from ...errors import MeasurementError, SherkitWarning
 from .frames import Triple, of_rpy
 from .robot import POSITION, TARGET, Serial
+from .turns import QUATERNION, place_in_matrix, turns_of
 
-#: Columns that tell the turn, from the axes of what is held to those of the instrument: a rotation vector, or a
-#: quaternion of length one.
-VECTORS: Mapping[str, float] = {"rad": 1.0, "deg": np.pi / 180.0}
-QUATERNION = ("qx", "qy", "qz", "qw")
-#: A quaternion is of length one but for its digits.
-_LENGTH = 1e-3
+#: What controllers call the readings of the joints, before the number of each.
+_JOINTS = re.compile(r"(?:joint|axis|achse|j|a|q)[\s_]*([1-9])")
 
 
 @as_annotated
 def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple[Serial, Measurements]:
     """The arm with three targets in the place of one, and a run of these in the place of full poses.
 
-    Columns beside ``x_mm, y_mm, z_mm``: ``rx_rad, ry_rad, rz_rad``, or ``_deg``, a rotation vector; or ``qx, qy, qz,
-    qw``. They turn the axes of the tool into those of the instrument. Target 1 is the place; 2 and 3 lie ``lever_mm``
+    Columns beside ``x_mm, y_mm, z_mm``: ``rx_rad, ry_rad, rz_rad``, or ``_deg``, a rotation vector; ``qx, qy, qz, qw``;
+    ``roll_deg, pitch_deg, yaw_deg``; those of a 4 × 4 matrix, ``t11`` to ``t34``; or as controllers write a pose, X, Y,
+    Z with A, B, C (KUKA), W, P, R (FANUC) or q1 to q4 (ABB) and the joints J1 … or A1 …, mm and degrees. They turn the
+    axes of the tool into those of the instrument; numbers that do so in another convention alone are read in that, and
+    a :class:`~sherkit.errors.SherkitWarning` names it. Target 1 is the place; 2 and 3 lie ``lever_mm``
     from it along x and y of the tool (``tool_rpy_deg``), so that a turn counts by what it moves there: the lever at
     which the instrument is as fine in turns as in places is the best one. What an instrument misreads of a place moves
     all three, which a diagnosis takes for one witness; deviations of parameters are up to 1.7 times too small where
@@ -42,7 +47,7 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
     Raises :class:`~sherkit.errors.MeasurementError` for columns that are none of these or not numbers, for a
     quaternion that is not of length one, and for an arm that carries other targets already.
     """
-    data = run_of(run)
+    data = _read(arm, run)
     if data.layout != arm.layout:
         raise MeasurementError(f"{data.source}: is no run of this arm; its joints are {listed(arm.layout.joints)}")
     if arm.more_targets_mm or TARGET in data.covariates:
@@ -54,7 +59,16 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
     without = np.flatnonzero(~data.taken[:, : data.coordinates].all(axis=1))
     if len(without):
         raise MeasurementError(f"{data.place(without)}: a full pose needs {', '.join(POSITION)} as well as a turn")
-    turns, names = _turns(data)
+    frame = data.to_frame()
+    drawn = np.array([arm.tool_frame(q)[:3, :3] for q in data.joints])
+    found = turns_of(partial(_numbers, data), frame.columns, drawn, data.source)
+    if found is None:
+        raise MeasurementError(
+            f"{data.source}: no columns tell the turn of a pose; expected rx_rad, ry_rad, rz_rad or rx_deg, ry_deg, "
+            f"rz_deg, {', '.join(QUATERNION)}, a matrix t11 … t33, or A, B, C, W, P, R or q1 … q4 as controllers write "
+            f"them; the file has {listed(frame.columns, 20)}"
+        )
+    turns, names = found.matrices, found.columns
     dropped = [name for name in data.to_frame().columns if "sigma_" in name]
     if dropped:
         warnings.warn(
@@ -65,7 +79,7 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
         )
     place = data.readings[:, : data.coordinates]
     points = np.stack([place, place + lever_mm * turns[:, :, 0], place + lever_mm * turns[:, :, 1]], axis=1)
-    frame = data.to_frame().drop(*names, *dropped)
+    frame = frame.drop(*names, *dropped)
     frame = frame[np.repeat(np.arange(len(data)), 3)]
     columns = dict(zip(POSITION, points.reshape(-1, 3).T, strict=True)) | {TARGET: np.tile([1.0, 2.0, 3.0], len(data))}
     frame = frame.with_columns(**{name: pl.Series(values) for name, values in columns.items()})
@@ -81,35 +95,53 @@ def _triple(point: Floats) -> Triple:
     return float(point[0]), float(point[1]), float(point[2])
 
 
-def _turns(data: Measurements) -> tuple[Floats, tuple[str, ...]]:
-    """Turns (n, 3, 3), and the columns that tell them."""
-    turn = scipy.spatial.transform.Rotation
-    for unit, scale in VECTORS.items():
-        names = tuple(f"r{axis}_{unit}" for axis in "xyz")
-        if numbers := _numbers(data, names):
-            return turn.from_rotvec(scale * np.column_stack(numbers)).as_matrix(), names
-    if numbers := _numbers(data, QUATERNION):
-        q = np.column_stack(numbers)
-        off = np.abs(np.linalg.norm(q, axis=1) - 1.0) > _LENGTH
-        if off.any():
-            raise MeasurementError(
-                f"{data.place(off)}: {', '.join(QUATERNION)}: expected a quaternion of length one, found "
-                f"{float(np.linalg.norm(q[off][0])):.4g}"
-            )
-        return turn.from_quat(q).as_matrix(), QUATERNION
-    raise MeasurementError(
-        f"{data.source}: no columns tell the turn of a pose; expected rx_rad, ry_rad, rz_rad or rx_deg, ry_deg, rz_deg "
-        f"(a rotation vector) or {', '.join(QUATERNION)}; the file has {listed(tuple(data.to_frame().columns), 20)}"
-    )
+def _read(arm: Serial, run: RunLike) -> Measurements:
+    """The run, also where joints and place have the names of a controller."""
+    if isinstance(run, Measurements):
+        return run
+    if isinstance(run, str | os.PathLike):
+        path = checked(Path(run))
+        frame, line = (read_parquet(path), None) if path.suffix.lower() in PARQUET else next(csv_blocks(path))
+        source, counted = str(path), "row" if line is None else "line"
+    else:
+        frame, line, source, counted = to_polars(run), None, "frame", "row"
+    columns = meant(arm, frame.columns)
+    named = {theirs: f"{theirs} [{unit}]" for theirs, unit in columns.values() if unit}
+    mapping = {ours: named.get(theirs, theirs) for ours, (theirs, _) in columns.items()}
+    return clean(frame.rename(named), source, line, counted, mapping, (arm.layout,))
 
 
-def _numbers(data: Measurements, names: tuple[str, ...]) -> list[Floats]:
-    """These columns, or none where one is not there. Raises ``MeasurementError`` for one that holds something else."""
-    known = {**data.covariates, **data.labels}
-    if not set(names) <= set(known):
-        return []
+def meant(arm: Serial, names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Columns of joints and place by ours, where they have other names: each with the unit that it is taken to be in,
+    empty where it names one itself."""
+    out: dict[str, tuple[str, str]] = {}
+    if not any(name in names for name in arm.layout.joints):
+        numbered = {int(at[1]): n for n in names if (at := _JOINTS.fullmatch(stated(n)[0].lower().strip()))}
+        if len(numbered) >= len(arm.joints) and min(numbered) == 1:
+            for k, (ours, joint) in enumerate(zip(arm.layout.joints, arm.joints, strict=True), start=1):
+                if k in numbered:
+                    out[ours] = numbered[k], "" if stated(numbered[k])[1] else "mm" if joint.slides else "deg"
+    stems = {stated(n)[0].lower().strip(): n for n in names}
+    place = [stems.get(axis) or stems.get(f"t{axis}") or stems.get(f"p{axis}") or "" for axis in "xyz"]
+    if not all(place):
+        place = list(place_in_matrix(names))
+    for ours, theirs in zip(POSITION, place, strict=False):
+        if ours not in names and theirs:
+            out[ours] = theirs, "" if stated(theirs)[1] else "mm"
+    taken = [theirs for theirs, unit in out.values() if unit]
+    if taken:
+        warnings.warn(
+            f"{listed(taken, 9)}: no unit is written there; lengths are read as mm, angles as degrees",
+            SherkitWarning,
+            stacklevel=2,
+        )
+    return out
+
+
+def _numbers(data: Measurements, names: Sequence[str]) -> Floats:
+    """These columns (n, ·). Raises ``MeasurementError`` for one that holds something else."""
     for name in names:
         bad = ~np.isfinite(data.covariates[name]) if name in data.covariates else np.ones(len(data), dtype=bool)
         if bad.any():
             raise MeasurementError(f"{data.place(bad)}: {name}: expected a number")
-    return [data.covariates[name] for name in names]
+    return np.column_stack([data.covariates[name] for name in names])

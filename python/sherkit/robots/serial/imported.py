@@ -15,6 +15,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -22,6 +23,7 @@ import numpy as np
 
 from ...base.names import brief, listed, nearest
 from ...base.types import Floats
+from ...data.head import head_of
 from ...errors import RobotError
 from .frames import Triple, about, as_written, frame, of_rpy
 from .robot import MOST_JOINTS, TYPES, Joint, Serial
@@ -30,20 +32,23 @@ from .robot import MOST_JOINTS, TYPES, Joint, Serial
 
 CONVENTIONS = ("standard", "modified")
 _NEEDED = ("d_mm", "a_mm", "alpha_deg")
-_KNOWN = ("name", "type", "theta_deg", *_NEEDED, "beta_deg", "low", "high")
+_KNOWN = ("name", "type", "theta_deg", *_NEEDED, "beta_deg", "follows", "low", "high")
+#: A row of this type moves nothing: it leads from the base to the first axis, or from the last one to the target.
+_FIXED = "fixed"
 
 
 def import_dh(path: str | Path, convention: str = "standard") -> Serial:
     """The arm of a CSV table, a row for each joint: ``d_mm``, ``a_mm``, ``alpha_deg``, and where they are not the same
-    for all ``name``, ``type`` (revolute, prismatic), ``theta_deg`` (what is added to the reading), ``beta_deg``
-    (Hayati), and the limits ``low`` and ``high`` (degrees, or mm of what slides).
+    for all ``name``, ``type`` (revolute, prismatic, or ``fixed`` of a row that no joint moves), ``theta_deg`` (what is
+    added to the reading), ``beta_deg`` (Hayati), ``follows`` (the part of the reading before it by which it moves
+    besides), and the limits ``low`` and ``high`` (degrees, or mm of what slides).
 
     The target is the origin of the last frame. Raises :class:`~sherkit.errors.RobotError` with row and column.
     """
     if convention not in CONVENTIONS:
         raise RobotError(f"convention: '{convention}' is not known; choose {' or '.join(CONVENTIONS)}")
     rows = _rows(Path(path))
-    folded, joints = np.eye(4), []
+    folded, joints = np.eye(4), list[Joint]()
     for k, row in enumerate(rows, 1):
         moved = _Row(f"{path}: row {k}", row)
         own = frame((0.0, 0.0, moved.number("d_mm")), about(2, moved.angle("theta_deg")))
@@ -56,9 +61,15 @@ def import_dh(path: str | Path, convention: str = "standard") -> Serial:
             if moved.angle("beta_deg") and moved.number("d_mm"):
                 raise RobotError(f"{path}: row {k}: a row of Hayati (beta_deg) has no d_mm; put it to zero")
             folded = folded @ own
+        if (kind := moved.type()) == _FIXED:
+            folded = folded if convention == "modified" else folded @ link
+            continue
         shift, turn = as_written(folded)
-        joints.append(Joint(moved.name(f"joint_{k}"), moved.type(), shift, turn, limits=moved.limits()))
+        name, follows = moved.name(f"joint_{len(joints) + 1}"), moved.number("follows")
+        joints.append(Joint(name, kind, shift, turn, limits=moved.limits(), follows=follows))
         folded = np.eye(4) if convention == "modified" else link
+    if not 1 <= len(joints) <= MOST_JOINTS:
+        raise RobotError(f"{path}: expected one to {MOST_JOINTS} rows that a joint moves, found {len(joints)}")
     shift, turn = as_written(folded)
     return Serial(tuple(joints), shift, turn)
 
@@ -137,8 +148,8 @@ class _Row:
     def type(self) -> str:
         """Revolute unless it says otherwise."""
         found = self.cells.get("type", "").strip() or TYPES[0]
-        if found not in TYPES:
-            raise RobotError(f"{self.where}: type: expected {' or '.join(TYPES)}, found '{found}'")
+        if found not in (*TYPES, _FIXED):
+            raise RobotError(f"{self.where}: type: expected {', '.join(TYPES)} or {_FIXED}, found '{found}'")
         return found
 
     def limits(self) -> tuple[float, float] | None:
@@ -154,7 +165,14 @@ class _Row:
 def _rows(path: Path) -> list[dict[str, str]]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file, restval="", skipinitialspace=True)
+            head = head_of(str(path), enumerate(file, start=1))
+            if head is None:
+                raise RobotError(f"{path}: is empty; expected a table with a row for each joint")
+            rows_below = (line for _, line in head.lines if not line.lstrip().startswith("#"))
+            text = rows_below if head.called else chain([head.names], rows_below)
+            reader = csv.DictReader(
+                text, head.called or None, restval="", skipinitialspace=True, delimiter=head.separator
+            )  # fmt: skip
             names = [name.strip() for name in reader.fieldnames or ()]
             rows = []
             for k, row in enumerate(reader, 1):
@@ -174,8 +192,6 @@ def _rows(path: Path) -> list[dict[str, str]]:
         raise RobotError(f"{path}: column '{twice[0]}' is there twice")
     if lacking := [name for name in _NEEDED if name not in names]:
         raise RobotError(f"{path}: column {listed(lacking)} is missing")
-    if not 1 <= len(rows) <= MOST_JOINTS:
-        raise RobotError(f"{path}: expected one to {MOST_JOINTS} rows, one for each joint, found {len(rows)}")
     return rows
 
 
@@ -196,7 +212,8 @@ def import_urdf(path: str | Path, base: str | None = None, tip: str | None = Non
     base = tree.root if base is None else tree.require(base, "base")
     tip = tree.only_end() if tip is None else tree.require(tip, "tip")
     chain = tree.between(base, tip)
-    moving = [one for one in chain if one.kind in _MOVING]
+    ratios = tree.followed(chain)
+    moving = [one for one in chain if one.kind in _MOVING and one.child not in ratios]
     if not moving:
         raise RobotError(f"{path}: no joint moves between '{base}' and '{tip}'; choose links at both ends of the arm")
     if len(moving) > MOST_JOINTS:
@@ -204,12 +221,15 @@ def import_urdf(path: str | Path, base: str | None = None, tip: str | None = Non
             f"{path}: {len(moving)} joints move between '{base}' and '{tip}', an arm has at most {MOST_JOINTS}; "
             "choose links nearer to each other"
         )
-    folded, joints = np.eye(4), []
+    folded, joints, follows = np.eye(4), [], 0.0
     for one in chain:
         folded = folded @ one.origin
-        if one.kind in _MOVING:
-            joints.append(tree.joint(one, folded, [other.child for other in chain if other is not one]))
-            folded = np.eye(4)
+        if one.child in ratios:
+            follows = ratios[one.child]
+        elif one.kind in _MOVING:
+            made = tree.joint(one, folded, [other.child for other in chain if other is not one])
+            joints.append(replace(made, follows=follows))
+            folded, follows = np.eye(4), 0.0
     target, turn = as_written(folded)
     return Serial(tuple(joints), target, turn)
 
@@ -339,20 +359,45 @@ class _Tree:
                 raise RobotError(
                     f"{self.path}: joint '{one.name}' is {one.kind or 'of no type'}; an arm turns or slides"
                 )
-            if one.element.find("mimic") is not None:
+        return out[::-1]
+
+    def followed(self, chain: Sequence[_Joint]) -> dict[str, float]:
+        """Of joints that mimic the one before them, about the axis and in the place of the next one, by the link that
+        each moves: the part of its reading, in both their units, by which that next one moves besides."""
+        out: dict[str, float] = {}
+        for k, one in enumerate(chain):
+            if (mimic := one.element.find("mimic")) is None:
+                continue
+            before = [other for other in chain[:k] if other.kind in _MOVING and other.child not in out]
+            behind = chain[k + 1 : k + 2]
+            beside = behind and behind[0].kind in _MOVING and _MOVING[behind[0].kind] == _MOVING.get(one.kind)
+            if not (
+                before and beside and mimic.get("joint") == before[-1].name and behind[0].element.find("mimic") is None
+                and np.allclose(behind[0].origin, np.eye(4), atol=1e-12)
+                and np.allclose(self._axis(one), self._axis(behind[0]), atol=1e-12)
+                and not self._numbers(mimic.get("offset", "0"), 1, f"'{one.name}': mimic offset")[0]
+            ):  # fmt: skip
                 raise RobotError(
                     f"{self.path}: joint '{one.name}' follows another (mimic): it has no reading of its own"
                 )
-        return out[::-1]
+            own, other = (_MM if _MOVING[which.kind] == "prismatic" else 1.0 for which in (one, before[-1]))
+            ratio = self._numbers(mimic.get("multiplier", "1"), 1, f"'{one.name}': mimic multiplier")[0]
+            out[one.child] = ratio * own / other
+        return out
+
+    def _axis(self, one: _Joint) -> Floats:
+        """Its direction, of length one."""
+        element = one.element.find("axis")
+        axis = [1.0, 0.0, 0.0] if element is None else self._numbers(element.get("xyz"), 3, f"'{one.name}': axis")
+        if not np.linalg.norm(axis) > 0:
+            raise RobotError(f"{self.path}: joint '{one.name}': its axis has no direction")
+        return np.array(axis) / np.linalg.norm(axis)
 
     def joint(self, one: _Joint, folded: Floats, others: list[str]) -> Joint:
         """A joint that moves, ``folded`` (4, 4) behind the one before it; ``others`` are links of the chain beside its
         own."""
         kind = _MOVING[one.kind]
-        element = one.element.find("axis")
-        axis = [1.0, 0.0, 0.0] if element is None else self._numbers(element.get("xyz"), 3, f"'{one.name}': axis")
-        if not np.linalg.norm(axis) > 0:
-            raise RobotError(f"{self.path}: joint '{one.name}': its axis has no direction")
+        axis = self._axis(one).tolist()
         limits = None
         element = one.element.find("limit")
         if element is not None and one.kind != "continuous":

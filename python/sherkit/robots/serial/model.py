@@ -65,11 +65,6 @@ _OWN = {
         residuals="The same in every distance, whatever its length and direction.",
         remedy="Calibrate the bar on a gauge of known length.",
     ),
-    "reading_delay": Sentences(
-        physics="A reading shows the robot a little earlier than the joints beside it: filters, transfer, buffers.",
-        residuals="Proportional to the velocity of the joints; none where the robot stands still.",
-        remedy="Trigger instrument and encoders together; or measure at rest.",
-    ),
 }
 
 #: The effects by name, in the order of the chain, for all the joints that an arm may have.
@@ -211,6 +206,11 @@ class SerialModel(ChainModel):
     def layouts(self) -> tuple[Layout, ...]:  # type: ignore[override]
         """The runs of this arm."""
         return (self.robot.layout,)
+
+    @cached_property
+    def targets_anywhere(self) -> tuple[str, ...]:
+        """As of any model: x, y, z of each target."""
+        return tuple(p.name for p in self.parameters if p.name.startswith(("tool_", "target_")) and not p.known)
 
     @cached_property
     def known_effects(self) -> Mapping[str, Effect]:

@@ -1,0 +1,56 @@
+"""Further thermometers of a run: each may be what the instrument, the spindle or the frame follows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+
+from ..base.types import Floats
+from ..data import Measurements
+from ..data.columns import TEMPERATURE
+from ..data.lagged import DRAWN_C
+from .base import ModelWithEffects
+from .effect import Effect
+from .rows import Rows
+
+_SHIFT = "thermal_shift"
+
+
+def thermometers_of(model: ModelWithEffects, data: Measurements) -> tuple[Effect, ...]:
+    """``thermal_shift`` by each column of °C beside ``temperature_c`` that a run has, which are never constant: effects
+    as those of a user's own, ``thermal_shift_bearing`` for ``bearing_c``. None where the model has no such effect."""
+    shift = model.known_effects.get(_SHIFT)
+    axes = len(data.layout.coordinates)
+    if shift is None or len(shift.parameters) != axes:
+        return ()
+    out = []
+    for name, values in data.covariates.items():
+        if name == TEMPERATURE or not name.endswith("_c") or np.ptp(values) == 0:
+            continue
+        out.append(
+            Effect(
+                name=f"{_SHIFT}_{name.removesuffix('_c')}",
+                link="sensor",
+                parameters=shift.parameters,
+                needs=(name,),
+                physics=f"What is read shifts with the temperature of {name.removesuffix('_c')}.",
+                residuals=shift.residuals,
+                remedy=shift.remedy,
+                function=partial(_shift, name),
+            )
+        )
+    return tuple(out)
+
+
+def with_thermometers(
+    own: Mapping[str, Effect], model: ModelWithEffects, data: Measurements
+) -> tuple[Effect, ...]:  # fmt: skip
+    """A user's effects by name, and behind them those of :func:`thermometers_of` that have no name of these."""
+    return (*own.values(), *(one for one in thermometers_of(model, data) if one.name not in own))
+
+
+def _shift(column: str, rows: Rows, p: SimpleNamespace) -> Floats:
+    return np.multiply.outer(rows[column] - DRAWN_C, np.array(list(vars(p).values())))

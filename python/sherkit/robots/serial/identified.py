@@ -1,0 +1,139 @@
+"""A calibrated arm as another drawing of it: its geometry as identified, and what no drawing of rigid links holds.
+
+Zeros of joints, where their axes lie and lean, the target, and how a joint follows the one before it are places of
+frames; all else (compliance, waves of gears and encoders, scales, play, temperature, drift) is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...base.types import Floats
+from ...model.effect import Effect
+from ..deployed import SENSOR
+from .calibration import SerialCalibration
+from .frames import about, as_written, frame
+from .robot import Joint, Serial
+
+#: Effects that the robot file of an arm has a key for.
+FOLLOWING = "joint_coupling"
+#: Postures at which a size is counted, and how many have to lie where the run measured; else it is counted over all.
+_POSTURES, _ENOUGH = 4000, 100
+#: What does less, mm, is not worth a sentence.
+_NOTHING = 1e-9
+
+
+def as_identified(made: SerialCalibration, held: Collection[str] = (FOLLOWING,)) -> Serial:
+    """The arm whose drawing is the geometry that was identified; its effects are left out, but ``joint_coupling`` where
+    that is ``held``."""
+    robot, values = made.robot, made.by_name
+    before, joints = None, []
+    for k, joint in enumerate(robot.joints, start=1):
+        off, share = values.get(f"offset_{k}", 0.0), values.get(f"{FOLLOWING}.share_{k}", 0.0)
+        share = share if FOLLOWING in held else 0.0
+        follows = joint.follows + share
+        if before is not None:
+            home = before.reading(before.home)
+            off += follows * values.get(f"offset_{k - 1}", 0.0) - share * home
+        drawn = frame(joint.origin_mm, joint.frame[:3, :3])
+        moved = drawn @ _error(values, k) @ _at(joint, off)
+        moved[:3, :3] = moved[:3, :3] @ joint.turn.T
+        origin, rpy = as_written(moved)
+        joints.append(replace(joint, origin_mm=origin, rpy_deg=rpy, follows=follows))
+        before = joint
+    turn = robot.joints[-1].turn
+    names = ["tool", *(f"target_{k}" for k in range(2, len(robot.targets_mm) + 1))]
+    off_by = np.array([[values.get(f"{name}_{axis}", 0.0) for axis in "xyz"] for name in names])
+    first, *more = ((float(x), float(y), float(z)) for x, y, z in np.array(robot.targets_mm) + off_by @ turn.T)
+    return replace(robot, joints=tuple(joints), target_mm=first, more_targets_mm=tuple(more))
+
+
+def _error(values: dict[str, float], k: int) -> Floats:
+    """How the axis of a joint lies and leans beside its place, in its own frame."""
+    shift = (values.get(f"shift_x_{k}", 0.0), values.get(f"shift_y_{k}", 0.0), 0.0)
+    lean = about(0, values.get(f"tilt_x_{k}", 0.0)) @ about(1, values.get(f"tilt_y_{k}", 0.0))
+    return frame(shift, lean)
+
+
+def _at(joint: Joint, value: float) -> Floats:
+    """What a joint moves, in its own frame."""
+    return frame((0.0, 0.0, value), np.eye(3)) if joint.slides else frame((0.0, 0.0, 0.0), about(2, value))
+
+
+# -- What does not fit in ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Lost:
+    """What a drawing cannot hold: an effect, what it does to the target, mm (root mean square and at worst), and for
+    what that is counted, empty where it always is."""
+
+    effect: str
+    rms_mm: float
+    worst_mm: float
+    counted: str = ""
+
+    def __str__(self) -> str:
+        rms, worst = in_words(self.rms_mm), in_words(self.worst_mm)
+        return f"{self.effect}: {rms} RMS, {worst} at worst{f' ({self.counted})' if self.counted else ''}"
+
+
+def in_words(size_mm: float) -> str:
+    """A length as people read it."""
+    return f"{size_mm:.2f} mm" if size_mm >= 1.0 else f"{1e3 * size_mm:.3g} µm"
+
+
+def lost(made: SerialCalibration, held: Collection[str] = (FOLLOWING,)) -> tuple[list[Lost], str]:
+    """What a drawing that holds the effects ``held`` lacks, the largest first, and where that is counted in words."""
+    joints, where = _postures(made)
+    names = [p.name for p in made.model.parameters]
+    found = []
+    for effect in made.model.built_in:
+        if effect.name in held or effect.link == SENSOR:
+            continue
+        now, counted = _moment(made, effect)
+        own = np.array([name.startswith(f"{effect.name}.") for name in names])
+        without = replace(made, whole=replace(made.whole, values=np.where(own, 0.0, made.whole.values)))
+        apart = made.core.forward_batch(joints, now)[0] - without.core.forward_batch(joints, now)[0]
+        size = np.linalg.norm(apart, axis=1)
+        if size.max() > _NOTHING:
+            found.append(Lost(effect.name, float(np.sqrt((size**2).mean())), float(size.max()), counted))
+    return sorted(found, key=lambda one: -one.rms_mm), where
+
+
+def missed_mm(made: SerialCalibration, arm: Serial) -> tuple[float, float]:
+    """How far the target of ``arm`` is from that of a calibration as it stands, mm: RMS and at worst."""
+    joints, _ = _postures(made)
+    size = np.linalg.norm(made.forward_batch(joints).require() - arm.forward_batch(joints).require(), axis=1)
+    return float(np.sqrt((size**2).mean())), float(size.max())
+
+
+def _postures(made: SerialCalibration) -> tuple[Floats, str]:
+    """Joints (n, k) spread over their limits, those whose target is where the run measured if they are enough."""
+    low, high = made.robot.ranges
+    joints = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
+    place = made.forward_batch(joints).require()
+    inside = ((place >= made.whole.low) & (place <= made.whole.high)).all(axis=1)
+    if inside.sum() >= _ENOUGH:
+        return np.ascontiguousarray(joints[inside]), "in the box that the run measured"
+    return joints, "over the limits of the joints"
+
+
+def _moment(made: SerialCalibration, effect: Effect) -> tuple[list[float], str]:
+    """The covariates for which the size of an effect is counted, and what they are in words."""
+    now, counted = [*made.whole.now, 0.0], []
+    if "temperature_c" in effect.needs:
+        now[1] = 21.0
+        counted.append("for each °C from 20 °C")
+    if "time_s" in effect.needs:
+        counted.append("at the end of the run")
+    if "payload_kg" in effect.needs:
+        now[-1] = 1.0
+        counted.append("by each kg")
+    if "direction" in effect.needs:
+        now[2:-1] = [1.0] * len(made.robot.joints)
+        counted.append("to either side, by the direction of travel")
+    return now, ", ".join(counted)
