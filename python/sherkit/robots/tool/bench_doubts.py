@@ -67,7 +67,7 @@ def against_drawing(tool: FlexibleTool, rows: Rows, shifts_nm: Floats) -> list[s
     swapped = _swapped(tool, rows, shifts_nm, drawn)
     if swapped:
         return [*told, swapped]
-    turns = [np.linalg.det(gains[s] @ np.linalg.pinv(drawn[s])) for s in range(2)]
+    turns = [np.linalg.det(gains[s] @ drawn[s].T) for s in range(2)]
     if max(turns) < 0.0:
         told.append(
             "the gains run about the shaft the other way than the drawing's: one axis of the forces is mirrored, or "
