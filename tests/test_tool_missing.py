@@ -152,17 +152,17 @@ def test_a_crept_grating_is_fitted(name: str) -> None:
     assert np.sqrt(np.mean(fit.residuals**2)) == pytest.approx(NOISE_MM, rel=0.06)
 
 
-def test_the_depth_of_a_run_is_as_good_as_the_smoothers() -> None:
-    """Catches a depth without threshold that strays: against the truth, beside the filter's smoother; seeds 0, 1."""
+def test_the_depth_of_a_run_is_as_good_as_the_filters() -> None:
+    """Catches a depth without threshold that strays: against the truth, beside the filter's; seeds 0, 1."""
     for seed in range(2):
         run = VirtualTool(KNOWING).run("phantom", seconds=30.0, seed=seed)
         assert run.depth_mm is not None
         depth = Places(KNOWING, run, run.time_s[:1]).felt.depth_mm
         e = estimate(KNOWING, run)
-        smooth = e.smooth_depth[0][:, 0]
+        filtered = e.depth.value[:, 0]
         # what the bend takes between the length of shaft and the paper's depth
         depth = depth + e.together.value[:, 0] - e.arc_mm
-        off, other = (float(np.sqrt(np.mean((d - run.depth_mm) ** 2))) for d in (depth, smooth))
+        off, other = (float(np.sqrt(np.mean((d - run.depth_mm) ** 2))) for d in (depth, filtered))
         assert off < 1.35 * other + 0.01
 
 
@@ -265,7 +265,7 @@ def test_a_late_interrogator_that_does_not_say_so_is_found(ms: int) -> None:
     assert told.tool.fibre_delay_s == pytest.approx(1e-3 * ms, abs=5e-3)
     before, after = (honest(estimate(t, run), recorded)["depth"] for t in (tool, told.tool))
     assert after.mean_error_mm < 0.6 * before.mean_error_mm
-    assert after.coverage > 0.85 > before.coverage
+    assert after.coverage > max(0.9, before.coverage)
 
 
 def test_a_tare_needs_an_untouched_tool() -> None:

@@ -15,7 +15,7 @@ from sherkit.errors import FitError, MeasurementError, RobotError, SherkitWarnin
 from sherkit.fit.identify import identify
 from sherkit.robots.tool.alignment import align
 from sherkit.robots.tool.calibration import calibrate_tool, read_loads
-from sherkit.robots.tool.filters import _ordered, estimate
+from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.known import judge
 from sherkit.robots.tool.model import ToolModel, applied
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
@@ -134,21 +134,6 @@ def test_a_camera_that_saw_something_else_is_not_registered(
     with pytest.raises(FitError, match=says) as refused:
         align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm, source=run.source)
     assert str(refused.value).startswith("free.csv")
-
-
-def test_no_reading_is_lost_where_stamps_jitter() -> None:
-    """Catches a reading that overwrites its neighbour in the smoother: stamps that fall between the same two rows."""
-    rng = np.random.default_rng(3)
-    run = VirtualTool(TOOL).run("phantom", seconds=5.0)
-    stamps = np.sort(run.time_s - 0.02 + 0.004 * rng.standard_normal(len(run)))
-    there = stamps >= run.time_s[0]
-    _, _, at, waves, used = _ordered(run.time_s, run.poses, stamps, run.wavelengths_nm, there)
-    assert used.sum() == there.sum()
-    np.testing.assert_array_equal(at[used], stamps[there])
-    np.testing.assert_array_equal(waves[used], run.wavelengths_nm[there])
-    # none before its own time, and none later than the memory of the loop
-    assert (run.time_s[used] >= at[used]).all()
-    assert (run.time_s[used] - at[used]).max() < 0.05
 
 
 def test_fibres_are_not_read_from_the_future(tmp_path: Path) -> None:

@@ -78,15 +78,13 @@ def loads_of(world: World, seed: int = 0, **bench: float) -> Loads:
 
 
 def honest(e: Estimate, truth: Recorded) -> dict[str, Honesty]:
-    """Of every estimate whose truth is known: depth and tip, filtered and smoothed. The first second is the start's."""
+    """Of every estimate whose truth is known: depth and tip, by the filter. The first second is the start's."""
     on = truth.time_s >= 1.0
     told: dict[str, Honesty] = {}
     tips = {"tip": (e.tip.value, e.tip.covariance),
-            "tip of both": (e.together.value[:, 1:], e.together.covariance[:, 1:, 1:]),
-            "tip smoothed": (e.smooth_together[0][:, 1:], e.smooth_together[1][:, 1:, 1:])}  # fmt: skip
+            "tip of both": (e.together.value[:, 1:], e.together.covariance[:, 1:, 1:])}  # fmt: skip
     depths = {"depth": (e.depth.value, e.depth.covariance),
-              "depth of both": (e.together.value[:, :1], e.together.covariance[:, :1, :1]),
-              "depth smoothed": e.smooth_depth}  # fmt: skip
+              "depth of both": (e.together.value[:, :1], e.together.covariance[:, :1, :1])}  # fmt: skip
     if truth.depth_mm is not None:
         for name, (value, covariance) in depths.items():
             told[name] = honesty(value[on], covariance[on], truth.depth_mm[on])
@@ -118,7 +116,7 @@ def main() -> None:
     asked = parser.parse_args()
     worlds = FAULTS if asked.faults else CONDITIONS
     warnings.simplefilter("ignore", SherkitWarning)
-    names = ("depth", "depth smoothed", "tip", "tip of both")
+    names = ("depth", "tip", "tip of both")
     print(f"{'':<18}" + "".join(f"{n + ': 95 %, NEES, max':>30}{'>5':>8}{'mm':>8}" for n in names))
     rows = [(name, made) for name in asked.conditions or worlds for made in (tool_of, warmed_of)]
     for name, made in rows:

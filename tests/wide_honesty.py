@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -34,6 +35,8 @@ Floats = NDArray[np.float64]
 #: Bends to 10 mm and 300 mN, and half of both.
 SIZES = {"half": 0.5, "full": 1.0}
 SINCE_S, SECONDS = 30.0, 60.0
+#: Processes at a time.
+WORKERS = int(os.environ.get("SHERKIT_WORKERS", "2"))
 #: The robot's own noise, an axis.
 _POSE_MM = 2e-3
 
@@ -248,15 +251,13 @@ def rungs(seed: int, experiment: str, size: str) -> tuple[Score, dict[str, Score
     for name, made in RUNGS.items():
         e = estimate(made(tool), run)
         told[name] = scored(run, truth, e.together.value, e.together.covariance)
-    told["smoothed"] = scored(run, truth, *e.smooth_together)
     e = estimate(true_tool(tool, world, experiment), run)
     told["all true but the state"] = scored(run, truth, e.together.value, e.together.covariance)
-    told["all true but the state, smoothed"] = scored(run, truth, *e.smooth_together)
     return scored(run, truth, plain(tool, run), None), told
 
 
 def _every(function: Callable[..., object], runs: Iterable[tuple[object, ...]]) -> list[object]:
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
+    with multiprocessing.get_context("spawn").Pool(WORKERS) as pool:
         return pool.starmap(function, list(runs), chunksize=1)
 
 

@@ -227,7 +227,9 @@ class Wide:
         turn = d.upright * Rotation.from_rotvec(led.turn_rad)
         strayed, slack = self._strayed(t, turn, led, rng)
         hole = self._hole(t, led, slack)
-        touch = d.rod.in_hole(hole.l_mm, hole.push_mm, hole.tissue, self._friction(t, led, slack, hole))
+        second_mn = self._second(t, hole)
+        leant = self._leant(hole, second_mn)
+        touch = self._touch(leant, self._friction(t, led, slack, hole))
 
         if led.enters:  # the hand feels the hole sideways and goes with it
             seen = np.column_stack([hole.off_mm, -(hole.l_mm + slack)])
@@ -235,18 +237,20 @@ class Wide:
         else:
             place = d.middle_mm + led.shift_mm + turn.apply(led.trembling_mm)
         across, along = touch.tip()
-        tip = place + turn.apply(np.column_stack([across[:, None] * hole.way, along]))
-        signals = self._signals(t, touch, hole.way, rng)
-        recorded = place + _POSE_MM * rng.standard_normal(place.shape)
+        bent = across[:, None] * leant.way + second_mn * touch.rod.length_mm**3 / (3.0 * touch.rod.stiffness_mn_mm2)
+        tip = place + turn.apply(np.column_stack([bent, along]))
+        signals = self._signals(t, touch, leant.way, rng, second_mn)
+        recorded, turn_told = self._told(t, place, turn)
+        recorded = recorded + _POSE_MM * rng.standard_normal(place.shape)
         camera_t, camera = self._seen(t, tip, rng)
         spoilt = Spoilt(signals.read(d.glass), frozenset(), frozenset())
         if fault is not None:
             spoilt = spoil(fault, d.glass, signals, t, since_s, self._rng(f"{experiment} {fault}"))
         return WideRun(
-            time_s=t, place_mm=recorded, turn_rad=turn.as_rotvec(), wavelengths_nm=spoilt.wavelengths_nm,
+            time_s=t, place_mm=recorded, turn_rad=turn_told, wavelengths_nm=self._kept(t, spoilt.wavelengths_nm),
             camera_time_s=camera_t, camera_mm=camera, l_mm=np.where(led.there, hole.l_mm, np.nan),
             arc_mm=np.where(led.there, touch.arc_mm, np.nan), tip_mm=tip,
-            force_mn=touch.pushed_mn[:, None] * hole.way, along_mn=touch.dragged_mn, touched=touch.normal_mn > 0.0,
+            force_mn=touch.pushed_mn[:, None] * leant.way, along_mn=touch.dragged_mn, touched=touch.normal_mn > 0.0,
             bend_mm=np.hypot(across, along), signals=signals, touch=touch, tells_depth=led.enters, bad=spoilt.bad,
             changed=spoilt.changed,
         )  # fmt: skip
@@ -305,10 +309,53 @@ class Wide:
         speed = np.gradient(d.rod.in_hole(l_mm, seen.push_mm, seen.tissue, none).arc_mm, t)
         return -d.friction * np.tanh(speed / _SLIDES_MM_S)
 
-    def _signals(self, t: Array, touch: Touch, way: Array, rng: np.random.Generator) -> Signals:
+    def _signals(self, t: Array, touch: Touch, way: Array, rng: np.random.Generator, second_mn: Array) -> Signals:
         glass = self.drawn.glass
         warmer = 0.3 * np.sin(2 * np.pi * (t / rng.uniform(60.0, 200.0) + rng.random()))
-        return Signals(glass.bending(touch, way), glass.warmed(warmer), rng.standard_normal((len(t), 9)))
+        answers = glass.answers(self.drawn.rod.stiffness_mn_mm2)
+        by_tip = [(second_mn * at) @ answers[s].T for s, at in enumerate(glass.from_tip_mm)]
+        bending = glass.bending(touch, way) + np.hstack(by_tip)
+        return Signals(
+            self._lagged(t, bending), glass.warmed(warmer) + self._warmed(t), rng.standard_normal((len(t), 9))
+        )
+
+    # -- what families of worlds do otherwise (:mod:`.wide_families`) -----------------------------------------
+
+    def _second(self, t: Array, hole: Hole) -> Array:
+        """A second force, at the tip across the shaft (n, 2), mN."""
+        return np.zeros((len(t), 2))
+
+    def _leant(self, hole: Hole, second_mn: Array) -> Hole:
+        """The hole as a shaft presses on it that a force at its tip bends."""
+        if not second_mn.any():
+            return hole
+        rod = self.drawn.rod
+        reach = rod.length_mm - hole.l_mm.clip(0.0)
+        moved = second_mn * (reach**2 * (3.0 * rod.length_mm - reach) / (6.0 * rod.stiffness_mn_mm2))[:, None]
+        off = hole.off_mm - moved
+        size = np.linalg.norm(off, axis=1)
+        clear = np.linalg.norm(hole.off_mm, axis=1) - hole.push_mm
+        push = np.where(hole.push_mm > 0.0, (size - clear).clip(0.0), 0.0)
+        return hole._replace(push_mm=push, way=off / np.where(size > 0.0, size, 1.0)[:, None])
+
+    def _touch(self, hole: Hole, friction: Array) -> Touch:
+        return self.drawn.rod.in_hole(hole.l_mm, hole.push_mm, hole.tissue, friction)
+
+    def _lagged(self, t: Array, bending_nm: Array) -> Array:
+        """What fibres show (n, 9) of their bends."""
+        return bending_nm
+
+    def _warmed(self, t: Array) -> Array:
+        """Further warmth of the gratings, as shifts (n, 9) or nothing."""
+        return np.zeros((len(t), 9))
+
+    def _told(self, t: Array, place: Array, turn: Rotation) -> tuple[Array, Array]:
+        """Where the robot says that it is, and its turn."""
+        return place, turn.as_rotvec()
+
+    def _kept(self, t: Array, waves: Array) -> Array:
+        """Wavelengths without the rows that are lost."""
+        return waves
 
     def _seen(self, t: Array, tip: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Times (m,) by the camera's clock and places (m, 3) in its frame; its field is bent, the same in every run."""

@@ -15,12 +15,13 @@ from ..diagnosis import Diagnosis
 from ..robots.tool.alignment import Aligned, align
 from ..robots.tool.calibration import ToolCalibration, read_loads
 from ..robots.tool.calibration import calibrate_tool as run_calibration
-from ..robots.tool.filters import Estimate, Track, status_in_words
+from ..robots.tool.filters import Estimate, status_in_words
 from ..robots.tool.filters import estimate as run_filters
 from ..robots.tool.known import Errors, Judgement, Knowledge, judge, known
 from ..robots.tool.model import Applied
 from ..robots.tool.runs import read_tool_run, require_camera, summary
 from ..robots.tool.tool import FlexibleTool, load_tool
+from ..robots.tool.trust import trust
 from . import output
 from .file_kinds import PICTURE, TABLE, TOOL
 from .paths import InputFile, OutputFile
@@ -64,7 +65,7 @@ def estimate(
         from ..report.estimate import depth_over_time, estimate_picture
         from ..report.page import save_picture
 
-        save_picture(estimate_picture(depth_over_time(result)), picture)
+        save_picture(estimate_picture(depth_over_time(result), trust(result, truths).sentence), picture)
     if as_json:
         output.print_json(_json(result, judged, truths))
         return
@@ -73,12 +74,14 @@ def estimate(
         f"{sizes['rows']} rows of the robot at {sizes['robot_hz']:.0f} Hz, {sizes['pictures']} pictures; "
         f"filter: {next(name for name, noise in _FILTERS.items() if noise == made.noise)}"
     )
+    for sentence in trust(result, truths).sentences:
+        output.say(sentence)
     for j in judged:
         _print_errors(j)
     if not judged:
         output.say("neither depth_mm nor a camera is in this run: nothing to judge by")
     print_knowledge(truths)
-    _print_consistency(result)
+    _print_noticed(result)
     output.say(left_gratings(result))
     if destination is not None:
         output.say(f"estimates written to {destination}")
@@ -122,17 +125,7 @@ def _knowledge_cells(k: Knowledge) -> tuple[str, ...]:
     return name, str(k.rows), f"{k.coverage:.3f}", f"{k.nees:.2f}", band, f"{k.largest:.1f}", _of_truth(k)
 
 
-def _print_consistency(e: Estimate) -> None:
-    table = output.table(
-        "Innovations: are measurements as far from predictions as stated?", "", "NIS / expected", "99 % band",
-        "verdict",
-        note="a bias moves both and does not show here",
-    )  # fmt: skip
-    for name, track in _tracks(e).items():
-        c = track.consistency
-        band = f"{c.low:.3f} to {c.high:.3f}" if np.isfinite(c.ratio) else "–"
-        table.add_row(name, f"{c.ratio:.3f}" if np.isfinite(c.ratio) else "–", band, _of_innovations(track))
-    output.out.print(table)
+def _print_noticed(e: Estimate) -> None:
     for fault in e.faults:
         output.warn(f"{e.run.source}: {fault}")
     told = {name: n for name, n in status_in_words(e.depth).items() if n and name != "updated"}
@@ -145,22 +138,13 @@ def _of_truth(k: Knowledge) -> str:
     return "overconfident, or the camera" if k.verdict == "overconfident" and k.of_truth > _COARSE else k.verdict
 
 
-def _of_innovations(track: Track) -> str:
-    """What innovations may say: they never know that a filter is too careful, since they see no bias."""
-    verdict = track.consistency.verdict
-    return "smaller than stated" if verdict == "too careful" else verdict
-
-
-def _tracks(e: Estimate) -> dict[str, Track]:
-    return {"depth": e.depth, "tip": e.tip, "both together": e.together}
-
-
 def number(v: float) -> float | None:
     """For JSON, which has no NaN."""
     return float(v) if np.isfinite(v) else None
 
 
 def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict[str, object]:
+    told = trust(e, truths)
     return {
         "noise": e.tool.noise,
         "run": {k: number(v) for k, v in summary(e.run).items()},
@@ -174,13 +158,8 @@ def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict
             }
             for j in judged
         },
-        "consistency": {
-            name: {
-                "ratio": number(t.consistency.ratio), "low": number(t.consistency.low),
-                "high": number(t.consistency.high), "verdict": _of_innovations(t),
-            }
-            for name, t in _tracks(e).items()
-        },
+        "trust": {"verdict": told.verdict, "sentence": told.sentence, "noticed": list(told.noticed)},
+        "innovations": number(e.depth.consistency.ratio),
         "knowledge": [{**asdict(k), "verdict": k.verdict} for k in truths],
         "status": status_in_words(e.depth),
         "faults": [{**asdict(f), "sentence": str(f)} for f in e.faults],
@@ -189,7 +168,6 @@ def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict
 
 def _frame(e: Estimate, *, both: bool = False) -> pl.DataFrame:
     """Estimates by row, with what the gratings alone say, and ``both``: with the paper's filters."""
-    smooth, spread = e.smooth_together
     axes = "xyz"
     columns = {
         "time_s": e.run.time_s,
@@ -202,10 +180,6 @@ def _frame(e: Estimate, *, both: bool = False) -> pl.DataFrame:
         "depth_std_mm": e.depth.std[:, 0],
         **{f"tip_{a}_mm": e.tip.value[:, k] for k, a in enumerate(axes)},
         **{f"tip_{a}_std_mm": e.tip.std[:, k] for k, a in enumerate(axes)},
-        "smooth_depth_mm": smooth[:, 0],
-        "smooth_depth_std_mm": np.sqrt(spread[:, 0, 0].clip(0.0)),
-        **{f"smooth_tip_{a}_mm": smooth[:, k + 1] for k, a in enumerate(axes)},
-        **{f"smooth_tip_{a}_std_mm": np.sqrt(spread[:, k + 1, k + 1].clip(0.0)) for k, a in enumerate(axes)},
         "joint_depth_mm": e.together.value[:, 0],
         **{f"joint_tip_{a}_mm": e.together.value[:, k + 1] for k, a in enumerate(axes)},
         **{
@@ -334,7 +308,7 @@ def write_tool_report(path: Path, title: str, found: Diagnosis, e: Estimate, tol
         Rows("Mean error, mm", ("", "whole run", "T0", "T1", "largest"), tuple(errors)),
         Rows("Does the filter know its own errors?", ("", *_KNOWLEDGE), tuple(truths)),
     ]
-    said = [*sentences_of(told), *(str(fault) for fault in e.faults)]
+    said = [*trust(e, known(e)).sentences, *sentences_of(told), *(str(fault) for fault in e.faults)]
     write(
         path,
         title,

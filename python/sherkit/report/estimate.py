@@ -65,8 +65,8 @@ def _innovations(e: Estimate) -> Floats:
     return np.where(degrees > 0.5, total / np.maximum(degrees, 1.0), np.nan)
 
 
-def estimate_picture(state: EstimateOverTime) -> Picture[EstimateOverTime]:
-    """The estimate with its 95 % band, the other lines, and the force on the same axis of time."""
+def estimate_picture(state: EstimateOverTime, headline: str = "") -> Picture[EstimateOverTime]:
+    """The estimate with its 95 % band, the other lines, and the force on the same axis of time, below a headline."""
     sources = sources_of(_tables(state))
     made = figure(height=_HEIGHT, sizing_mode="stretch_width")
     made.yaxis.axis_label = f"{state.name}, {state.unit}"
@@ -103,6 +103,8 @@ def estimate_picture(state: EstimateOverTime) -> Picture[EstimateOverTime]:
     if state.innovation is not None:
         below += " Innovations squared, over their variance, are 1 on average where the filter's noise is right."
     note = f"The band holds the truth in 95 of 100 steps.{below}{few}"
+    if headline:
+        figures[0].title.text = headline
     return Picture("estimate", stacked("estimate", figures, sizing_mode="stretch_width"), sources, _tables, note=note)
 
 

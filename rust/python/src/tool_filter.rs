@@ -13,8 +13,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::filter::{
-    Consistency, Counts, Doubt, Look, Node, Shifts, Smoothed, Status, Told, ToolFilter as CoreTool,
-    Trusted, smooth,
+    Consistency, Counts, Doubt, Look, Shifts, Status, Told, ToolFilter as CoreTool, Trusted,
 };
 use sherkit_core::tool::paper::{PaperFilter as CorePaper, PaperNoise};
 use sherkit_core::tool::sensing::Calibration;
@@ -28,17 +27,13 @@ trait Stepped: Copy + Send {
     fn look(&self) -> Look;
     fn fared(&self) -> (&Counts, &Consistency);
     /// Pace of the hole along the shaft (mm²/s) and across ((mm/s)²), and what was learnt: clearance (mm), give (mm/mN), the
-    /// gratings' turn (rad), how much deeper they are (mm), moments of no force (4, mN·mm).
+    /// gratings' turn (rad), how much deeper they are (mm), moments of no force (4, mN·mm), whether the hole goes with the
+    /// shaft (0 or 1), and how much fibres lag, over the bend.
     fn inner(&self) -> [f64; INNER];
-    /// The last reading, for a smoother, and its time.
-    fn node(&self) -> Option<(f64, Node)>;
 }
-const INNER: usize = 10;
+const INNER: usize = 12;
 
 impl Stepped for CoreTool {
-    fn node(&self) -> Option<(f64, Node)> {
-        Some(self.node())
-    }
     fn advance(&mut self, time_s: f64, pose: &Rigid, reading: Option<(f64, &Shifts)>) -> Status {
         self.step(time_s, pose, reading)
     }
@@ -53,14 +48,13 @@ impl Stepped for CoreTool {
     }
     fn inner(&self) -> [f64; INNER] {
         let [c, g, t, m, a, b, d, e] = self.learnt();
-        [self.per_second_mm2(), self.pace(), c, g, t, m, a, b, d, e]
+        let along = f64::from(u8::from(self.goes_along()));
+        let (drift, pace) = (self.per_second_mm2(), self.pace());
+        [drift, pace, c, g, t, m, a, b, d, e, along, self.lags()]
     }
 }
 
 impl Stepped for CorePaper {
-    fn node(&self) -> Option<(f64, Node)> {
-        None
-    }
     fn advance(&mut self, time_s: f64, pose: &Rigid, reading: Option<(f64, &Shifts)>) -> Status {
         self.step(time_s, pose, reading.map(|(_, w)| w))
     }
@@ -109,22 +103,12 @@ fn run<'py, F: Stepped>(
     let (mut force, mut inner) = (Vec::with_capacity(2 * n), Vec::with_capacity(INNER * n));
     let mut columns: [Vec<f64>; 4] = core::array::from_fn(|_| Vec::with_capacity(n));
     let (mut status, mut degrees, mut faulty) = (vec![], vec![], vec![]);
-    let (mut nodes, mut rows_of) = (Vec::new(), Vec::new());
-    let mut last = f64::NAN;
     py.detach(|| {
         for i in 0..n {
             let w = sections(&waves[i]);
             let reading = present[i].then_some((stamps[i], &w));
             let done = filter.advance(times[i], &pose_of(&poses[i]), reading);
             let told = filter.told();
-            if let Some((time, node)) = filter.node()
-                && time != last
-                && present[i]
-            {
-                last = time;
-                nodes.push(node);
-                rows_of.push(i64::try_from(i).unwrap_or(i64::MAX));
-            }
             state.push(told.depth_mm);
             state.extend_from_slice(&told.tip_mm);
             covariance.extend_from_slice(told.covariance.as_flattened());
@@ -140,15 +124,7 @@ fn run<'py, F: Stepped>(
             status.push(done.0);
         }
     });
-    let mut smoothed = vec![Smoothed::default(); nodes.len()];
-    py.detach(|| smooth(&nodes, &mut smoothed));
     let out = PyDict::new(py);
-    let back: Vec<f64> = smoothed
-        .iter()
-        .flat_map(|s| [s.moved_mm, s.expected_moved_mm, s.variance])
-        .collect();
-    out.set_item::<_, Bound<'py, PyArray2<f64>>>("smoothed", shaped(py, back, [nodes.len(), 3])?)?;
-    out.set_item("read", PyArray1::from_vec(py, rows_of))?;
     let covariance: Bound<'py, PyArray3<f64>> = shaped(py, covariance, [n, 4, 4])?;
     out.set_item("covariance", covariance)?;
     for (name, data, width) in [
@@ -250,10 +226,8 @@ macro_rules! filter_class {
 
             /// As many steps as there are times `(n,)`, at poses `(n, 12)`, with wavelengths `(n, 9)` of stamps `(n,)`
             /// where `present` `(n,)`. By name: `state` (depth, tip) `(n, 4)`, `covariance` `(n, 4, 4)`, `force_mn`
-            /// `(n, 2)`, `inner` `(n, 10)`, and `(n,)` `arc_mm`, `force_variance`, `misfit`, `nis`, `degrees`, `faulty`
-            /// (a bit for each grating), `status`; of the rows `read` `(m,)` whose
-            /// reading was looked at, `smoothed` `(m, 3)`: by how much all readings move the depth, the one expected
-            /// before it (mm), and its variance (mm²).
+            /// `(n, 2)`, `inner` `(n, 12)`, and `(n,)` `arc_mm`, `force_variance`, `misfit`, `nis`, `degrees`, `faulty`
+            /// (a bit for each grating), `status`.
             fn run<'py>(
                 &mut self,
                 py: Python<'py>,

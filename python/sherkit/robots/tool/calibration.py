@@ -19,6 +19,7 @@ from ...base import linalg
 from ...base.types import Bools, Floats
 from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
+from .bench_doubts import against_drawing, wrong_loads
 from .bench_fit import (
     CONVENTIONS,
     DIFFERENCES,
@@ -219,6 +220,7 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
         within = within - within.mean(axis=1, keepdims=True)
         noise = float(np.sqrt((within**2).sum() / ((count - 1) * 8))) or tool.noise_nm
     rows, shifts = _rows(loads, reference)
+    rows, shifts, noticed = _doubted(tool, loads, rows, shifts)
     enough = int(rows.bent.sum()) >= LEAST_LOADED
     slope = _slope(tool.length_mm, rows) if enough else None
     check_sizes(tool, _roughly(tool, rows), slope and slope[0], loads.source)
@@ -254,7 +256,7 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     )  # fmt: skip
     if enough:
         made = replace(made, length_mm=value.length_mm, stiffness_mn_mm2=value.stiffness_mn_mm2)
-    sentences = tuple(_sentence(one) for one in lack)
+    sentences = (*noticed, *(_sentence(one) for one in lack))
     for sentence in sentences:
         warnings.warn(f"{loads.source}: {sentence}", SherkitWarning, stacklevel=2)
     std = np.sqrt(np.diag(best.covariance).clip(0.0))
@@ -276,6 +278,21 @@ def _rows(loads: Loads, reference_nm: Floats) -> tuple[Rows, Floats]:
     shifts = loads.wavelengths_nm[on, :6] - reference_nm[:6]
     differences = np.einsum("dk,nsk->nsd", DIFFERENCES, shifts.reshape(-1, 2, 3))
     return Rows(size, force / size[:, None], loads.depth_mm[on], differences, loads.deflection_mm[on]), shifts
+
+
+def _doubted(tool: FlexibleTool, loads: Loads, rows: Rows, shifts: Floats) -> tuple[Rows, Floats, tuple[str, ...]]:
+    """Rows and shifts without single wrong loads; sentences on these and on the columns."""
+    bad, larger = wrong_loads(tool, rows)
+    number = np.flatnonzero(loads.loaded) + 1
+    told = [
+        f"row {number[i]}: its force of {rows.size_mn[i]:.4g} mN is not the one that its gratings feel, "
+        f"{larger[i]:.2g} times as large; it is left out"
+        for i in np.flatnonzero(bad)
+    ]
+    keep = ~bad
+    kept = replace(rows, **{name: getattr(rows, name)[keep] for name in
+                            ("size_mn", "way", "depth_mm", "differences_nm", "deflection_mm")})  # fmt: skip
+    return kept, shifts[keep], (*told, *against_drawing(tool, kept, shifts[keep]))
 
 
 def _roughly(tool: FlexibleTool, rows: Rows) -> Floats:

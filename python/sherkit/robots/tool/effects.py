@@ -203,7 +203,10 @@ def camera_delay(at: Places, values: Floats) -> Floats:
     "sensor",
     # slow ones are late by 0.3 s
     _p("delay", "s", 0.06),
-    physics="The interrogator is later than its setting says: a force is felt after it was there.",
+    physics=(
+        "Interrogator and robot are not of one time, as the setting has it: above zero a force is felt after it was "
+        "there, below zero the robot's rows are late."
+    ),
     residuals="Along the force, in proportion to how fast it changes.",
     remedy="Let robot and interrogator see one sharp touch; set [gratings] delay_s, or write fbg_time_s.",
     tool=lambda tool, values: replace(tool, fibre_delay_s=tool.fibre_delay_s + float(values[0])),

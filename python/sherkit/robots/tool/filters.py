@@ -1,4 +1,4 @@
-"""Depth and tip over a recorded run: by kinematics, by the gratings alone, filtered, filtered together, smoothed.
+"""Depth and tip over a recorded run: by kinematics, by the gratings alone, filtered, and by the paper's own filters.
 
 Everything runs in the core; what a loop does step by step (:class:`sherkit._core.ToolFilter`) gives the same numbers to
 the last bit.
@@ -158,15 +158,15 @@ class Estimate(Shown):
     ``fibre_depth_std_mm``, NaN or infinite without force; ``held_depth_mm`` (n,) repeats the last depth of a force, as
     a display would. ``together`` is what a loop runs (:class:`sherkit._core.ToolFilter`): depth and tip, with the
     calibration's doubt in the deviations. ``depth`` and ``tip`` are its parts, or, where the tool asks for the paper's
-    noise, the filters of Eqs. 8 and 14. ``smooth_depth`` and ``smooth_together`` are values and covariances from all
-    measurements of the run. ``misfit`` (n,) is about 1 where the moments agree; ``faulty`` (n,) has a bit for each
-    grating that was not believed, ``faulty_sections`` (n, 3) says where, ``gated`` (n,) whose reading was not used, and
-    ``faults`` names them. ``arc_mm`` (n,) is the length of shaft beyond the hole, where ``depth`` is the paper's l.
+    noise, the filters of Eqs. 8 and 14. ``misfit`` (n,) is about 1 where the moments agree; ``faulty`` (n,) has a bit
+    for each grating that was not believed, ``faulty_sections`` (n, 3) says where, ``gated`` (n,) whose reading was not
+    used, and ``faults`` names them. ``arc_mm`` (n,) is the length of shaft beyond the hole, where ``depth`` is the
+    paper's l.
     ``paper`` are depth and tip (n, 4) by the paper's own filters (Eqs. 8 and 14), always beside the others, and
-    ``hole``
-    (n, 4) what was learnt: its clearance (mm), what it gives way (mm/mN), the gratings' turn (rad), and by how much
-    they
-    count all depths deeper (mm).
+    ``hole`` (n, 4) what was learnt: its clearance (mm), what it gives way (mm/mN), the gratings' turn (rad), and by how
+    much they count all depths deeper (mm). ``goes_along`` (n,) says from where on depths told of the bench's zero what
+    no zero can be: the hole goes with the shaft, or the robot's rows are late. ``lags`` (n,) is by how much fibres were
+    seen to lag behind their bends, over the bend.
     """
 
     tool: FlexibleTool
@@ -176,12 +176,12 @@ class Estimate(Shown):
     depth: Track
     tip: Track
     together: Track
-    smooth_depth: tuple[Floats, Floats]
-    smooth_together: tuple[Floats, Floats]
     faulty: NDArray[np.uint16]
     arc_mm: Floats
     paper: Track
     hole: Floats
+    goes_along: Bools
+    lags: Floats
 
     def __repr__(self) -> str:
         depth = self.depth.value[:, 0]
@@ -228,11 +228,6 @@ class Estimate(Shown):
         return self.depth.std[:, 0]
 
     @property
-    def smooth_depth_std_mm(self) -> Floats:
-        """Standard deviation of the smoothed depth (n,)."""
-        return np.sqrt(self.smooth_depth[1][:, 0, 0])
-
-    @property
     def force_mn(self) -> Floats:
         """Sclera force (n, 2), tool frame."""
         return self.measurements[:, _FORCE]
@@ -269,7 +264,7 @@ class Estimate(Shown):
 
 @linalg.one_thread()
 def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
-    """Runs sensing, the filters and the smoother over a recorded run.
+    """Runs sensing and the filters over a recorded run.
 
     A reading is used at the time it was taken: its stamp where the run has one, less the delay of the fibres.
     Rows without wavelengths are predicted over. Raises :class:`~sherkit.errors.MeasurementError` for a run in which no
@@ -291,11 +286,10 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     chosen = together if tool.noise == "propagated" else paper
     depth = replace(chosen, value=chosen.value[:, :1], covariance=chosen.covariance[:, :1, :1])
     tip = replace(chosen, value=chosen.value[:, 1:], covariance=chosen.covariance[:, 1:, 1:])
-    smooth = smoothed(tool, run, stamps, reading)
-    smooth_depth = smooth[0][:, :1], smooth[1][:, :1, :1]
+    inner = told["inner"]
     return Estimate(
-        tool, run, measured, told["misfit"], depth, tip, together, smooth_depth, smooth, told["faulty"], told["arc_mm"],
-        paper, told["inner"][:, 2:6],
+        tool, run, measured, told["misfit"], depth, tip, together, told["faulty"], told["arc_mm"], paper, inner[:, 2:6],
+        inner[:, 10] > 0.0, inner[:, 11],
     )  # fmt: skip
 
 
@@ -310,53 +304,6 @@ def _readings(run: ToolRun) -> Bools:
         return np.asarray(some)
     before = np.maximum.accumulate(np.where(some, run.fibre_times_s, -np.inf))
     return np.asarray(some & (run.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
-
-
-def smoothed(tool: FlexibleTool, run: ToolRun, stamps_s: Floats, reading: Bools) -> tuple[Floats, Floats]:
-    """Depth and tip (n, 4) from all measurements of the run, and their covariance (n, 4, 4).
-
-    The filter runs once more, with each reading at its stamp, and its states are gone through from the last to the
-    first
-    (Rauch, Tung and Striebel 1965). Between readings the correction goes straight from one to the next, and the tip
-    follows as it hangs on the depth.
-    """
-    ahead = _ordered(run.time_s, run.poses, stamps_s, run.wavelengths_nm, reading)
-    told = tool.tracker(float(ahead[0][0]), ahead[1][0]).run(*ahead)
-    value, spread = told["state"], told["covariance"]
-    rows, back = told["read"], told["smoothed"]
-    if not len(rows):
-        return value, spread
-    n = len(value)
-    here = np.arange(n)
-    before = np.searchsorted(rows, here, side="right") - 1
-    after = np.minimum(before + 1, len(rows) - 1)
-    first = before < 0
-    one, two = rows[before.clip(0)], rows[after]
-    share = np.where(two > one, (here - one) / np.where(two > one, two - one, 1), 0.0)
-    moved = np.where(first, back[0, 1], back[before.clip(0), 0] * (1.0 - share) + back[after, 1] * share)
-    moved = np.where(here == one, back[before.clip(0), 0], moved)
-    at = np.where(first, back[0, 2], back[before.clip(0), 2] * (1.0 - share) + back[after, 2] * share)
-    variance = np.minimum(at, spread[:, 0, 0])
-    gain = spread[:, :, 0] / spread[:, :1, 0].clip(np.finfo(float).tiny)
-    less = spread[:, 0, 0] - variance
-    return value + gain * moved[:, None], spread - less[:, None, None] * gain[:, :, None] * gain[:, None, :]
-
-
-def _ordered(
-    times_s: Floats, poses: Floats, stamps_s: Floats, waves: Floats, reading: Bools
-) -> tuple[Floats, Floats, Floats, Floats, Bools]:
-    """The run with each reading at the first row not before its stamp; where that has one already, as where rows or
-    stamps
-    jitter, at the next that has none."""
-    rows = np.flatnonzero(reading)
-    rows = rows[np.argsort(stamps_s[rows], kind="stable")]
-    rows = rows[stamps_s[rows] >= times_s[0]]
-    turn = np.arange(len(rows))
-    place = np.maximum.accumulate(np.searchsorted(times_s, stamps_s[rows]) - turn) + turn
-    rows, place = rows[place < len(times_s)], place[place < len(times_s)]
-    at, taken, there = times_s.copy(), np.full_like(waves, np.nan), np.zeros(len(times_s), dtype=bool)
-    at[place], taken[place], there[place] = stamps_s[rows], waves[rows], True
-    return tuple(np.ascontiguousarray(v) for v in (times_s, poses, at, taken, there))  # type: ignore[return-value]
 
 
 def status_in_words(track: Track) -> dict[str, int]:

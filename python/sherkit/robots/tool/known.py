@@ -81,7 +81,6 @@ def known(e: Estimate) -> list[Knowledge]:
         depths = {
             "filter": (e.depth.value, e.depth.covariance),
             **({"filter of both": (e.together.value[:, :1], e.together.covariance[:, :1, :1])} if apart else {}),
-            "smoother": e.smooth_depth,
         }
         for signal, (value, covariance) in depths.items():
             off = (value[:, 0] - run.depth_mm)[there, None]
@@ -94,7 +93,6 @@ def known(e: Estimate) -> list[Knowledge]:
         tips = {
             "filter": (e.tip.value, e.tip.covariance),
             **({"filter of both": (e.together.value[:, 1:], e.together.covariance[:, 1:, 1:])} if apart else {}),
-            "smoother": (e.smooth_together[0][:, 1:], e.smooth_together[1][:, 1:, 1:]),
         }
         for signal, (value, covariance) in tips.items():
             off = at_times(run.time_s, value, moment) - truth
@@ -212,7 +210,6 @@ def judge(e: Estimate) -> list[Judgement]:
             "filter": e.depth.value[:, 0],
             "filter of both": e.together.value[:, 0],
             "paper's filter": e.paper.value[:, 0],
-            "smoother": e.smooth_depth[0][:, 0],
         }
         errors = {name: np.abs(value - truth)[rows] for name, value in signals.items()}
         out.append(_judged("depth", "depth_mm", errors, t0[rows]))
@@ -228,7 +225,6 @@ def judge(e: Estimate) -> list[Judgement]:
                 "filter": at_times(run.time_s, e.tip.value, moment),
                 "filter of both": at_times(run.time_s, e.together.value[:, 1:], moment),
                 "paper's filter": at_times(run.time_s, e.paper.value[:, 1:], moment),
-                "smoother": at_times(run.time_s, e.smooth_together[0][:, 1:], moment),
             }
             check_camera(places["kinematics"], truth, run.source)
             t0 = np.linalg.norm(places["filter"] - places["kinematics"], axis=1) > MISMATCH_MM

@@ -12,5 +12,8 @@
 pub mod beam;
 pub mod filter;
 pub mod paper;
+mod poses;
 pub mod rod;
 pub mod sensing;
+pub mod status;
+pub mod trusted;

@@ -8,8 +8,8 @@
 //! the filter first conditions on it, which leaves two numbers and their 2 × 2 noise, and no zero is ever inverted.
 
 use super::beam::Beam;
-use super::filter::{Consistency, Counts, Status, Told};
 use super::sensing::{Calibration, FIBRES, SECTIONS, Sensor};
+use super::status::{Consistency, Counts, Status, Told};
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};

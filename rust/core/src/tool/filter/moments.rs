@@ -1,218 +1,171 @@
-//! Nine shifts of wavelengths into what they say of the moments at sections I and II.
+//! Nine shifts of wavelengths into what they say of the moments at sections I, II and III.
 //!
 //! Grating `k` of a section answers `s_k·M + T` to a moment and to warmth. What three of them say of `M` is a precision `J`
-//! and a vector `z = J M`; a section of which one is left out says less (`J` of rank one where two are), and needs the
-//! warmth from elsewhere: the means of whole sections, freed of what bends leave in them. So there is one way for whole
-//! and for damaged sets: what was lost is a smaller precision.
+//! and a vector `z = J M`; a section of which one is left out says less, and needs the warmth from elsewhere: the means of
+//! whole sections, freed of what bends leave in them. So what was lost is a smaller precision.
 
-use super::known::Trusted;
 use crate::tool::sensing::{FIBRES, SECTIONS};
+use crate::tool::status::Set;
+use crate::tool::trusted::Trusted;
 use nalgebra::{Matrix2, Matrix2x3, Vector2};
 
-/// A set of gratings: bit `3 section + fibre`.
-pub type Set = u16;
 /// Shifts of the gratings from their rest, nm.
 pub type Shifts = [[f64; FIBRES]; SECTIONS];
 
 /// Warmth of two sections differs by this, nm.
 const UNLIKE_NM: f64 = 1.5e-3;
 
-/// The gratings of a section.
-pub(super) const fn of_section(section: usize) -> Set {
-    0b111 << (FIBRES * section)
+/// The gratings of a set that are of a section, as three bits.
+pub(super) const fn of_section(set: Set, section: usize) -> Set {
+    (set >> (FIBRES * section)) & 0b111
 }
 
-/// The gratings of a fibre.
-pub(super) const fn of_fibre(fibre: usize) -> Set {
-    0b001_001_001 << fibre
-}
-
-/// What the fibres say of the moments at sections I and II.
+/// What the fibres say.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Moments {
-    /// Precision, 1/(mN·mm)², and that times the moment.
+    /// Of I and II: precision, 1/(mN·mm)², that times the moment; whether all three tell, and the moment (mN·mm) then.
     pub(super) j: [Matrix2<f64>; 2],
     pub(super) z: [Vector2<f64>; 2],
-    /// Whether a section is whole, and the moment (mN·mm) where it is.
     pub(super) whole: [bool; 2],
     pub(super) m: [Vector2<f64>; 2],
-    /// Means of the three sections without what bends leave in them, nm; of whole sections alone.
+    /// Means of the three sections without what bends leave in them, nm.
     pub(super) means_nm: [f64; SECTIONS],
-}
-
-impl Moments {
-    /// Without moments that nothing makes, turned about the shaft by a small angle.
-    #[inline]
-    pub(super) fn less(mut self, offsets: [f64; 4], turn_rad: f64) -> Self {
-        let [a, b, c, d] = offsets;
-        let turn = Matrix2::new(1.0, -turn_rad, turn_rad, 1.0);
-        for (i, o) in [Vector2::new(a, b), Vector2::new(c, d)].iter().enumerate() {
-            self.z[i] = turn * (self.z[i] - self.j[i] * o);
-            self.m[i] = turn * (self.m[i] - o);
-            // a precision that is the same in all ways stays as it is
-            if !self.whole[i] {
-                self.j[i] = turn * self.j[i] * turn.transpose();
-            }
-        }
-        self
-    }
 }
 
 /// The gratings' answers, prepared for the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Gratings {
-    /// Moments by shifts of a whole section, without what is common, and their precision.
+    /// Moments by shifts of a whole section, and `s_k`, nm per mN·mm, with their mean.
     gains: [Matrix2x3<f64>; 2],
-    precision: [Matrix2<f64>; 2],
-    /// `s_k` of sections I and II, nm per mN·mm, and their mean.
     pub(super) answers: [[Vector2<f64>; FIBRES]; 2],
-    pub(super) means: [Vector2<f64>; 2],
+    means: [Vector2<f64>; 2],
     warmth: [[f64; FIBRES]; 2],
-    /// Variance of a wavelength, nm².
-    pub(super) noise: f64,
     unlike: f64,
+    /// Variance of a wavelength, nm², and of a component of a moment by a squared nanometre of each grating.
+    pub(super) noise: f64,
+    pub(super) per_nm: [f64; 2],
 }
 
 impl Gratings {
     pub(super) fn new(t: &Trusted) -> Self {
-        let noise = t.calibration.noise_nm * t.calibration.noise_nm;
         let own = t.calibration.gains.map(|k| {
             let mean = k.column_sum() / 3.0;
-            Matrix2x3::from_columns(&[k.column(0) - mean, k.column(1) - mean, k.column(2) - mean])
-        });
-        let square = own.map(|k| k * k.transpose());
-        let inverse = |m: &Matrix2<f64>| m.try_inverse().unwrap_or_else(Matrix2::zeros);
-        // the least shifts without a common part that make a moment of one
-        let answers = [0, 1].map(|i| {
-            let least = own[i].transpose() * inverse(&square[i]);
-            [0, 1, 2].map(|k| least.row(k).transpose() + t.means[i])
-        });
-        let gains = [0, 1].map(|i| {
-            let [a, b, c] = t.warmth[i];
-            let warm = own[i].column(0) * a + own[i].column(1) * b + own[i].column(2) * c;
-            let share = warm / 3.0;
-            let k = &own[i];
-            Matrix2x3::from_columns(&[
-                k.column(0) - share,
-                k.column(1) - share,
-                k.column(2) - share,
-            ])
+            Matrix2x3::from_fn(|i, j| k[(i, j)] - mean[i])
         });
         Self {
-            gains,
-            precision: square.map(|s| inverse(&(s * noise))),
-            answers,
+            gains: [0, 1].map(|i| {
+                let [a, b, c] = t.warmth[i];
+                let k = &own[i];
+                let share = (k.column(0) * a + k.column(1) * b + k.column(2) * c) / 3.0;
+                Matrix2x3::from_fn(|r, j| k[(r, j)] - share[r])
+            }),
+            // the least shifts without a common part that make a moment of one
+            answers: [0, 1].map(|i| {
+                let square = own[i] * own[i].transpose();
+                let inverse = square.try_inverse().unwrap_or_else(Matrix2::zeros);
+                let least = own[i].transpose() * inverse;
+                [0, 1, 2].map(|k| least.row(k).transpose() + t.means[i])
+            }),
             means: t.means,
             warmth: t.warmth,
-            noise,
             unlike: t.doubt.unlike,
+            noise: (t.calibration.noise_nm * t.calibration.noise_nm).max(1e-30),
+            per_nm: own.map(|k| 0.5 * k.norm_squared()),
         }
     }
 
-    /// The moment of section I or II from all its shifts, mN·mm.
-    #[inline]
-    pub(super) fn moment(&self, section: usize, s: &[f64; FIBRES]) -> Vector2<f64> {
-        let k = &self.gains[section];
+    /// The moment of section III, which nothing calibrates: its fibres are those of the others.
+    pub(super) fn of_third(&self, s: &[f64; FIBRES]) -> Vector2<f64> {
+        let k = (self.gains[0] + self.gains[1]) * 0.5;
         k.column(0) * s[0] + k.column(1) * s[1] + k.column(2) * s[2]
     }
 
-    /// How a moment's noise is in whole sections: variance of a component, on the mean of both, (mN·mm)².
-    pub(super) fn variance(&self, section: usize) -> f64 {
-        let precision = self.precision[section].trace() / 2.0;
-        if precision > 0.0 {
-            1.0 / precision
-        } else {
-            f64::INFINITY
-        }
-    }
-
-    /// What all gratings say.
+    /// How much sections I and II are bent, as a fibre's shift squared, nm².
     #[inline]
-    pub(super) fn of_all(&self, shifts: &Shifts) -> Moments {
-        let m = [0, 1].map(|i| self.moment(i, &shifts[i]));
-        let mean = |i: usize| (shifts[i][0] + shifts[i][1] + shifts[i][2]) * (1.0 / 3.0);
-        Moments {
-            j: self.precision,
-            z: [self.precision[0] * m[0], self.precision[1] * m[1]],
-            whole: [true; 2],
-            m,
-            means_nm: [
-                mean(0) - self.means[0].dot(&m[0]),
-                mean(1) - self.means[1].dot(&m[1]),
-                mean(2),
-            ],
-        }
+    pub(super) fn bends(&self, m: &Moments) -> [f64; 2] {
+        [0, 1].map(|i| m.m[i].norm_squared() / self.per_nm[i])
     }
 
-    /// What is said without the gratings of a set; the warmth is not that of sections (bits) that are warm by themselves.
-    #[inline(never)]
-    pub(super) fn without(&self, shifts: &Shifts, bad: Set, warm_by_itself: u8) -> Moments {
-        let mut kept = *shifts;
-        for (k, x) in kept.as_flattened_mut().iter_mut().enumerate() {
-            if bad & (1 << k) != 0 {
-                *x = 0.0;
-            }
-        }
-        let mut made = self.of_all(&kept);
-        // the warmth of whole sections, else of what is left of III
-        let (mut warm, mut count) = (0.0, 0.0);
-        for i in 0..SECTIONS {
-            if bad & of_section(i) == 0 && warm_by_itself & (1 << i) == 0 {
-                warm += made.means_nm[i];
-                count += 1.0;
-            }
-        }
-        let left = |section: usize| (!bad >> (FIBRES * section)) & 0b111;
-        if count == 0.0 {
-            for k in 0..FIBRES {
-                if left(2) & (1 << k) != 0 {
-                    warm += kept[2][k];
-                    count += 1.0;
-                }
-            }
-        }
-        let sure = count > 0.0;
-        let warm = if sure { warm / count } else { 0.0 };
-        let own = self.noise / (3.0 * count.max(1.0)) + self.unlike * self.unlike * warm * warm;
-        let per_noise = if self.noise > 0.0 {
-            1.0 / self.noise
-        } else {
-            1e60
+    /// What all gratings say but those of a set, less moments that nothing makes, turned about the shaft by a small angle;
+    /// the warmth is not that of sections (bits) that are warm by themselves.
+    #[inline]
+    pub(super) fn read(
+        &self,
+        shifts: &Shifts,
+        bad: Set,
+        warm: u8,
+        less: &[f64],
+        turn: f64,
+    ) -> Moments {
+        let turned = |v: Vector2<f64>| Vector2::new(v.x - turn * v.y, v.y + turn * v.x);
+        let mut made = Moments {
+            j: self.per_nm.map(|v| Matrix2::identity() / (v * self.noise)),
+            z: [Vector2::zeros(); 2],
+            whole: [true; 2],
+            m: [Vector2::zeros(); 2],
+            means_nm: shifts.map(|s| (s[0] + s[1] + s[2]) * (1.0 / 3.0)),
         };
         for i in 0..2 {
-            if left(i) == 0b111 {
-                continue;
+            let (k, s) = (&self.gains[i], &shifts[i]);
+            made.m[i] = k.column(0) * s[0] + k.column(1) * s[1] + k.column(2) * s[2];
+            made.means_nm[i] -= self.means[i].dot(&made.m[i]);
+        }
+        if bad.trailing_zeros() < 6 {
+            self.without(&mut made, shifts, bad, warm);
+        }
+        for i in 0..2 {
+            let o = Vector2::new(less[2 * i], less[2 * i + 1]);
+            if !made.whole[i] {
+                // a precision that is not the same in all ways is turned as well
+                let r = Matrix2::new(1.0, -turn, turn, 1.0);
+                made.z[i] = r * (made.z[i] - made.j[i] * o);
+                made.j[i] = r * made.j[i] * r.transpose();
             }
-            let tie = if sure {
-                self.noise / (own + UNLIKE_NM * UNLIKE_NM)
-            } else {
-                0.0
-            };
+            made.m[i] = turned(made.m[i] - o);
+            if made.whole[i] {
+                made.z[i] = made.j[i] * made.m[i];
+            }
+        }
+        made
+    }
+
+    /// Sections that lost a grating, by what is left of them and the warmth of whole sections, else of what is left of III.
+    #[inline(never)]
+    fn without(&self, made: &mut Moments, shifts: &Shifts, bad: Set, warm: u8) {
+        let whole = |i: &usize| of_section(bad, *i) == 0 && warm & (1 << i) == 0;
+        let mut count = (0..SECTIONS).filter(whole).count() as f64;
+        let mut mean: f64 = (0..SECTIONS).filter(whole).map(|i| made.means_nm[i]).sum();
+        if count == 0.0 {
+            for k in (0..FIBRES).filter(|k| of_section(bad, 2) & (1 << k) == 0) {
+                (mean, count) = (mean + shifts[2][k], count + 1.0);
+            }
+        }
+        mean /= count.max(1.0);
+        let own = self.noise / (3.0 * count.max(1.0)) + (self.unlike * mean) * (self.unlike * mean);
+        let tie = if count > 0.0 {
+            self.noise / (own + UNLIKE_NM * UNLIKE_NM)
+        } else {
+            0.0
+        };
+        for i in (0..2).filter(|i| of_section(bad, *i) != 0) {
             let (mut square, mut sum) = (Matrix2::zeros(), Vector2::zeros());
-            let (mut with, mut total, mut n) = (Vector2::zeros(), tie * warm, tie);
-            for k in 0..FIBRES {
-                if left(i) & (1 << k) != 0 {
-                    let s = &self.answers[i][k];
-                    let y = kept[i][k] - self.warmth[i][k] * warm;
-                    square += s * s.transpose();
-                    sum += s;
-                    with += s * y;
-                    total += y;
-                    n += 1.0;
-                }
+            let (mut with, mut total, mut n) = (Vector2::zeros(), tie * mean, tie);
+            for k in (0..FIBRES).filter(|k| of_section(bad, i) & (1 << k) == 0) {
+                let (s, y) = (&self.answers[i][k], shifts[i][k] - self.warmth[i][k] * mean);
+                square += s * s.transpose();
+                sum += s;
+                with += s * y;
+                total += y;
+                n += 1.0;
             }
-            if n > 0.0 {
-                square -= sum * sum.transpose() / n;
-                with -= sum * (total / n);
-            }
-            made.j[i] = square * per_noise;
-            made.z[i] = with * per_noise;
+            let per = 1.0 / n.max(f64::MIN_POSITIVE);
+            made.j[i] = (square - sum * sum.transpose() * per) / self.noise;
+            made.z[i] = (with - sum * (total * per)) / self.noise;
             made.whole[i] = false;
-            made.means_nm[i] = warm;
+            made.means_nm[i] = mean;
             made.m[i] = made.j[i]
                 .try_inverse()
                 .map_or_else(Vector2::zeros, |v| v * made.z[i]);
         }
-        made
     }
 }

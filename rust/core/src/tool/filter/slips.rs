@@ -2,10 +2,10 @@
 
 use crate::tool::sensing::FIBRES;
 
-/// Least readings; the least `a` of a fibre that slips, five in a hundred; what it may leave of the differences at most, and
+/// Least readings; the least `a` of a fibre that slips, nine in a hundred, beyond what fibres lag; what it may leave of the differences at most, and
 /// by how much more any other must.
 const SLIPS: f64 = 100.0;
-const SLIPPED: f64 = 0.017;
+const SLIPPED: f64 = 0.03;
 const EXPLAINED: f64 = 0.05;
 const ALONE: f64 = 3.0;
 

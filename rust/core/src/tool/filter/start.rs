@@ -1,21 +1,24 @@
 //! What the filter holds, and how it starts.
 
-use super::creep::Creep;
-use super::drift::Drift;
-use super::evidence::Evidence;
-use super::known::{OfDepth, Trusted};
 use super::moments::Gratings;
-use super::pace::{Felt, Pace};
-use super::poses::{Posed, Poses};
-use super::state::{Known, State};
-use super::status::Watch;
-use super::warmth::Warmth;
+use super::slips::Slips;
+use super::state::{BENCH, N, State};
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
-use crate::tool::rod::{Rod, Shaft};
+use crate::tool::poses::{Posed, Poses};
+use crate::tool::rod::Shaft;
+use crate::tool::sensing::{FIBRES, SECTIONS};
+use crate::tool::status::{Consistency, Counts, Look, Set};
+use crate::tool::trusted::Trusted;
 use crate::{Error, Result};
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Matrix3, Vector2};
 
+pub(super) const GRATINGS: usize = FIBRES * SECTIONS;
+/// Nine gratings, three fibres, section III, three sections that are warmer than the others.
+pub(super) const HYPOTHESES: usize = GRATINGS + FIBRES + 1 + SECTIONS;
+/// The guess at the start, (mm/s)², counts as so much, s.
+const FIRST: f64 = 0.04;
+const GUESSED_S: f64 = 0.01;
 /// No robot stands further away than this, mm.
 const FARTHEST_MM: f64 = 1e6;
 /// What a hole gives way before that is felt, and its deviation, mm/mN: tissue is as soft as a fortieth of this per mN.
@@ -24,31 +27,161 @@ const GIVES: [f64; 2] = [0.005, 0.01];
 /// The filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolFilter {
-    pub(super) rod: Rod,
+    pub(super) trusted: Trusted,
     pub(super) shaft: Shaft,
-    pub(super) distances_mm: [f64; 2],
     pub(super) gratings: Gratings,
-    /// Variance of a moment's component in whole sections.
-    pub(super) variances: [f64; 2],
-    pub(super) of_depth: OfDepth,
-    pub(super) unknown_force: f64,
-    pub(super) unknown_mean: f64,
-    /// Factor of the covariance of length and stiffness.
+    /// Factors of the covariances of the bench's depth, and of length and stiffness.
+    pub(super) bench: Matrix3<f64>,
     pub(super) beam: Matrix2<f64>,
-    pub(super) floor_mm2: f64,
-    pub(super) per_stiffness: f64,
     pub(super) poses: Poses,
     pub(super) state: State,
     pub(super) felt: Option<Felt>,
-    pub(super) free_for: u16,
-    pub(super) creep: Creep,
-    pub(super) warmth: Warmth,
+    pub(super) offsets: Offsets,
     pub(super) drift: Drift,
-    pub(super) pace: Pace,
-    pub(super) evidence: Evidence,
-    pub(super) used_s: f64,
-    pub(super) before: Known,
+    pub(super) edge: Edge,
+    pub(super) tip: Tip,
     pub(super) watch: Watch,
+    pub(super) slips: Slips,
+    pub(super) used_s: f64,
+    pub(super) look: Look,
+    pub(super) counts: Counts,
+    pub(super) consistency: Consistency,
+}
+
+/// The last force that was read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Felt {
+    pub(super) time_s: f64,
+    pub(super) force: Vector2<f64>,
+    pub(super) noise: f64,
+    pub(super) by_moments: [f64; 2],
+    pub(super) by_depth: f64,
+}
+
+/// Sums of innovations, of one, and of what lasts, over their variances; since when; the process noise to use, mm²/s.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Drift {
+    pub(super) sum: f64,
+    pub(super) weight: f64,
+    pub(super) lasting: f64,
+    pub(super) since_s: f64,
+    pub(super) per_second: f64,
+}
+
+/// What was learnt of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Offsets {
+    /// Of the present rest: sums of moments and of their squares over their variances, and how many.
+    pub(super) sums: [f64; 4],
+    pub(super) squares: f64,
+    pub(super) count: f64,
+    /// The last rest, and its time, s.
+    pub(super) rest: [f64; 4],
+    pub(super) at_s: Option<f64>,
+    /// Squares of changes, nm², and of the times in which they came, s².
+    pub(super) moved: [f64; 2],
+    pub(super) waited: [f64; 2],
+    /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
+    pub(super) bent: [f64; 2],
+    pub(super) lag: f64,
+    pub(super) in_means: f64,
+    pub(super) at_rest: f64,
+    pub(super) across: f64,
+    /// What moments say across their force beyond noise, nm², and the bends in which they do, nm².
+    pub(super) crosses: f64,
+    pub(super) crossing: f64,
+    /// Warmth now and at the last rest, nm.
+    pub(super) warm: Option<f64>,
+    pub(super) warm_at_rest: f64,
+}
+
+/// What was learnt of the edge: mean square pace of a coordinate, (mm/s)², and how much is known of it, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Edge {
+    pub(super) mean: f64,
+    pub(super) known_s: f64,
+    pub(super) since: Option<Then>,
+}
+
+impl Default for Edge {
+    fn default() -> Self {
+        Self {
+            mean: FIRST,
+            known_s: GUESSED_S,
+            since: None,
+        }
+    }
+}
+
+/// The edge a tenth of a second ago: force, its noise, and what the shaft alone gave way for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Then {
+    pub(super) time_s: f64,
+    pub(super) pose: Rigid,
+    pub(super) l: f64,
+    pub(super) turn: f64,
+    pub(super) size: f64,
+    pub(super) way: Vector2<f64>,
+    pub(super) noise: f64,
+    pub(super) gives: f64,
+}
+
+/// Force at the tip, tool frame, mN; the variance of a component by noise, and of its zero; what is told of none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Tip {
+    pub(super) force: Vector2<f64>,
+    pub(super) variance: f64,
+    pub(super) of_zero: f64,
+    pub(super) zero: Vector2<f64>,
+    pub(super) tells: bool,
+    /// Whether it is one.
+    pub(super) on: bool,
+}
+
+/// What is not believed: gratings, and sections (bits) whose warmth is their own.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Believed {
+    pub(super) bad: Set,
+    pub(super) warm: u8,
+}
+
+/// What was seen of the gratings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Watch {
+    /// The last wavelengths, each in its place, and when; which peak shows where; how often each repeated a number.
+    pub(super) last: [f64; GRATINGS],
+    pub(super) at_s: f64,
+    pub(super) elapsed_s: f64,
+    pub(super) places: [usize; GRATINGS],
+    pub(super) repeats: [u8; GRATINGS],
+    /// Evidence for each hypothesis, the leader, and for how many readings it leads.
+    pub(super) sums: [f64; HYPOTHESES],
+    pub(super) leader: usize,
+    pub(super) leads_for: u16,
+    pub(super) held: Believed,
+    pub(super) good: u16,
+    pub(super) refused: u16,
+    /// Readings for which fibres are looked at that may slip.
+    pub(super) suspects: u16,
+}
+
+impl Default for Watch {
+    fn default() -> Self {
+        Self {
+            last: [f64::NAN; GRATINGS],
+            at_s: f64::NEG_INFINITY,
+            elapsed_s: 0.0,
+            places: core::array::from_fn(|k| k),
+            repeats: [0; GRATINGS],
+            sums: [0.0; HYPOTHESES],
+            leader: 0,
+            leads_for: 0,
+            held: Believed::default(),
+            good: 0,
+            refused: 0,
+            suspects: 0,
+        }
+    }
 }
 
 impl ToolFilter {
@@ -64,73 +197,57 @@ impl ToolFilter {
         time_s: f64,
     ) -> Result<Self> {
         trusted.check()?;
-        let (c, d) = (&trusted.calibration, &trusted.doubt);
+        let known = depth_mm.abs() < FARTHEST_MM && time_s.is_finite() && possible(pose);
+        if !(known && variance >= 0.0 && variance.is_finite()) {
+            return Err(Error::Invalid {
+                what: "tool: the first depth, pose and time must be finite, its variance zero or more",
+            });
+        }
+        let d = &trusted.doubt;
         let gratings = Gratings::new(trusted);
-        let variances = [gratings.variance(0), gratings.variance(1)];
-        let per_nm = variances.map(|v| v / gratings.noise.max(f64::MIN_POSITIVE));
-        let unit = per_nm.map(|v| v * d.warmth * d.warmth);
-        let [one, two] = per_nm.map(|v| sqrt(v) * d.reference_nm);
-        let known = Known::new(
-            [
-                depth_mm,
-                trusted.clearance_mm,
-                GIVES[0],
-                0.0,
-                0.0,
-                0.0,
-                0.0,
-                0.0,
-                0.0,
-            ],
-            [
-                sqrt(variance.max(0.0)),
-                d.clearance_mm,
-                GIVES[1],
-                d.turn_rad,
-                d.deeper_mm,
-                one,
-                one,
-                two,
-                two,
-            ],
-        );
-        check_start(depth_mm, variance, pose, time_s)?;
-        let state = State::start(time_s, pose, &known);
+        let [one, two] = gratings.per_nm.map(|v| sqrt(v) * d.reference_nm);
+        let (mut x, mut deviations) = ([0.0; N], [1.0; N]);
+        x[..3].copy_from_slice(&[depth_mm, trusted.clearance_mm, GIVES[0]]);
+        deviations[..BENCH].copy_from_slice(&[
+            sqrt(variance),
+            d.clearance_mm,
+            GIVES[1],
+            d.turn_rad,
+            one,
+            one,
+            two,
+            two,
+            d.deeper_mm,
+        ]);
         Ok(Self {
-            rod: trusted.rod,
+            trusted: *trusted,
             shaft: trusted.rod.shaft(),
-            distances_mm: c.distances_mm,
             gratings,
-            variances,
-            of_depth: OfDepth::new(&d.depth),
-            unknown_force: d.force,
-            unknown_mean: d.mean,
-            beam: factor(&d.beam),
-            floor_mm2: 0.0,
-            per_stiffness: 1.0 / trusted.rod.beam.stiffness(),
+            bench: factor(&d.depth),
+            beam: factor(&d.beam.fixed_resize::<3, 3>(0.0)).fixed_resize(0.0),
             poses: Poses::new(Posed {
                 time_s,
                 pose: *pose,
             }),
-            state,
+            state: State::new(time_s, pose, x, deviations),
             felt: None,
-            free_for: 0,
-            creep: Creep::new(per_nm),
-            warmth: Warmth::new(unit),
-            drift: Drift::new(trusted.per_second_mm2),
-            pace: Pace::new(&state),
-            evidence: Evidence::new(trusted),
-            used_s: f64::NEG_INFINITY,
-            before: known,
+            offsets: Offsets::default(),
+            drift: Drift::new(time_s, trusted.per_second_mm2 * 4.0),
+            edge: Edge::default(),
+            tip: Tip::default(),
             watch: Watch::default(),
+            slips: Slips::default(),
+            used_s: f64::NEG_INFINITY,
+            look: Look::default(),
+            counts: Counts::default(),
+            consistency: Consistency::default(),
         })
     }
 }
 
-/// Whether a robot can stand so.
+/// Whether a robot can stand so; false for NaN.
 #[inline]
 pub(super) fn possible(pose: &Rigid) -> bool {
-    // false for NaN
     let mut possible = true;
     for x in pose.translation.as_slice() {
         possible &= x.abs() < FARTHEST_MM;
@@ -141,21 +258,20 @@ pub(super) fn possible(pose: &Rigid) -> bool {
     possible
 }
 
-fn check_start(depth_mm: f64, variance: f64, pose: &Rigid, time_s: f64) -> Result<()> {
-    let known = depth_mm.abs() < FARTHEST_MM && time_s.is_finite() && possible(pose);
-    if known && variance >= 0.0 && variance.is_finite() {
-        Ok(())
-    } else {
-        Err(Error::Invalid {
-            what: "tool: the first depth, pose and time must be finite, its variance zero or more",
-        })
+/// Factor `L` of a covariance, with zeros where it is not positive.
+fn factor(c: &Matrix3<f64>) -> Matrix3<f64> {
+    let mut l: Matrix3<f64> = Matrix3::zeros();
+    for i in 0..3 {
+        for j in 0..=i {
+            let left = c[(i, j)] - (0..j).map(|k| l[(i, k)] * l[(j, k)]).sum::<f64>();
+            l[(i, j)] = if i == j {
+                sqrt(left.max(0.0))
+            } else if l[(j, j)] > 0.0 {
+                left / l[(j, j)]
+            } else {
+                0.0
+            };
+        }
     }
-}
-
-/// Factor `L` of a covariance of two numbers, with zeros where it is not positive.
-fn factor(c: &Matrix2<f64>) -> Matrix2<f64> {
-    let first = sqrt(c.m11.max(0.0));
-    let below = if first > 0.0 { c.m21 / first } else { 0.0 };
-    let second = sqrt((c.m22 - below * below).max(0.0));
-    Matrix2::new(first, 0.0, below, second)
+    l
 }

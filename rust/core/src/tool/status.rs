@@ -1,7 +1,29 @@
-//! What a step did, as flags, and how often; what its reading was like.
+//! What filters say: depth and tip, what a step did, as flags, and how often; what its reading was like.
 
-use super::moments::Set;
 use core::ops::BitOr;
+
+/// A set of gratings: bit `3 section + fibre`.
+pub type Set = u16;
+
+/// Where depth and tip are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
+pub struct Told {
+    /// s.
+    pub time_s: f64,
+    /// Insertion depth, the paper's `l`: from the hole to the unbent tip, along the unbent axis, mm.
+    pub depth_mm: f64,
+    /// Length of shaft beyond the hole, mm: shorter than the depth by what the bend takes.
+    pub arc_mm: f64,
+    /// The tip in the base frame, mm.
+    pub tip_mm: [f64; 3],
+    /// Covariance of depth and tip, mm².
+    pub covariance: [[f64; 4]; 4],
+    /// Force of the hole across the shaft, tool frame, mN.
+    pub force_mn: [f64; 2],
+    /// Variance of each of its components, mN².
+    pub force_variance: f64,
+}
 
 /// What a step did with what it was given; several may hold. No flag at all is a filter that has not stepped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -148,12 +170,4 @@ pub struct Look {
     pub misfit: f64,
     /// Gratings that were not believed.
     pub faulty: Set,
-}
-
-/// What happened, counted.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Watch {
-    pub(super) look: Look,
-    pub(super) counts: Counts,
-    pub(super) consistency: Consistency,
 }

@@ -1,18 +1,13 @@
 //! A calibrated tool as the filter takes it, and what its calibration does not know.
 //!
-//! What a filter must not average away is *considered* (Schmidt 1966; Jazwinski, *Stochastic Processes and Filtering
-//! Theory*, 8.4): it stays in the error, as three unknowns of unit variance. Whatever the bench leaves open, of gains,
-//! of where sections and loads stood, the depth that follows from two moments is off by `θ₀ + θ₁ d + θ₂ d²`: a section
-//! that stands elsewhere puts it off in proportion to the other's arm, gains in proportion to both. So the three are all.
+//! Whatever the bench leaves open, of gains, of where sections and loads stood, the depth that follows from two moments is
+//! off by `θ₀ + θ₁ d + θ₂ d²`: a section that stands elsewhere puts it off in proportion to the other's arm, gains in
+//! proportion to both. So the three are all.
 
-use crate::numbers::math::sqrt;
-use crate::tool::rod::Rod;
-use crate::tool::sensing::{Calibration, FIBRES, Sensor};
+use super::rod::Rod;
+use super::sensing::{Calibration, FIBRES, Sensor};
 use crate::{Error, Result};
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
-
-/// Depth is counted in this unit in the error's powers, mm.
-const TENTH: f64 = 0.1;
+use nalgebra::{Matrix2, Matrix3, Vector2};
 
 /// A tool and how far it is trusted.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,55 +68,6 @@ impl Default for Doubt {
             warmth: 0.0,
             clearance_mm: 0.0,
         }
-    }
-}
-
-/// Considered unknowns: three of the bench, and the friction of the hole.
-pub const UNKNOWNS: usize = 4;
-/// Deviation of the part of a force that drags along the shaft while it slides.
-const FRICTION: f64 = 0.08;
-/// How an error hangs on the unknowns.
-pub type Tied = [f64; UNKNOWNS];
-
-/// `Σ a b`.
-#[inline]
-pub(super) fn dot(a: &Tied, b: &Tied) -> f64 {
-    (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3])
-}
-
-/// What the bench leaves open of the depth: the factor `L` of its covariance, so that `L u` has it for unit `u`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct OfDepth(Matrix3<f64>);
-
-impl OfDepth {
-    pub(super) fn new(c: &Matrix3<f64>) -> Self {
-        let mut l = Matrix3::zeros();
-        for i in 0..3 {
-            for j in 0..=i {
-                let mut left = c[(i, j)];
-                for k in 0..j {
-                    left -= l[(i, k)] * l[(j, k)];
-                }
-                l[(i, j)] = if i == j {
-                    sqrt(if left > 0.0 { left } else { 0.0 })
-                } else if l[(j, j)] > 0.0 {
-                    left / l[(j, j)]
-                } else {
-                    0.0
-                };
-            }
-        }
-        Self(l)
-    }
-
-    /// How a measured depth hangs on the unknowns; `drag` is by how much friction of the force's own size puts it off, mm.
-    #[inline]
-    pub(super) fn at(&self, depth_mm: f64, drag: f64) -> Tied {
-        let d = TENTH * depth_mm;
-        let l = &self.0;
-        let row = Vector3::new(1.0, d, d * d);
-        let of = |k: usize| l[(0, k)] * row.x + l[(1, k)] * row.y + l[(2, k)] * row.z;
-        [of(0), of(1), of(2), FRICTION * drag]
     }
 }
 

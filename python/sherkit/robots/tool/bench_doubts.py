@@ -1,0 +1,120 @@
+"""What a table of loads has wrong, seen before it is fitted: single loads, and columns against the drawing.
+
+The gratings' shifts are linear in the moments at their sections, so gains by least absolute deviations show a wrong
+load for what it is. Beside the drawing's gains they show axes that are exchanged or mirrored, gratings in each other's
+columns, and forces in gram-force.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from ...base import linalg
+from ...base.types import Bools, Floats
+from .bench_fit import DIFFERENCES, Rows
+from .tool import FIBRES, FlexibleTool
+
+_ROUNDS = 30
+#: A load is wrong that is off by this share of itself, and by so many times what half of the loads are off; no more
+#: than this share of a table's.
+_OFF, _TIMES, _MOST = 0.25, 8.0, 0.1
+#: Gains agree with a drawing where they differ by less than this share, and do not where by more than the other.
+_LIKE, _UNLIKE = 0.35, 0.7
+#: Millinewtons in a gram-force, and how near to that a drawing's sizes come.
+_GRAM_FORCE, _NEAR = 9.80665, 0.25
+
+
+def wrong_loads(tool: FlexibleTool, rows: Rows) -> tuple[Bools, Floats]:
+    """Rows (n,) whose force is not what their gratings say, and by how much the gratings' is larger (n,)."""
+    moments = _moments(tool, rows)
+    told = _told(_gains(moments, rows.differences_nm), rows.differences_nm)
+    size = np.linalg.norm(moments, axis=2)
+    # a wrong load is wrong at both sections, what is off at one alone is a small moment in noise
+    off = (np.linalg.norm(told - moments, axis=2) / size).min(axis=1)
+    # a wrong load changes the others' gains little, since each counts by its distance alone
+    # a load cell's noise is the same in mN, what else a bench has is in proportion: it is beyond both
+    off_mn = off * np.abs(rows.size_mn)
+    bad = (off > max(_OFF, _TIMES * float(np.median(off)))) & (off_mn > _TIMES * float(np.median(off_mn)))
+    if bad.mean() > _MOST:
+        bad = np.zeros(len(off), dtype=bool)
+    return bad, np.asarray((np.linalg.norm(told, axis=2) / size).mean(axis=1))
+
+
+def against_drawing(tool: FlexibleTool, rows: Rows, shifts_nm: Floats) -> list[str]:
+    """Sentences on what the columns have wrong, by the drawing; ``shifts_nm`` (n, 6) of sections I and II."""
+    drawn = np.array(tool.gains)
+    gains = _gains(_moments(tool, rows), rows.differences_nm)
+    size = float(np.linalg.norm(gains) / np.linalg.norm(drawn))
+    told: list[str] = []
+    for factor, unit in (
+        (1.0 / _GRAM_FORCE, "gram-force"),
+        (_GRAM_FORCE, "mN where the file's gains are per gram-force"),
+    ):
+        if abs(np.log(size / factor)) < _NEAR:
+            told.append(
+                f"gains are {size:.2g} times the drawing's, which is {factor:.3g}: are forces in {unit}? The columns "
+                "force_x_mn and force_y_mn are in mN"
+            )
+    gains = gains / size
+    if _apart(gains, drawn) < _UNLIKE:
+        return told
+    for what, turn in (
+        ("force_x_mn and force_y_mn are exchanged", np.array([[0.0, 1.0], [1.0, 0.0]])),
+        ("force_y_mn has the other sign: its axis is mirrored", np.diag([1.0, -1.0])),
+        ("force_x_mn has the other sign: its axis is mirrored", np.diag([-1.0, 1.0])),
+    ):
+        if _apart(turn @ gains, drawn) < _LIKE:
+            return [*told, f"{what}: with that undone the gains are the drawing's"]
+    swapped = _swapped(tool, rows, shifts_nm, drawn)
+    if swapped:
+        return [*told, swapped]
+    turns = [np.linalg.det(gains[s] @ drawn[s].T) for s in range(2)]
+    if max(turns) < 0.0:
+        told.append(
+            "the gains run about the shaft the other way than the drawing's: one axis of the forces is mirrored, or "
+            "two columns of fibres are exchanged in both sections"
+        )
+    return told
+
+
+def _swapped(tool: FlexibleTool, rows: Rows, shifts: Floats, drawn: Floats) -> str | None:
+    for a, b in combinations(range(6), 2):
+        order = np.arange(6)
+        order[[a, b]] = b, a
+        differences = np.einsum("dk,nsk->nsd", DIFFERENCES, shifts[:, order].reshape(-1, 2, 3))
+        gains = _gains(_moments(tool, rows), differences)
+        size = float(np.linalg.norm(gains) / np.linalg.norm(drawn))
+        if _apart(gains / size, drawn) < _LIKE:
+            return f"{FIBRES[a]} and {FIBRES[b]} are exchanged: with that undone the gains are the drawing's"
+    return None
+
+
+def _apart(gains: Floats, drawn: Floats) -> float:
+    return max(float(np.linalg.norm(gains[s] - drawn[s]) / np.linalg.norm(drawn[s])) for s in range(2))
+
+
+def _moments(tool: FlexibleTool, rows: Rows) -> Floats:
+    """By the drawing's arms (n, 2, 2)."""
+    arms = np.array(tool.distances_mm) - rows.depth_mm[:, None]
+    return np.asarray((rows.size_mn[:, None] * arms)[:, :, None] * rows.way[:, None, :])
+
+
+def _told(gains: Floats, differences: Floats) -> Floats:
+    by = gains @ DIFFERENCES.T
+    return np.asarray(np.einsum("sad,nsd->nsa", by, differences))
+
+
+def _gains(moments: Floats, differences: Floats) -> Floats:
+    """Gains (2, 2, 3) by least absolute deviations, relative to each moment: least squares, reweighted."""
+    size = np.linalg.norm(moments, axis=2)
+    weight = 1.0 / size
+    found = np.zeros((2, 2, 2))
+    for _ in range(_ROUNDS):
+        for s in range(2):
+            w = weight[:, s, None]
+            found[s] = linalg.lstsq(w * differences[:, s], w * moments[:, s], rcond=None)[0].T
+        off = np.linalg.norm(np.einsum("sad,nsd->nsa", found, differences) - moments, axis=2) / size
+        weight = 1.0 / (size * np.sqrt(np.maximum(off, 1e-3)))
+    return np.asarray(found @ DIFFERENCES)

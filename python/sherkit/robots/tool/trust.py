@@ -1,0 +1,72 @@
+"""Whether the depth of a run is to be trusted: one verdict, said once, with what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .exchanged import exchanged
+from .filters import Estimate
+from .known import Knowledge
+
+#: Without a truth: a mean of squared innovations over their variances beyond which deviations are too small.
+_TOO_FAR = 1.5
+#: Fibres that lag by less say nothing that is worth a sentence, over the bend.
+_LAGS = 0.004
+
+
+@dataclass(frozen=True)
+class Trust:
+    """``verdict``: ``trusted``, ``too careful``, ``overconfident`` or ``unknown``; the sentence that says so with what
+    to do, and what else was noticed in the run."""
+
+    verdict: str
+    sentence: str
+    noticed: tuple[str, ...]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """All of it."""
+        return (self.sentence, *self.noticed)
+
+
+def trust(e: Estimate, truths: list[Knowledge]) -> Trust:
+    """From what is known of the depth's errors, where the run tells a truth; else from its innovations, which see no
+    bias and never know that a filter is too careful."""
+    noticed = tuple(_noticed(e))
+    why = " for what is said below" if noticed else ""
+    of = [k for k in truths if (k.quantity, k.signal, k.condition) == ("depth", "filter", "whole run")]
+    std = float(np.median(e.depth_std_mm))
+    if of and of[0].verdict != "unknown":
+        k = of[0]
+        told = f"{k.coverage:.0%} of the rows lie in its 95 % interval, NEES {k.nees:.2f}, ± {std:.2f} mm"
+        verdict = {"consistent": "trusted"}.get(k.verdict, k.verdict)
+    else:
+        c = e.depth.consistency
+        verdict = "unknown" if not np.isfinite(c.ratio) else ("overconfident" if c.ratio > _TOO_FAR else "trusted")
+        told = f"innovations squared are {c.ratio:.2f} of what is stated, ± {std:.2f} mm; no truth is in this run"
+    do = {
+        "trusted": "use the estimate with its deviation",
+        "too careful": "use it as it is; more loads on the bench would narrow the deviation",
+        "overconfident": f"count on more than the deviation{why or ', and calibrate the tool again on its bench'}",
+        "unknown": "nothing was measured that tells; look at what the rows say of themselves",
+    }[verdict]
+    return Trust(verdict, f"The depth is {verdict}: {told}. What to do: {do}.", noticed)
+
+
+def _noticed(e: Estimate) -> list[str]:
+    out = [*exchanged(e)]
+    if e.goes_along.any():
+        since = float(e.run.time_s[int(np.argmax(e.goes_along))])
+        out.append(
+            f"From {since:.1f} s on depths would put the bench's zero where no bench has it: the hole goes with the "
+            "shaft, or the robot's rows are late. The zero is learnt no more, and the deviation is larger"
+        )
+    lags = float(np.median(e.lags))
+    if lags > _LAGS:
+        out.append(
+            f"Fibres lag behind their bends, by about {100 * lags:.1f} % of the bend, which the bench did not show: "
+            "the deviation is larger for it. A bench that loads from all sides, up and down, would say so"
+        )
+    return out

@@ -1,0 +1,135 @@
+//! The edge of the hole: what the shaft leans on, how it strays across, and a force that was not read.
+//!
+//! A force that was felt says where the edge stands; carried into a later pose it says which force it pushes there. Every
+//! tenth of a second the edge is compared with where the motion alone has it: that tells clearance, give and turn, and what
+//! is left is its pace.
+
+use super::start::{Then, ToolFilter};
+use super::state::{CLEARANCE, DEEPER, GIVES, L, N, State, TURN};
+use crate::numbers::math::sqrt;
+use nalgebra::{Vector2, Vector3};
+
+/// The pace is taken over this time, and remembered for the other, s.
+const OVER_S: f64 = 0.1;
+const KEPT_S: f64 = 5.0;
+/// A square of what is left over its variance above which a window says nothing of the hole.
+const FITS: f64 = 16.0;
+/// What a hole gives way for a force changes by this share with the force.
+const HARDENS: f64 = 0.1;
+/// Deviation of a force that nobody has read, mN; deviations of a force below which nobody notices it.
+const UNREAD_MN: f64 = 100.0;
+const NOTICED: f64 = 5.0;
+
+impl ToolFilter {
+    /// A force was felt whose components have this variance, where shaft and hole give way so much (mm/mN).
+    #[inline]
+    pub(super) fn edge(&mut self, noise: f64, gives: f64) {
+        let s = &self.state;
+        let (x, size) = (&s.x, s.size);
+        let now = Then {
+            time_s: s.time_s,
+            pose: s.pose,
+            l: x[L],
+            turn: x[TURN],
+            size,
+            way: s.way,
+            noise,
+            gives: gives - x[GIVES],
+        };
+        if let Some(then) = self.edge.since {
+            if now.time_s - then.time_s < OVER_S {
+                return;
+            }
+            self.compare_edges(&then, &now);
+        }
+        self.edge.since = Some(now);
+    }
+
+    #[inline(never)]
+    fn compare_edges(&mut self, then: &Then, now: &Then) {
+        let (e, s) = (&mut self.edge, &mut self.state);
+        let (x, elapsed) = (s.x, now.time_s - then.time_s);
+        let quarter = |v: &Vector2<f64>| Vector2::new(-v.y, v.x);
+        // the edge of then by what is known now, seen from where the tool is
+        let (before, axes) = (&then.pose.rotation, &now.pose.rotation);
+        let seen = |v: &Vector3<f64>| Vector2::new(axes.column(0).dot(v), axes.column(1).dot(v));
+        let turned = then.way + quarter(&then.way) * (x[TURN] - then.turn);
+        let way = before.column(0) * turned.x + before.column(1) * turned.y;
+        let axis = before.column(2).into_owned();
+        let offs = [then, now].map(|t| x[CLEARANCE] + (t.gives + x[GIVES]) * t.size);
+        let hole = way * offs[0] - axis * then.l + then.pose.translation - now.pose.translation;
+        let (tilt, way) = (seen(&axis), seen(&way));
+        let there = seen(&hole) - tilt * (now.l + axes.column(2).dot(&hole));
+        let here = now.way * offs[1];
+        let strayed = here - there;
+        // noise along a force moves its edge by what gives way, across it turns the edge about the middle of the hole
+        let of = |a: f64, b: f64| then.noise * a * a + now.noise * b * b;
+        let by_noise = [
+            of(then.gives + x[GIVES], now.gives + x[GIVES]),
+            of(offs[0] / then.size, offs[1] / now.size),
+        ];
+        let square = 0.5 * (strayed.norm_squared() - by_noise[0] - by_noise[1]);
+        if !(square.is_finite() && s.surely_inside()) {
+            return;
+        }
+        // tissue hardens: what it gives for more force is not quite what it gave for less
+        let hard = HARDENS * x[GIVES] * (now.size - then.size);
+        for (on, noise) in [now.way, quarter(&now.way)].iter().zip(by_noise) {
+            let mut h = [0.0; N];
+            h[L] = if s.learnt > DEEPER {
+                -tilt.dot(on)
+            } else {
+                0.0
+            };
+            h[CLEARANCE] = on.dot(&(way - now.way));
+            h[GIVES] = on.dot(&(way * then.size - now.way * now.size));
+            h[TURN] = on.dot(&quarter(&(way * offs[0] - here)));
+            let seen = s.see(&h, e.mean * elapsed * elapsed + noise + hard * hard);
+            let mut innovation = on.dot(&strayed);
+            for k in 0..N {
+                innovation -= h[k] * (s.x[k] - x[k]);
+            }
+            if innovation * innovation < FITS * seen.total {
+                s.take(&seen, innovation);
+            }
+        }
+        e.known_s = (e.known_s + elapsed).min(KEPT_S);
+        e.mean += (square / (elapsed * elapsed) - e.mean) * (elapsed / e.known_s).min(1.0);
+        e.mean = e.mean.max(0.0);
+    }
+
+    /// Variance of a component of the force of a state that was carried on from the last one, mN².
+    pub(super) fn strayed(&self, s: &State) -> f64 {
+        let Some(felt) = &self.felt else {
+            return UNREAD_MN * UNREAD_MN;
+        };
+        let (gives, waited) = (s.gives(&self.shaft), s.time_s - felt.time_s);
+        if !(gives > 0.0) {
+            return 0.0;
+        }
+        let moved = sqrt((s.aside - self.state.aside).norm_squared());
+        // what is not read for long has no pace that was ever learnt
+        let edge = self.edge.mean * waited * waited.min(OVER_S) * (1.0 + waited.min(2.0));
+        let stiff = 1.0 / gives;
+        if s.free {
+            // it stands anywhere within the clearance, and may lean as far as it was moved
+            let most = moved * moved + edge;
+            let room = NOTICED * NOTICED * felt.noise * gives * gives + most;
+            return room.min(most) * stiff * stiff / 4.0;
+        }
+        let give = s.p[GIVES][GIVES] * (s.way * s.size - felt.force).norm_squared();
+        // noise across a small force turns the edge about the middle of the hole
+        let clearance = s.x[CLEARANCE] * stiff;
+        let farther = if felt.force.norm_squared() > 0.0 {
+            felt.noise * clearance * clearance / felt.force.norm_squared()
+        } else {
+            0.0
+        };
+        let gone = (moved * stiff).min(clearance);
+        let mut variance = (edge + give) * stiff * stiff + farther.min(gone * gone);
+        if !s.surely_inside() {
+            variance += s.size * s.size + (moved * stiff) * (moved * stiff);
+        }
+        variance
+    }
+}

@@ -1,0 +1,84 @@
+//! A second touch, near the tip: section III, which the hole does not bend, measures its force.
+
+use super::moments::{Moments, Shifts};
+use super::start::{Tip, ToolFilter};
+use nalgebra::Vector2;
+
+/// How far off its force is, over the force: nobody says where section III stands.
+const SHARE: f64 = 0.15;
+/// Where section III stands from the tip, mm, and from which depth of the hole on nothing else bends it, mm.
+const THIRD_MM: f64 = 5.0;
+pub(super) const DEEP_MM: f64 = 7.0;
+/// How fast such a force changes, mN²/s; more than this is a fault of gratings, mN.
+const CHANGES: f64 = 4.0;
+const MOST_MN: f64 = 40.0;
+/// How far a grating is off its zero, nm; squares of deviations from which on there is a force, and down to which.
+const ZERO_NM: f64 = 1.5e-4;
+const FELT: f64 = 28.0;
+const GONE: f64 = 6.0;
+/// What one rest counts for its zero.
+const RESTED: f64 = 0.2;
+
+impl Tip {
+    /// Takes it off moments at these distances, mm.
+    #[inline]
+    pub(super) fn off(&self, m: &Moments, distances_mm: [f64; 2]) -> Moments {
+        let mut left = *m;
+        if self.on {
+            for i in 0..2 {
+                let of_tip = self.force * distances_mm[i];
+                left.m[i] -= of_tip;
+                left.z[i] -= m.j[i] * of_tip;
+            }
+        }
+        left
+    }
+
+    /// Variance of a component, mN².
+    #[inline]
+    pub(super) fn unsure(&self) -> f64 {
+        let share = if self.on {
+            SHARE * SHARE * self.force.norm_squared()
+        } else {
+            0.0
+        };
+        if self.tells {
+            self.variance + self.of_zero + share
+        } else {
+            0.0
+        }
+    }
+
+    /// Nothing touches.
+    pub(super) fn rest(&mut self) {
+        if self.tells && self.variance < CHANGES / 8.0 {
+            let share = self.force * RESTED;
+            self.zero += share;
+            self.force -= share;
+        }
+    }
+}
+
+impl ToolFilter {
+    /// The tip's force, where section III tells it.
+    #[inline]
+    pub(super) fn feel_tip(&mut self, shifts: &Shifts, tells: bool, elapsed_s: f64) {
+        let (t, g) = (&mut self.tip, &self.gratings);
+        let per = 0.5 * (g.per_nm[0] + g.per_nm[1]) / (THIRD_MM * THIRD_MM);
+        let told = g.of_third(&shifts[2]) / THIRD_MM - t.zero;
+        let tells = tells && told.norm_squared() < MOST_MN * MOST_MN;
+        if !(tells && t.tells) {
+            (t.force, t.variance) = (Vector2::zeros(), CHANGES);
+        }
+        t.tells = tells;
+        t.of_zero = per * ZERO_NM * ZERO_NM;
+        if tells {
+            t.variance += CHANGES * elapsed_s;
+            let gain = t.variance / (t.variance + per * g.noise);
+            t.force += (told - t.force) * gain;
+            t.variance *= 1.0 - gain;
+        }
+        let least = if t.on { GONE } else { FELT };
+        t.on = t.force.norm_squared() > least * (t.variance + t.of_zero) && tells;
+    }
+}

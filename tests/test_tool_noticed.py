@@ -1,0 +1,120 @@
+"""What a calibration and an estimate notice: single wrong loads, columns that are exchanged, and whether to trust."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+
+from second_tool import CONDITIONS, write_csv
+from second_tool.wide import Wide
+from sherkit.errors import SherkitWarning
+from sherkit.robots.tool.calibration import ToolCalibration, calibrate_tool, read_loads
+from sherkit.robots.tool.exchanged import exchanged
+from sherkit.robots.tool.filters import estimate
+from sherkit.robots.tool.known import known
+from sherkit.robots.tool.tool import load_tool
+from sherkit.robots.tool.trust import trust
+from tool_honesty import run_of, tool_of
+
+Table = dict[str, np.ndarray]
+
+
+def calibrated(folder: Path, change: Callable[[Table], None], seed: int = 101) -> tuple[ToolCalibration, float]:
+    """Of a bench with a mistake, and its stiffness over the true one."""
+    world = Wide(seed)
+    bench = {k: v.copy() for k, v in world.bench().items()}
+    change(bench)
+    (folder / "drawing.toml").write_text(tomli_w.dumps(world.drawing()), encoding="utf-8")
+    write_csv(bench, folder / "bench.csv")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SherkitWarning)
+        made = calibrate_tool(load_tool(folder / "drawing.toml"), read_loads(folder / "bench.csv"))
+    return made, made.tool.stiffness_mn_mm2 / world.drawn.rod.stiffness_mn_mm2
+
+
+def _exchange(a: str, b: str) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        table[a], table[b] = table[b], table[a]
+
+    return change
+
+
+def _scale(names: tuple[str, ...], factor: float) -> Callable[[Table], None]:
+    def change(table: Table) -> None:
+        for name in names:
+            table[name] *= factor
+
+    return change
+
+
+def test_a_sound_bench_is_not_blamed(tmp_path: Path) -> None:
+    """Catches a sentence on a bench that has nothing wrong; seeds 100 to 103."""
+    for seed in range(100, 104):
+        made, _ = calibrated(tmp_path, lambda table: None, seed)
+        assert made.lack_of_fit == ()
+
+
+def test_one_wrong_load_of_eighty_is_left_out(tmp_path: Path) -> None:
+    """Catches a load ten times too large that moves the stiffness (by 18 % without a word), or a wrong row's number."""
+    row = 0
+
+    def change(table: Table) -> None:
+        nonlocal row
+        row = int(np.flatnonzero(table["force_x_mn"])[7])
+        for name in ("force_x_mn", "force_y_mn"):
+            table[name][row] *= 10.0
+
+    made, stiffness = calibrated(tmp_path, change)
+    assert len(made.lack_of_fit) == 1
+    assert made.lack_of_fit[0].startswith(f"row {row + 1}: its force of")
+    assert stiffness == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (_exchange("force_x_mn", "force_y_mn"), "force_x_mn and force_y_mn are exchanged"),
+        (_scale(("force_y_mn",), -1.0), "force_y_mn has the other sign"),
+        (_scale(("force_x_mn", "force_y_mn"), 1.0 / 9.80665), "are forces in gram-force?"),
+        (_exchange("fbg1_nm", "fbg2_nm"), "fbg1_nm and fbg2_nm are exchanged"),
+        (_exchange("fbg3_nm", "fbg4_nm"), "fbg3_nm and fbg4_nm are exchanged"),
+    ],
+)
+def test_columns_are_held_against_the_drawing(change: Callable[[Table], None], says: str, tmp_path: Path) -> None:
+    """Catches axes, units or gratings that are taken as they come, without a word."""
+    made, _ = calibrated(tmp_path, change)
+    assert any(says in sentence for sentence in made.lack_of_fit), made.lack_of_fit
+
+
+def test_exchanged_columns_of_a_run_are_said() -> None:
+    """Catches x and y of the robot exchanged, and turns that are their inverse: a tip 7 mm off without a word."""
+    world = replace(CONDITIONS["exact_rod_pivot"], pivot_rad=0.8)
+    recorded = world.run("vessels", seconds=15.0, seed=1)
+    tool, run = tool_of(world, 1), run_of(recorded)
+    assert exchanged(estimate(tool, run)) == []
+    swapped = replace(run, position_mm=np.ascontiguousarray(run.position_mm[:, [1, 0, 2]]))
+    assert "robot_x_mm and robot_y_mm are exchanged" in exchanged(estimate(tool, swapped))[0]
+    inverse = exchanged(estimate(tool, replace(run, turn_rad=-run.turn_rad)))
+    assert len(inverse) == 1
+    assert "inverse turn" in inverse[0]
+
+
+def test_the_depth_is_called_once() -> None:
+    """Catches a verdict that contradicts the truth beside it, or one without what to do."""
+    world = CONDITIONS["exact_rod_pivot"]
+    recorded = world.run("phantom", seconds=20.0, seed=1)
+    tool, run = tool_of(world, 1), run_of(recorded)
+    e = estimate(tool, run)
+    told = trust(e, known(e))
+    assert told.verdict in ("trusted", "too careful")
+    assert "What to do:" in told.sentence
+    sure = estimate(replace(tool, gains=(np.array(tool.gains) * [[[1.02]], [[1.0]]]).tolist()), run)
+    assert trust(sure, known(sure)).verdict == "overconfident"
+    without = estimate(tool, replace(run, depth_mm=None))
+    assert "no truth is in this run" in trust(without, known(without)).sentence
