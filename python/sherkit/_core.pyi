@@ -107,11 +107,18 @@ class _Model:
 class DeltaModel(_Model):
     """Readings are x, y, z, distance. ``sensor`` (12,): from the base to the sensors (turn row by row, shift in mm).
 
-    ``settings``: rod spacing, pole pitch, three home readings, origin of time, slip times of point, joints and sensors.
+    ``settings``: rod spacing, pole pitch, three home readings, origin of time, slip times of point, joints and sensors;
+    ``periods`` (3,) the pitch of each joint, where they differ.
     """
 
     def __new__(
-        cls, geometry: _Floats, target_offset: _Floats, assembly_mode: str, sensor: _Floats, settings: _Floats
+        cls,
+        geometry: _Floats,
+        target_offset: _Floats,
+        assembly_mode: str,
+        sensor: _Floats,
+        settings: _Floats,
+        periods: _Floats | None = None,
     ) -> DeltaModel: ...
 
 @final
@@ -193,7 +200,7 @@ class SphericalModel(_Model):
     """Readings are u, v (px) or phi, gamma (rad), as ``readings`` says: "pixels" or "angles".
 
     ``settings``: radius of the sphere (mm), direction of the weight (3), home joint readings (2, rad), and perhaps
-    origin of time and slip time (s) and the period of the encoders (rad).
+    origin of time and slip time (s) and the period of the encoders (rad); ``periods`` (2,) that of each joint.
     """
 
     def __new__(
@@ -204,6 +211,7 @@ class SphericalModel(_Model):
         assembly_mode: str = "outer",
         face_mode: str = "near",
         readings: str = "pixels",
+        periods: _Floats | None = None,
     ) -> SphericalModel: ...
     def reading(self, readings: str) -> SphericalModel:
         """The same robot for runs of the other kind."""
@@ -236,7 +244,7 @@ class SerialModel(_Model):
     joint, up to four, and ``centres`` (c, 3) of distances in the base frame, up to eight, mm; ``planes`` (p, 6) a point
     and the normal of up to four; ``sensor`` (12,): from base to sensor.
     ``settings``: direction of the weight (3), period of the encoders, origin of time, slip times of target, joints and
-    sensor (s).
+    sensor (s); ``periods`` (k,) that of each joint, where they differ.
     """
 
     def __new__(
@@ -247,6 +255,7 @@ class SerialModel(_Model):
         planes: _Floats,
         sensor: _Floats,
         settings: _Floats,
+        periods: _Floats | None = None,
     ) -> SerialModel: ...
 
 @final

@@ -272,6 +272,16 @@ class Table:
         lowest = max(_SMALLEST if positive else -_LARGEST, -_LARGEST if least is None else least)
         return float(self._get(key, expected, schema, lambda v: _is_number(v) and v >= lowest, default, sample=1.0))
 
+    def one_or_more(self, key: str, default: float | None = None) -> float | tuple[float, ...]:
+        """A finite number, or a list of them."""
+        schema: Schema = {"anyOf": [_NUMBER, _list(_NUMBER)]}
+        several = _list_of(_is_number)
+        found = self._get(
+            key, "a number, or a list of them", schema, lambda v: _is_number(v) or (several(v) and len(v) > 0), default,
+            sample=1.0,
+        )  # fmt: skip
+        return tuple(float(v) for v in found) if isinstance(found, list | tuple) else float(found)
+
     def choice(self, key: str) -> bool | None:
         """true or false, or None where the key is not given."""
         found = self._get(key, "true or false", {"type": "boolean"}, lambda v: isinstance(v, bool), optional=True)

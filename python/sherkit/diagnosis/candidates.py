@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +14,12 @@ from ..evidence.blocks import Block
 from ..evidence.fitted_run import FittedRun
 from ..evidence.settings import columns_at
 from ..evidence.sizes import TOLD, is_plausible
-from ..fit.error import known_of
+from ..fit.error import ErrorSize, known_of
 from ..fit.folds import Beside
 from .answers import CandidateReport
 
+#: Part of the error held out by which an effect must lower it for a sentence of its own.
+_LOWERS = 0.05
 #: Part of a column's square below which what is left of it is rounding.
 _ROUNDING = 1e-14
 
@@ -53,7 +55,8 @@ def candidates_of(
         effect = block.effect
         assert effect is not None, "shapes are no candidates"
         same = [i for i, one in enumerate(base.family.blocks) if one.name == block.name]
-        p = chance_of(total(base.log_bf[same]) - float(np.log(len(same))))
+        ways = np.array([base.family.blocks[i].ways for i in same])
+        p = chance_of(total(base.log_bf[same] - ways) - float(np.log(len(same))))
         values, std, plausible = _parameters(base, block, its, fits.get(block.name))
         parameters = tuple(
             {"name": q.name, "value": v, "std": s, "size": q.size, "unit": q.unit}
@@ -63,6 +66,27 @@ def candidates_of(
         out.append(CandidateReport(block.name, effect.link, rms, error.std, p, plausible, parameters))
     out.sort(key=lambda c: (names.index(c.effect) if c.effect in names else len(names), c.held_out_rms))
     return tuple(out)
+
+
+def unnamed(
+    reports: Sequence[CandidateReport], spoken_of: Collection[str], error: ErrorSize, level: float
+) -> list[str]:
+    """A sentence on each effect that by itself would lower the ``error`` held out of all that is named, and of which
+    nothing is said yet, ``spoken_of`` aside."""
+    out = []
+    for one in reports:
+        lowers = one.held_out_rms < (1.0 - _LOWERS) * error.rms and one.p_value < level
+        if one.effect in spoken_of or not lowers:
+            continue
+        why = (
+            "these readings do not tell it from what else may be missing" if one.plausible
+            else "it would be larger than such an error is in any robot"
+        )  # fmt: skip
+        out.append(
+            f"{one.effect} would bring the error held out from {error.rms:.3g} to {one.held_out_rms:.3g} {error.unit} "
+            f"and is not named: {why}"
+        )
+    return out
 
 
 def _parameters(base: Base, block: Block, columns: Floats, fit: FittedRun | None) -> tuple[Floats, Floats, bool]:

@@ -23,7 +23,7 @@ from ..evidence.run import Run, run_of
 from ..evidence.sets import EffectSet, Sets
 from ..evidence.settings import refined, unit_columns
 from ..fit.identify import Fit
-from ..model.effect import Effect
+from ..model.effect import Effect, Setting
 from .answers import StepReport
 from .candidates import strongest
 from .held_out import HeldOutGain, error_of, held_out_gain
@@ -253,7 +253,7 @@ def on_all_rows(run: FittedRun, added: Sequence[Block]) -> tuple[list[Block], tu
     return out, tuple(told)
 
 
-def setting_for(fit: Fit, effect: Effect) -> float | None:
+def setting_for(fit: Fit, effect: Effect) -> Setting | None:
     """The setting at which an effect takes most of what a fit leaves: None where it has none to search for, or is as
     good at the one that the model has.
 

@@ -25,7 +25,7 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike
 from ..model.thermometers import thermometers_of
 from .answers import Diagnosis, verdict_of
-from .candidates import candidates_of, strongest
+from .candidates import candidates_of, strongest, unnamed
 from .checked import checks_of
 from .findings import findings_of
 from .gathered import checks_of_outliers
@@ -168,6 +168,10 @@ def diagnose(
     fits |= {block.name: final for block in found.added}
     alone = {one.effect: one.error.rms for one in found.steps[1:2]}
     reports = candidates_of(base, repeated_folds, found.added, fits, alone)
+    if look:
+        silent = [*found.names, *(name for tied in found.ties for name in tied.names)]
+        silent += [one.effect for one in reports if any(note.startswith(f"{one.effect} ") for note in notes)]
+        notes += unnamed(reports, silent, found.steps[-1].error, level)
     smallest: dict[str, tuple[float, float]] = {}
     if verdict == "adequate" and not final.is_exact:
         smallest = {name: smallest_found(base, block, level) for name, block in strongest(base).items()}

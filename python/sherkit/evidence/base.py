@@ -109,10 +109,13 @@ class Base:
     def of(cls, family: Family, run: Run) -> Self:
         """What a fit of the family's rows has in its model."""
         q = run.basis
-        residual = run.residual - q @ (q.T @ run.residual)
-        products = family.columns.products(np.concatenate([q, residual[:, None]], axis=1))
+        return cls(family, q, run.residual - q @ (q.T @ run.residual), (), np.zeros(0)).asked(family)
+
+    def asked(self, family: Family) -> Self:
+        """The same model, asked what another ``family`` of the run says beside it."""
+        products = family.columns.products(np.concatenate([self.basis, self.residual[:, None]], axis=1))
         left = _down(family, [gram for _, _, gram in family.groups], products[:, :-1])
-        return cls(family, q, residual, left, products[:, -1])
+        return replace(self, family=family, left=left, right=products[:, -1])
 
     def beside(self, *blocks: Block) -> Self:
         """The same with these blocks in the model, at any size."""

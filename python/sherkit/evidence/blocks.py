@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..base.types import Floats, Ints
-from ..model.effect import Effect
+from ..model.effect import Effect, Setting
 from .run import Run
 from .thresholds import FEW_VISITS, NOTHING
 
@@ -28,19 +28,21 @@ class Block:
 
     ``at`` (k,) are the numbers of its columns in the family. Of a shape ``axis`` is the reading it is on, None for all;
     ``pattern`` the joint as whose error it arrives; ``order`` that of a polynomial and ``period`` that of a wave. Where
-    runs of one machine are joined, ``since`` is the number of the course in which it changes over them.
+    runs of one machine are joined, ``since`` is the number of the course in which it changes over them. ``ways`` is the
+    logarithm of how many others it was chosen from, beside those that are blocks.
     """
 
     shape: str
     depends_on: tuple[str, ...] = ()
     at: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     effect: Effect | None = None
-    setting: float | None = None
+    setting: Setting | None = None
     axis: int | None = None
     pattern: str | None = None
     order: int | None = None
     period: float | None = None
     since: int = 0
+    ways: float = 0.0
 
     @property
     def name(self) -> str:
@@ -51,6 +53,13 @@ class Block:
     def cause(self) -> tuple[object, ...]:
         """What all its settings, axes and periods have in common."""
         return (self.name,) if self.effect is not None else (self.depends_on, self.shape)
+
+
+def apart(one: Setting | None, other: Setting | None) -> float:
+    """How far two settings lie apart: further than any two of one sort where only one has a period for each joint."""
+    if isinstance(one, tuple) != isinstance(other, tuple):
+        return float("inf")
+    return float(np.abs(np.subtract(0.0 if one is None else one, 0.0 if other is None else other)).sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from ..base.types import Bools, Floats, Ints
-from .blocks import Block, Columns, Visits
+from .blocks import Block, Columns, Visits, apart
 from .effects import blocks_of_effects
 from .made import Maker
 from .reference import Reference, sizes_of
@@ -22,6 +23,18 @@ from .whitening import orthonormal
 _EFFECTS = 0.5
 #: Length of what a model leaves of a column of unit length below which it holds it.
 _LEFT = 1e-3
+
+
+class Waves(Protocol):
+    """Waves with a period for each joint, found before."""
+
+    def add_to(self, made: Maker) -> None:
+        """Adds their block."""
+        ...
+
+    def is_shape(self, block: Block) -> bool:
+        """Whether a shape is one of them once more."""
+        ...
 
 
 class Family:
@@ -41,9 +54,10 @@ class Family:
         *,
         shapes: bool = True,
         made: tuple[Columns, Sequence[Block]] | None = None,
+        waves: Sequence[Waves] = (),
     ) -> None:
-        self.run, self.reference = run, reference
-        self.columns, blocks = made or _everything(run, reference, shapes=shapes)
+        self.run, self.reference, self.waves = run, reference, waves
+        self.columns, blocks = made or _everything(run, reference, waves, shapes=shapes)
         there = self.columns.length > 0
         if reference is None:
             every = [b if there[b.at].all() else replace(b, at=b.at[there[b.at]]) for b in blocks]
@@ -113,9 +127,10 @@ class Family:
         """The number of the block that says the same at the nearest setting. Raises ``KeyError`` for none."""
 
         def off(i: int) -> tuple[bool, int, float]:
-            mine, setting, period = self.blocks[i], block.setting or 0.0, block.period or 0.0
-            apart = abs((mine.setting or 0.0) - setting) + abs((mine.period or 0.0) - period)
-            return mine.since != block.since, abs(len(mine.at) - len(block.at)), apart
+            mine, period = self.blocks[i], block.period or 0.0
+            off = apart(mine.setting, block.setting)
+            same = mine.since == block.since and not np.isinf(off)
+            return not same, abs(len(mine.at) - len(block.at)), off + abs((mine.period or 0.0) - period)
 
         return min(self._alike[_sort_of(block)], key=off)
 
@@ -131,6 +146,7 @@ class Family:
         that what is fitted, with this ``basis`` (N, p), leaves: such a shape is that effect once more, no rival."""
         moments = any(e.search == "time_s" and place is None for e, place in self.run.view.in_time)
         twin = np.array([moments and block.shape == "step" for block in self.blocks], dtype=bool)
+        twin |= [any(one.is_shape(block) for one in self.waves) for block in self.blocks]
         ones = []
         for block in self.blocks:
             if block.effect is None or block.setting is not None:
@@ -148,10 +164,14 @@ class Family:
         self.log_weight[twin & ~self.is_effect] = -np.inf
 
 
-def _everything(run: Run, reference: Reference | None, *, shapes: bool) -> tuple[Columns, Sequence[Block]]:
+def _everything(
+    run: Run, reference: Reference | None, waves: Sequence[Waves], *, shapes: bool
+) -> tuple[Columns, Sequence[Block]]:
     """All effects and shapes of a run: their columns, and the blocks."""
     made = Maker(run, Visits.of(run), reference)
     blocks_of_effects(made)
+    for one in waves:
+        one.add_to(made)
     if shapes:
         blocks_of_shapes(made)
     parts, blocks = made.done()
@@ -167,7 +187,7 @@ def log_weights(blocks: Sequence[Block], is_effect: Bools) -> Floats:
         for i in some:
             count[blocks[i].cause] = count.get(blocks[i].cause, 0) + 1
         for i in some:
-            out[i] = np.log(share / (len(count) * count[blocks[i].cause]))
+            out[i] = np.log(share / (len(count) * count[blocks[i].cause])) - blocks[i].ways
     return out
 
 

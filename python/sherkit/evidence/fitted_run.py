@@ -21,7 +21,7 @@ from ..fit.error import axes_of
 from ..fit.folds import BLOCK
 from ..fit.identify import Fit, identify
 from ..model.base import Derivatives, ModelWithEffects, beside_one_another
-from ..model.effect import Effect
+from ..model.effect import Effect, Setting
 from .linearised import Linearised, last_asked
 
 #: Relative difference up to which two noises are the same.
@@ -131,7 +131,7 @@ class FittedRun(Saved):
     # -- other fits --------------------------------------------------------------------------------------
 
     @cached_property
-    def _refits(self) -> WeakValueDictionary[tuple[tuple[Effect, float | None], ...], FittedRun]:
+    def _refits(self) -> WeakValueDictionary[tuple[tuple[Effect, Setting | None], ...], FittedRun]:
         """Fits with more effects that somebody still has."""
         return WeakValueDictionary()
 
@@ -140,7 +140,7 @@ class FittedRun(Saved):
         """Whether the fit is that of its rows by their noise alone, which any other way to it would find again."""
         return self.fit.loss == "linear" and not self.fit.priors and self.fit.converged
 
-    def refit(self, added: Sequence[tuple[Effect, float | None]]) -> FittedRun:
+    def refit(self, added: Sequence[tuple[Effect, Setting | None]]) -> FittedRun:
         """The full fit with more effects, each at its setting, from where this fit came to rest. Raises
         :class:`~sherkit.errors.SherkitError`."""
         if (made := self._refits.get(tuple(added))) is not None:

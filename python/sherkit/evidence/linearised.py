@@ -16,7 +16,7 @@ import numpy as np
 from ..base.types import Floats, Ints
 from ..data.columns import unit_in
 from ..fit.folds import blocks
-from ..model.effect import Effect
+from ..model.effect import Effect, Setting
 
 T = TypeVar("T")
 
@@ -76,7 +76,7 @@ class Linearised:
     time: Floats | None = None
     effects: Sequence[tuple[Effect, slice]] = ()
     in_time: Sequence[tuple[Effect, slice | None]] = ()
-    periodic: Sequence[tuple[Effect, float | None]] = ()
+    periodic: Sequence[tuple[Effect, Setting | None]] = ()
     lagging: Sequence[tuple[Effect, Callable[[float], Callable[[slice], Floats]]]] = ()
     untestable: Mapping[str, str] = field(default_factory=dict)
 

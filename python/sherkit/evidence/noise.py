@@ -16,6 +16,7 @@ from ..model.effect import Effect
 from .base import Base, log_bayes
 from .blocks import Block
 from .family import Family
+from .ripple import ripple_of
 from .run import Run, shared_by_targets
 from .whitening import Whitening, correlation_in_time, orthonormal
 
@@ -29,6 +30,19 @@ def base_of(run: Run, effects: Sequence[Effect]) -> Base:
 
     Where an effect moves one axis, that axis is as loud as the effect until it is in the model.
     """
+    base = _weighed(run, effects)
+    if run.of.is_exact:
+        return base
+    # waves with a period for each joint are too many to try all: those that take most beside all other effects
+    found = [ripple_of(base, effect, alone=False) for effect, _ in run.view.periodic]
+    waves = [one for one in found if one is not None]
+    if not waves:
+        return base
+    own = base.family.run
+    return Base.of(Family(own, waves=waves), own)
+
+
+def _weighed(run: Run, effects: Sequence[Effect]) -> Base:
     family = Family(run)
     first = now = Base.of(family, run)
     if run.of.is_exact:

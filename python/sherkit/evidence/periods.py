@@ -13,24 +13,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..base import linalg
 from ..base.names import listed
 from ..base.types import Floats, Ints
-from ..model.effect import Effect
+from ..model.effect import Effect, Setting
 from .base import Base
 from .blocks import Block
+from .ripple import CLEARLY, Ripple, ripple_of, wave_takes
 from .settings import columns_at
 from .waves import TURN
 
-#: Change of χ² from which on a period counts as better than another, besides what choosing among all brings by
-#: chance: beyond it the odds are "very strong" (Kass and Raftery, "Bayes factors", JASA 1995).
-_CLEARLY = 10.0
 #: A frequency of the grid may lie half a step off its peak and take this part of it.
 _NEAR_PEAK = 0.6
 #: Aliases that are named.
 _MOST_ALIASES = 6
-#: Part of a wave's square that what is in the model must leave for it to be seen.
-_SEEN = 0.01
 
 
 @dataclass(frozen=True)
@@ -38,15 +33,19 @@ class Period:
     """The period at which an effect takes most, in the unit of the joints, and its standard deviation.
 
     ``given`` is the one that the model has, None where it has none, and ``in_file`` where a robot's file says it.
-    ``aliases`` are others that these poses cannot tell from it. ``block`` is the effect at the period to use.
+    ``aliases`` are others that these poses cannot tell from it. ``block`` is the effect at the period to use, or at a
+    period for each joint; ``own`` are the joints whose waves take more than chance, each at the period that it would
+    have by itself, None where none does. ``made_by`` says what makes waves in such a machine.
     """
 
     block: Block
     value: float
     std: float
-    given: float | None
+    given: Setting | None
     aliases: tuple[float, ...]
     in_file: str = ""
+    own: Ripple | None = None
+    made_by: str = ""
 
     @property
     def chosen(self) -> bool:
@@ -59,23 +58,47 @@ class Period:
         effect = self.block.effect
         assert effect is not None, "shapes have no period of their own"
         unit = (effect.search or "").removeprefix("period_")
+        if isinstance(self.block.setting, tuple):
+            return (f"{effect.name}: {self.made_by or 'waves '}of {self._of_each(unit)}",)
         value = _told(self.value, self.std)
         per_turn = f", {round(TURN / self.value)} per turn" if unit == "rad" else ""
         out = []
         if not self.chosen:
-            out.append(f"{effect.name}: period {value} {unit}{per_turn}{self._instead(unit)}")
+            joints = f" ({self.made_by}of {listed(self._joints)})" if self.own and self.made_by else ""
+            out.append(f"{effect.name}: period {value} {unit}{per_turn}{joints}{self._instead(unit)}")
         if self.aliases:
             others = listed([f"{alias:.4g}" for alias in self.aliases])
-            at = f"{self.given:g}" if self.chosen else value
+            at = f"{self.given:g}" if self.chosen and isinstance(self.given, float) else value
             out.append(
                 f"{effect.name}: a period of {others} {unit} fits as well as {at} {unit} (alias: these poses cannot "
                 "tell one from the other); poses at uneven distances would"
             )
         return tuple(out)
 
+    @property
+    def _joints(self) -> list[str]:
+        """Those whose waves are seen, in their order."""
+        assert self.own is not None, "none is seen"
+        return [f"joint {k}" for k, name in enumerate(self.own.joints, start=1) if name in self.own.found]
+
+    def _of_each(self, unit: str) -> str:
+        """Joints that have waves, with their periods."""
+        assert self.own is not None, "they were found"
+        out = []
+        for joint, name in zip(self._joints, (one for one in self.own.joints if one in self.own.found), strict=True):
+            frequency, std = self.own.found[name]
+            count, off = TURN * frequency, TURN * std
+            if unit != "rad":
+                at = f"{_told(1.0 / frequency, std / frequency**2)} {unit}"
+            else:
+                whole = abs(count - round(count)) < 1e-9 * count
+                at = f"{f'{round(count)}' if whole else _told(count, off)} per turn"
+            out.append(f"{joint} at {at}")
+        return ", of ".join(out)
+
     def _instead(self, unit: str) -> str:
         """What the model had, or the file lacks."""
-        if self.given is not None:
+        if isinstance(self.given, float):
             return f" where the model had {self.given:g} {unit}" + (f": correct {self.in_file}" if self.in_file else "")
         return f"; the robot file does not give it: add {self.in_file}" if self.in_file else ""
 
@@ -95,7 +118,9 @@ def period_of(base: Base, effect: Effect) -> Period | None:
     what two reading heads leave.
     """
     tried = [i for i, block in enumerate(base.family.blocks) if block.name == effect.name]
-    waves = sorted((i for i in tried if base.family.blocks[i].setting), key=lambda i: -_period(base, i))
+    waves = sorted(
+        (i for i in tried if isinstance(base.family.blocks[i].setting, float)), key=lambda i: -_period(base, i)
+    )
     if not waves:
         return None
     view = base.family.run.view
@@ -111,46 +136,43 @@ def period_of(base: Base, effect: Effect) -> Period | None:
     best, most = _peak(taken, at[int(np.argmax(gains))], step, ring=ring)
     noise = (base.rss - most) / max(base.free - 2 * len(spans), 1)
     had = next(period for one, period in view.periodic if one.name == effect.name)
-    usual = 0.5 * TURN if had is None and ring else had
-    least = (2.0 * np.log(len(at)) + _CLEARLY) * noise
+    usual = 0.5 * TURN if had is None and ring else had if isinstance(had, float) else None
+    least = (2.0 * np.log(len(at)) + CLEARLY) * noise
     if usual is not None and 1.0 / usual <= at.max() + step and most - taken(1.0 / usual) < least:
         best, most = 1.0 / usual, taken(1.0 / usual)
     given = next((base.family.blocks[i] for i in tried if base.family.blocks[i].setting is None), None)
-    stays = given is not None and had is not None and best == 1.0 / had
+    stays = given is not None and isinstance(had, float) and best == 1.0 / had
     others: list[float] = []
     for k in _peaks(gains, _NEAR_PEAK * most):
         other, takes = _peak(taken, at[k], step, ring=ring)
-        if all(abs(other - one) * span > 0.5 for one in (best, *others)) and most - takes < _CLEARLY * noise:
+        if all(abs(other - one) * span > 0.5 for one in (best, *others)) and most - takes < CLEARLY * noise:
             others.append(other)
     # how sharply the profile falls on both sides
     h = 0.1 / span
     bend = (2.0 * most - taken(best - h) - taken(best + h)) / h**2
     std = np.sqrt(2.0 * noise / bend) / best**2 if bend > 0 else np.inf
     block = given if given is not None and stays else replace(base.family.blocks[waves[0]], setting=1.0 / best)
+    model, own = base.family.run.of.model, ripple_of(base, effect, alone=True)
+    if own is not None:
+        each = own.periods(1.0 / best)
+        if own.given or _taken(base, effect, each) - most > own.chance * noise:
+            most, block = _taken(base, effect, each), replace(block, setting=each)
+    if given is not None and isinstance(had, tuple) and most - _taken(base, effect, had) < least:
+        block = given
     aliases = tuple(1.0 / one for one in others[:_MOST_ALIASES])
-    return Period(block, 1.0 / best, float(std), had, aliases, base.family.run.of.model.period_in_file)
+    made_by = f"{model.waves_are} " if model.waves_are else ""
+    return Period(block, 1.0 / best, float(std), had, aliases, model.period_in_file, own, made_by)
 
 
 def _period(base: Base, i: int) -> float:
     setting = base.family.blocks[i].setting
-    assert setting is not None, "a wave has a period"
+    assert isinstance(setting, float), "these waves have one period"
     return setting
 
 
-def _taken(base: Base, effect: Effect, period: float) -> float:
-    """Sum of squares that a wave on all inputs takes.
-
-    Beside a period at which these poses cannot see a wave (joints that stand at its multiples), one of metres takes
-    what a straight line would: what the model leaves of a wave but for so little does not count as one.
-    """
-    columns = base.family.run.flat(columns_at(base.family.run, effect, period))
-    # sine and cosine of an input share a scale: where it stands at multiples of a period, there is no sine
-    pairs = np.square(columns).sum(axis=0).reshape(-1, 2).mean(axis=1)
-    columns = columns / np.sqrt(np.maximum(np.repeat(pairs, 2), np.finfo(float).tiny))
-    over = columns - base.basis @ (base.basis.T @ columns)
-    left, directions = linalg.eigh(over.T @ over)
-    seen = left > _SEEN
-    return float(((directions[:, seen].T @ (over.T @ base.residual)) ** 2 / left[seen]).sum())
+def _taken(base: Base, effect: Effect, period: Setting) -> float:
+    """Sum of squares that a wave on all inputs takes."""
+    return wave_takes(base, base.family.run.flat(columns_at(base.family.run, effect, period)))
 
 
 def _peak(taken: Callable[[float], float], near: float, step: float, *, ring: bool) -> tuple[float, float]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..base.types import Floats
 from ..errors import SherkitError
+from ..model.effect import Setting
 from ..model.sensor_pose import SLIP
 from .base import Base, total
 from .blocks import Block
@@ -34,6 +35,9 @@ _BESIDE, _SECONDS, _FIRSTS, _THIRDS, _PAIRS = 6, 4, 14, 3, 7
 _MOST = 4
 #: Sets that are described with shapes beside them, and shapes of each.
 _MIXED, _SHAPES = 5, 6
+
+
+_Key = tuple[str, Setting, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +85,15 @@ class Sets:
             left[which] = np.einsum("bkk->b", grams)
         if family.reference is None:
             family.without_twins(base.basis, left)
-        self._fitted: dict[tuple[tuple[str, float, int], ...], EffectSet | None] = {}
+        self._fitted: dict[tuple[_Key, ...], EffectSet | None] = {}
         self._described: dict[tuple[int, int, int], Described] = {}
 
     @cached_property
     def _of_effects(self) -> Base:
         """The base of effects alone: what shapes say of pairs is not asked."""
-        return Base.of(Family(self.family.run, self.family.reference, shapes=False), self.family.run)
+        return Base.of(
+            Family(self.family.run, self.family.reference, shapes=False, waves=self.family.waves), self.family.run
+        )
 
     def fitted(self, blocks: Sequence[Block]) -> EffectSet | None:
         """The set in a full fit; None where it cannot be fitted."""
@@ -184,10 +190,15 @@ class Sets:
             less = [one for one in self._fitted.values() if one and len(one.blocks) + 1 == len(blocks)]
             less = [one for one in less if names.issuperset(one.names)]
             bf = max([bf, *(one.log_bf + one.base.log_bf_of(base, run, ()) for one in less)])
-        weight = sum(float(self.family.log_weight[self.family.where(block)]) for block in blocks)
+        weight = sum(self._weight(block) for block in blocks)
         sizes = all(is_plausible(fit, block.effect) for block in blocks if block.effect)
         value = bf + weight + ONE_MORE * (len(blocks) - 1)
         return EffectSet(blocks, run, base, bf, value, sizes and not displaces(fit.fit, before.fit))
+
+    def _weight(self, block: Block) -> float:
+        """Logarithm of its prior weight, which is less where it was chosen from more."""
+        at = self.family.where(block)
+        return float(self.family.log_weight[at]) + self.family.blocks[at].ways - block.ways
 
     def _singles(self) -> list[EffectSet]:
         each, gain = self.base.each, self.base.gains[0]
@@ -249,7 +260,8 @@ def _each(base: Base) -> Iterator[tuple[float, Block]]:
     return zip(base.each.tolist(), base.family.blocks, strict=True)
 
 
-def _key(blocks: Sequence[Block]) -> tuple[tuple[str, float, int], ...]:
+def _key(blocks: Sequence[Block]) -> tuple[_Key, ...]:
+    # no name stands there twice, unless at two numbers
     return tuple(sorted((block.name, block.setting or 0.0, block.since) for block in blocks))
 
 

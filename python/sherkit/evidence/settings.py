@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..base.types import Floats
-from ..model.effect import Effect
+from ..model.effect import Effect, Setting
 from .base import Base
 from .blocks import Block
 from .effects import stepped
 from .linearised import Linearised
 from .made import MOMENTS
+from .ripple import ripple_of
 from .run import Run
 from .waves import TURN
 
@@ -24,12 +25,18 @@ _FINER = np.linspace(-0.5, 0.5, 33)
 _FEWEST = 0.2
 
 
-def columns_at(run: Run, effect: Effect, setting: float | None) -> Floats:
+def columns_at(run: Run, effect: Effect, setting: Setting | None) -> Floats:
     """Columns (n, m, k) of an effect that can be tried in the rows of a run, over the noise, by its parameters."""
     view = run.view
     if setting is None:
         at = next(at for one, at in view.effects if one.name == effect.name)
         return view.effects_in(view.whole)[:, :, at]
+    if effect.is_periodic:
+        each = setting if isinstance(setting, tuple) else [setting] * len(view.waving)
+        angles = {name: TURN * view.inputs[name] / one for name, one in zip(view.waving, each, strict=True)}
+        columns = [view.patterns[k] * of(angles[k])[:, None] for k in view.waving for of in (np.sin, np.cos)]
+        return np.stack(columns, axis=2)
+    assert not isinstance(setting, tuple), "only waves have one for each joint"
     if effect.search == "time_s":
         assert view.time is not None, "a step has a moment"
         place = next(at for one, at in view.in_time if one.name == effect.name)
@@ -38,13 +45,10 @@ def columns_at(run: Run, effect: Effect, setting: float | None) -> Floats:
         of_readings = np.broadcast_to(np.diag(1.0 / run.sigma[list(run.of.axes)]), (n, m, m))
         whole = of_readings if place is None else view.effects_in(view.whole)[:, :, place]
         return stepped(whole, int(np.searchsorted(view.time, setting)))
-    if effect.is_lagging:
-        return next(of for one, of in view.lagging if one.name == effect.name)(setting)(view.whole)
-    angles = {name: TURN * view.inputs[name] / setting for name in view.waving}
-    return np.stack([view.patterns[k] * of(angles[k])[:, None] for k in view.waving for of in (np.sin, np.cos)], axis=2)
+    return next(of for one, of in view.lagging if one.name == effect.name)(setting)(view.whole)
 
 
-def unit_columns(run: Run, effect: Effect, setting: float | None) -> Floats:
+def unit_columns(run: Run, effect: Effect, setting: Setting | None) -> Floats:
     """The same (N, k) under the filter of a run, each of unit length; without those that are zero."""
     columns = run.flat(columns_at(run, effect, setting))
     length = np.linalg.norm(columns, axis=0)
@@ -55,6 +59,9 @@ def refined(base: Base, block: Block) -> Block:
     """A block of an effect at the setting, near its own, at which it takes most beside a base."""
     if block.effect is None or block.setting is None:
         return block
+    if isinstance(block.setting, tuple):
+        waves = ripple_of(base, block.effect)
+        return block if waves is None else replace(block, setting=waves.likeliest, ways=waves.ways)
     effect, tried = block.effect, _near(base.family.run.view, block)
 
     def takes(k: int) -> float:
@@ -93,7 +100,7 @@ def _near(view: Linearised, block: Block) -> list[float]:
     """Settings near that of a block."""
     effect, setting, n = block.effect, block.setting, len(view)
     assert effect is not None, "shapes are not searched"
-    assert setting is not None, "it has one"
+    assert isinstance(setting, float), "it has one, of all joints"
     if effect.search == "time_s":
         assert view.time is not None, "a step has a moment"
         about = np.searchsorted(view.time, setting) + np.arange(-n // MOMENTS - 2, n // MOMENTS + 3)

@@ -11,6 +11,8 @@ from .whitening import orthonormal
 TURN = 2.0 * np.pi
 #: Waves over the range: along a joint, a half wave apart; in time; over a place, which a grid tells less well.
 _JOINT, _TIME, _PLACE = (1.0, 60.0), (1.0, 61.0), (2.0, 12.0)
+#: Of a gear.
+_GEAR = (3.0, 321.0)
 #: Waves slower than this part of a frequency, and the part of a wave from which on they stand in for it, where values
 #: are too far apart to tell.
 _SLOWER, _STANDS_IN = 0.8, 0.8
@@ -26,6 +28,14 @@ def waves_along(values: Floats) -> Floats:
     counts = np.arange(*_JOINT, 0.5)
     distinct = len(np.unique(np.round(values / (_SAME * max(float(np.ptp(values)), 1e-300)))))
     return np.asarray(counts[counts <= max(distinct, 2)])
+
+
+def waves_of_gear(values: Floats, axes: int) -> Floats:
+    """The same of a joint by itself that is read by so many ``axes``: a gear has more waves than what all joints share,
+    and slow ones are not told from what else a joint does."""
+    counts = np.arange(*_GEAR, 0.5)
+    distinct = len(np.unique(np.round(values / (_SAME * max(float(np.ptp(values)), 1e-300)))))
+    return np.asarray(counts[counts <= max(0.5 * axes * distinct, 2)])
 
 
 def waves_in_time() -> Floats:

@@ -264,7 +264,7 @@ def laboratory_from(table: Table, path: Path) -> Laboratory:
 
 def _hidden_effects(table: Table, robot: Robot) -> HiddenEffects:
     settings = {
-        name: table.positive(name) if usual is None else table.number(name, usual)
+        name: table.number(name, usual) if isinstance(usual, float) else table.positive(name)
         for name, usual in model_of(robot).settings().items()
     }
     with table.table("parameters", optional=True) as p:

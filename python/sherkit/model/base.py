@@ -15,7 +15,7 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
-from .effect import Effect, Parameter, check_user_effect
+from .effect import Effect, Parameter, Setting, check_user_effect
 from .relations import Apart
 from .rows import Rows
 
@@ -96,6 +96,8 @@ class ModelWithEffects(Saved, ABC):
     within: ClassVar[frozenset[str]] = frozenset()
     #: Where a robot's file gives the period of its encoders; empty where it has no place for it.
     period_in_file: ClassVar[str] = ""
+    #: What makes waves of joints in such a machine, where it is one thing.
+    waves_are: ClassVar[str] = ""
     #: Where a robot's file declares an error of the readings that repeats of a pose share; empty as above.
     pose_sigma_in_file: ClassVar[str] = ""
 
@@ -169,12 +171,17 @@ class ModelWithEffects(Saved, ABC):
         """What is held at the drawing and could be told from the rest, by name: candidates like effects."""
         return {}
 
-    def adopting(self, effect: Effect, *, at: float | None = None) -> Self:
+    def adopting(self, effect: Effect, *, at: Setting | None = None) -> Self:
         """The model with one more effect, as a person has it; what was held and is freed is a parameter like others."""
         return self.with_effect(effect, at=at)
 
-    def settings(self) -> dict[str, float | None]:
+    def settings(self) -> Mapping[str, Setting | None]:
         """Settings of the effects that are no parameters: what :meth:`with_effect` takes besides the effect."""
+        return {}
+
+    @property
+    def given_periods(self) -> Mapping[str, float]:
+        """Periods of waves that the machine's file says, by the column of the joint, in its unit."""
         return {}
 
     def reachable(self, data: Measurements, values: Floats) -> Reachable | None:
@@ -238,13 +245,13 @@ class ModelWithEffects(Saved, ABC):
 
     # -- effects -----------------------------------------------------------------------------------------
 
-    def with_effect(self, effect: Effect, *, at: float | None = None, **settings: float) -> Self:
+    def with_effect(self, effect: Effect, *, at: Setting | None = None, **settings: float) -> Self:
         """The same model with one more effect. ``at`` is the setting that is searched for besides its parameters: a
-        moment or a period; other ``settings`` are by name."""
+        moment, a period, or a period for each joint of those that have waves; other ``settings`` are by name."""
         made = self if at is None else self.with_settings(effect, at)
         return replace(made, effects=(*self.effects, effect), **settings)  # type: ignore[type-var]
 
-    def with_settings(self, effect: Effect, at: float) -> Self:
+    def with_settings(self, effect: Effect, at: Setting) -> Self:
         """The same model with another setting for an effect that it may get."""
         return replace(self, **dict.fromkeys(self._held_as(effect), at))  # type: ignore[type-var]
 
@@ -286,14 +293,23 @@ class ModelWithEffects(Saved, ABC):
             last = self.__dict__["_last_run"] = replace(self, time_origin_s=data.begins_s)  # type: ignore[type-var]
         return last
 
-    def setting_of(self, effect: Effect) -> float | None:
+    def setting_of(self, effect: Effect) -> Setting | None:
         """The setting that the model has for an effect, as :meth:`with_effect` takes it; None where it has none."""
         held = self._held_as(effect)
         return self.settings()[held[0]] if held else None
 
+    def periods(self, names: Sequence[str], otherwise: float) -> Floats:
+        """The periods (k,) of waves of joints, by the ``names`` of their columns; ``otherwise`` where one has none."""
+        out = np.full(len(names), otherwise)
+        for effect in (one for one in self.known_effects.values() if one.is_periodic):
+            if own := self.setting_of(effect):
+                out[effect.waving(names)] = own
+        return out
+
     def _held_as(self, effect: Effect) -> list[str]:
         """A setting stands under its own name, or with the effect's before it: period_mm, slip_time_s."""
-        return [name for name in (effect.search, f"{effect.name}_{effect.search}") if name in self.settings()]
+        known = self.settings()
+        return [name for name in (effect.search or "", f"{effect.name}_{effect.search}") if name in known]
 
     def without_effect(self, name: str) -> Self:
         """The same model without the effect of that name."""

@@ -23,7 +23,7 @@ from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
 from .base import Derivatives, OfEffects, OfModel, Reachable, Tried, beside_one_another, carry
-from .effect import WITHIN, Effect, Parameter, freeing, parameters_of_core
+from .effect import WITHIN, Effect, Parameter, Setting, freeing, parameters_of_core
 from .rows import Rows
 from .seen import SeenModel
 
@@ -83,6 +83,11 @@ class ChainModel(SeenModel):
                     f"'{effect.name}' needs the period of the encoders: {give}leave the effect to a diagnosis or a "
                     "study, which search for it"
                 )
+        for effect in (one for one in self.known_effects.values() if one.is_periodic):
+            own, count = self.setting_of(effect), len(effect.parameters) // 2
+            if isinstance(own, tuple) and len(own) != count:
+                what = f"expected one number, or {count}, one for each joint; found {len(own)}"
+                raise EffectError(f"{effect.search}: {what}")
 
     # -- what a robot says ---------------------------------------------------------------------------------
 
@@ -120,7 +125,8 @@ class ChainModel(SeenModel):
             velocities = [known.get(name, empty) for name in data.layout.velocities]
             velocities += [empty] * (data.joints.shape[1] - len(velocities))
             time = empty if data.time_s is None else data.time_s
-            stand = data.later(self.settings().get(STAND_LAG) or 0.0)
+            lag = self.settings().get(STAND_LAG)
+            stand = data.later(lag if isinstance(lag, float) else 0.0)
             columns = [time, known.get(TEMPERATURE, empty), data.direction, *velocities]
             columns.append(empty if stand is None else stand)
             covariates = np.ascontiguousarray(np.column_stack(columns))
@@ -238,7 +244,7 @@ class ChainModel(SeenModel):
         made = (freeing(p) for p in self.base if p.name in self.default and p.name not in self.free)
         return {effect.name: effect for effect in made}
 
-    def adopting(self, effect: Effect, *, at: float | None = None) -> Self:
+    def adopting(self, effect: Effect, *, at: Setting | None = None) -> Self:
         """As of any model."""
         if effect.frees:
             return replace(self, free=(*self.free, *(p.name for p in effect.parameters)))

@@ -21,6 +21,9 @@ from ..errors import EffectError, SherkitError
 from .python_file import Named, named, run_python
 from .rows import run_of
 
+#: What is searched for besides parameters: a moment, a lag, a period, or a period for each joint that has waves.
+Setting = float | tuple[float, ...]
+
 # -- Parameters of a model ------------------------------------------------------------------------------------------
 
 
@@ -40,6 +43,14 @@ class Parameter:
     size: float
     lever_mm: float = 1.0
     known: bool = False
+
+
+def as_written(settings: Mapping[str, Setting | None]) -> dict[str, float | list[float]]:
+    """Settings as a file has them: one number, or a list; those alone that there are."""
+    return {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in settings.items() if value is not None
+    }  # fmt: skip
 
 
 # -- Effects ---------------------------------------------------------------------------------------------------------

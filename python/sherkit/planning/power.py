@@ -31,6 +31,7 @@ from ..data.noise import Noise
 from ..errors import ExperimentError, FitError, SherkitError
 from ..fit.identify import identify
 from ..model.chain import ChainModel
+from ..model.effect import Setting
 from ..model.kinds import model_of, robot_from_tables
 from .effect_power import Planning
 
@@ -70,7 +71,7 @@ class _Task:
     robot: Mapping[str, Any]
     free: tuple[str, ...]
     effects: tuple[str, ...]
-    settings: Mapping[str, float | None]
+    settings: Mapping[str, Setting | None]
     joints: Floats
     layout: Layout
     columns: Mapping[str, Floats]

@@ -28,7 +28,7 @@ from ..data.lagged import DRAWN_C
 from ..data.toml import Table
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
-from ..model.effect import Effect, effects_by_name
+from ..model.effect import Effect, Setting, as_written, effects_by_name
 from ..model.kinds import Robot, catalogue_of, kind_of, model_of
 from .poses_hull import outermost
 
@@ -214,7 +214,7 @@ class Part:
 
     free: tuple[str, ...]
     effects: tuple[str, ...]
-    settings: dict[str, float]
+    settings: dict[str, Setting]
     left_out: tuple[str, ...]
     now: tuple[float, ...]
     values: Floats
@@ -298,7 +298,7 @@ class Part:
             "rows": self.rows,
             "effects": list(self.effects),
             "left_out": list(self.left_out),
-            **({"settings": dict(self.settings)} if self.settings else {}),
+            **({"settings": as_written(self.settings)} if self.settings else {}),
             "now": dict(zip(now, self.now, strict=True)),
             "parameters": [
                 {"name": p.name, "value": float(v), "std": float(s), "unit": p.unit}
@@ -335,7 +335,7 @@ class Part:
         if known:
             with table.table("settings") as s:
                 # what came with a later version was not there
-                settings = {name: s.number(name, 0.0) for name in known}
+                settings = {name: s.one_or_more(name, 0.0) for name in known}
         with table.table("now") as n:
             now = tuple(n.number(name) for name in _now_names(robot))
         low, high = table.array(f"low_{unit}", size), table.array(f"high_{unit}", size)

@@ -404,7 +404,9 @@ class Search:
                 if all(abs(best - other) * span > 0.5 for other in out):
                     out.append(best)
         given = self.run.fit.model.setting_of(effect)
-        known = [] if given is None or effect in self.run.fit.model.effects else [given]
+        known: list[float] = []
+        if given is not None and effect not in self.run.fit.model.effects:
+            known = sorted(set(given)) if isinstance(given, tuple) else [given]
         return [*known, *(1.0 / f for f in out)]
 
 

@@ -24,7 +24,7 @@ from ..errors import EffectError, NotWritten, SherkitError
 from ..fit.error import ErrorSize
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
-from ..model.effect import Effect, effects_by_name
+from ..model.effect import Effect, as_written, effects_by_name
 from ..model.kinds import Robot, model_of
 
 
@@ -213,7 +213,7 @@ def model_state(model: ChainModel) -> dict[str, Any]:
     return {
         "free": list(model.free),
         "effects": [e.name for e in model.effects],
-        **{name: value for name, value in model.settings().items() if value is not None},
+        **as_written(model.settings()),
     }
 
 
@@ -224,7 +224,7 @@ def model_from(state: Table, robot: Robot, own: Sequence[Effect]) -> ChainModel:
         effects = effects_by_name(plain.known_effects, state.texts("effects"), own)
     except EffectError as error:
         raise EffectError(f"{error}; your own are given again: Study.load(folder, effects=[...])") from None
-    settings: dict[str, Any] = {name: state.number(name) if state.has(name) else None for name in plain.settings()}
+    settings: dict[str, Any] = {name: state.one_or_more(name) if state.has(name) else None for name in plain.settings()}
     return replace(plain, effects=effects, **settings)
 
 

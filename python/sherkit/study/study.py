@@ -24,7 +24,7 @@ from ..fit.identify import Fit, hold_out, identify
 from ..fit.least_squares import LOSSES
 from ..model.base import missing_columns
 from ..model.chain import ChainModel
-from ..model.effect import WITHIN, Effect, effects_by_name
+from ..model.effect import WITHIN, Effect, Setting, effects_by_name
 from ..model.kinds import model_of, robot_from_table
 from ..model.robot_file import RobotLike, robot_of, run_for
 from ..model.thermometers import with_thermometers
@@ -206,7 +206,7 @@ class Study(Shown):
         if missing:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
         given = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad, "lag_s": lag_s}
-        at = given.get(chosen.search or "")
+        at: Setting | None = given.get(chosen.search or "")
         if at is None:
             at = setting_for(self.fit, chosen)
         action = chosen.name if chosen.frees else f"+ {chosen.name}"

@@ -7,13 +7,13 @@
 //!
 //! Delta (kind 1): branch of the whole workspace; 1 and low corner, high corner and blend of the region, and its
 //! branch, or 0. A branch is a model (assembly ±1, 18 geometric parameters, target offset, pose of the sensors (turn row by
-//! row, shift), rod spacing, pole pitch, home, time origin, slip times of point, joints and sensors), the values of all parameters, and 1 and orders, low corner, high corner, fade and
+//! row, shift), rod spacing, pole pitch of each joint, home, time origin, slip times of point, joints and sensors), the values of all parameters, and 1 and orders, low corner, high corner, fade and
 //! coefficients of its correction, or 0. Spherical (kind 2): assembly ±1, 6 geometric parameters, radius, the camera's 15,
-//! face ±1, gravity, home, time origin, slip times of marker and joints, period of the encoders, slip time of the
+//! face ±1, gravity, home, time origin, slip times of marker and joints, period of each encoder, slip time of the
 //! camera, place of the elbows (0 open, 1 crossed, 2 ahead,
 //! 3 behind), the values of all parameters. Serial (kind 3): number of joints, of each its frame behind the one before it
 //! (turn row by row, shift), 1 where it slides, by how much it follows the one before, home, mass and the centre of it, lowest and highest reading; 4 targets,
-//! 8 centres, pose of the sensor, gravity, period of the encoders, time origin, slip times of target and joints, the values of
+//! 8 centres, pose of the sensor, gravity, period of each joint, time origin, slip times of target and joints, the values of
 //! all parameters.
 
 use crate::camera::{Description, Face};
@@ -28,7 +28,7 @@ use crate::{Error, Result};
 use nalgebra::{Matrix3, Vector3};
 
 /// Version of the layout.
-const VERSION: f64 = 5.0;
+const VERSION: f64 = 6.0;
 const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
 const SERIAL: f64 = 3.0;
@@ -69,9 +69,9 @@ fn write_branch(parts: &BranchParts<'_>, put: &mut impl FnMut(f64)) {
     m.geometry.parameters().into_iter().for_each(&mut *put);
     m.target_offset.iter().copied().for_each(&mut *put);
     write_rigid(&m.sensor, put);
-    let [a, b, c] = m.home;
-    let settings = [m.rod_spacing, m.pole_pitch, a, b, c];
-    settings.into_iter().for_each(&mut *put);
+    put(m.rod_spacing);
+    let settings = m.pole_pitch.into_iter().chain(m.home);
+    settings.for_each(&mut *put);
     [
         m.time_origin_s,
         m.slip_time_s,
@@ -130,7 +130,7 @@ pub fn write_spherical(
     put(model.time_origin_s);
     put(model.slip_time_s);
     put(model.joint_slip_time_s);
-    put(model.encoder_period);
+    model.encoder_period.into_iter().for_each(&mut put);
     put(model.sensor_slip_time_s);
     put(match elbows {
         Elbows::Open => 0.0,
@@ -170,7 +170,8 @@ pub fn write_serial(
     points.flatten().copied().for_each(&mut put);
     write_rigid(&model.sensor, &mut put);
     model.gravity.iter().copied().for_each(&mut put);
-    put(model.encoder_period);
+    let periods = model.encoder_period.iter().take(model.count);
+    periods.copied().for_each(&mut put);
     put(model.time_origin_s);
     put(model.slip_time_s);
     put(model.joint_slip_time_s);
@@ -221,6 +222,15 @@ impl<'a> Reader<'a> {
             rotation: Matrix3::from_row_slice(&self.finite::<9>()?),
             translation: Vector3::from(self.finite::<3>()?),
         })
+    }
+
+    /// Those of the joints that an arm has; of others no number is asked.
+    fn periods(&mut self, count: usize) -> Result<[f64; serial::JOINTS]> {
+        let mut out = [1.0; serial::JOINTS];
+        for period in out.iter_mut().take(count) {
+            [*period] = self.finite()?;
+        }
+        Ok(out)
     }
 
     fn flag(&mut self) -> Result<bool> {
@@ -303,7 +313,8 @@ impl<'a> Reader<'a> {
         let geometry = self.finite()?;
         let target_offset = Vector3::from(self.finite::<3>()?);
         let sensor = self.rigid()?;
-        let [rod_spacing, pole_pitch, h1, h2, h3] = self.finite()?;
+        let [rod_spacing] = self.finite()?;
+        let [pole_pitch, home] = [self.finite()?, self.finite()?];
         let [
             time_origin_s,
             slip_time_s,
@@ -316,7 +327,7 @@ impl<'a> Reader<'a> {
             sensor,
             rod_spacing,
             pole_pitch,
-            home: [h1, h2, h3],
+            home,
             time_origin_s,
             slip_time_s,
             joint_slip_time_s,
@@ -370,7 +381,7 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
         time_origin_s: row.finite::<1>()?[0],
         slip_time_s: row.finite::<1>()?[0],
         joint_slip_time_s: row.finite::<1>()?[0],
-        encoder_period: row.finite::<1>()?[0],
+        encoder_period: row.finite()?,
         sensor_slip_time_s: row.finite::<1>()?[0],
     };
     let elbows = match row.one()? {
@@ -418,7 +429,7 @@ pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
         planes: [Flat::GROUND; PLANES],
         sensor: row.rigid()?,
         gravity: Vector3::from(row.finite::<3>()?),
-        encoder_period: row.finite::<1>()?[0],
+        encoder_period: row.periods(count)?,
         time_origin_s: row.finite::<1>()?[0],
         slip_time_s: row.finite::<1>()?[0],
         joint_slip_time_s: row.finite::<1>()?[0],

@@ -221,7 +221,7 @@ proptest! {
         let v = |range: Range<usize>, k: usize| values[range.start + k];
         let joints = Vector3::from_fn(|i, _| {
             let q = robot.joints[i];
-            let (sin, cos) = (TAU * q / model.pole_pitch).sin_cos();
+            let (sin, cos) = (TAU * q / model.pole_pitch[i]).sin_cos();
             q + v(JOINT_SCALE, i) * (q - model.home[i])
                 + v(ENCODER_CYCLIC, 2 * i) * sin
                 + v(ENCODER_CYCLIC, 2 * i + 1) * cos

@@ -153,7 +153,7 @@ fn an_arm_comes_back_to_the_last_bit() {
         planes: [Flat::GROUND; PLANES],
         sensor: common::drawn().sensor,
         gravity: -Vector3::z(),
-        encoder_period: 0.4,
+        encoder_period: std::array::from_fn(|i| 0.4 + 0.05 * i as f64),
         time_origin_s: 1.0,
         slip_time_s: 2.0,
         joint_slip_time_s: 102.0,
@@ -219,7 +219,7 @@ fn a_spherical_robot_comes_back_to_the_last_bit() {
         time_origin_s: 0.0,
         slip_time_s: 0.0,
         joint_slip_time_s: 0.0,
-        encoder_period: 0.4,
+        encoder_period: [0.4, 0.3],
         sensor_slip_time_s: 0.0,
     };
     let values = std::array::from_fn(|k| 1e-4 * (k as f64 - 7.0));

@@ -71,7 +71,7 @@ fn arm() -> Model {
             translation: Vector3::new(1500.0, -700.0, 300.0),
         },
         gravity: Vector3::new(0.6, 0.0, -0.8),
-        encoder_period: 0.4,
+        encoder_period: std::array::from_fn(|i| 0.4 + 0.05 * i as f64),
         time_origin_s: 100.0,
         slip_time_s: 500.0,
         joint_slip_time_s: 600.0,

@@ -31,7 +31,7 @@ pub extern "C" fn loop_step(
         target_offset: Vector3::zeros(),
         sensor: Rigid::identity(),
         rod_spacing: 40.0,
-        pole_pitch: 2.0,
+        pole_pitch: [2.0; 3],
         home: [0.0; 3],
         time_origin_s: 0.0,
         slip_time_s: 0.0,
@@ -75,7 +75,7 @@ pub extern "C" fn spherical_step(
         time_origin_s: 0.0,
         slip_time_s: 0.0,
         joint_slip_time_s: 0.0,
-        encoder_period: 0.4,
+        encoder_period: [0.4, 0.3],
         sensor_slip_time_s: 0.0,
     };
     let Ok(chain) = model.with(&[0.0; spherical::PARAMETERS]) else {

@@ -43,6 +43,25 @@ pub fn fixed<const N: usize, D: Dimension>(
         .map_err(|_| wrong())
 }
 
+/// A period of each of `count` joints: its own where they are given, else the one of all.
+pub fn periods<const N: usize>(
+    count: usize,
+    common: f64,
+    own: Option<&PyReadonlyArray1<'_, f64>>,
+) -> PyResult<[f64; N]> {
+    let mut out = [common; N];
+    if let Some(own) = own {
+        let wrong = || shape("periods", &format!("({count},), contiguous"), own.shape());
+        let found = own.as_slice().map_err(|_| wrong())?;
+        let to = out.get_mut(..count).ok_or_else(wrong)?;
+        if found.len() != count {
+            return Err(wrong());
+        }
+        to.copy_from_slice(found);
+    }
+    Ok(out)
+}
+
 /// Rows of `N`, as many as there are others.
 pub fn rows_like<'a, const N: usize>(
     name: &str,

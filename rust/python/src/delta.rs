@@ -1,6 +1,6 @@
 //! The delta from Python: `DeltaKinematics`, `DeltaModel`, `Calibrated`.
 
-use crate::arrays::{self, Marked, RIGID, fixed, rigid, rows};
+use crate::arrays::{self, Marked, RIGID, fixed, periods as each_period, rigid, rows};
 use crate::bernstein::Bernstein;
 use crate::calibrated::{self, Calibrated as _, Single, calibrated_class};
 use crate::errors::{shape, to_python};
@@ -116,14 +116,17 @@ pub struct DeltaModel(Model);
 
 model_class!(DeltaModel, Model, delta, {
     /// `sensor` `(12,)`: from the base frame to that of the sensors (turn row by row, shift in mm); `settings`: rod
-    /// spacing, pole pitch, three home joint readings (mm), time origin, slip times of point, joints and sensors (s).
+    /// spacing, pole pitch, three home joint readings (mm), time origin, slip times of point, joints and sensors (s);
+    /// `periods` `(3,)`: the pitch of each joint, where they differ.
     #[new]
+    #[pyo3(signature = (geometry, target_offset, assembly_mode, sensor, settings, periods=None))]
     fn new(
         geometry: PyReadonlyArray1<'_, f64>,
         target_offset: PyReadonlyArray1<'_, f64>,
         assembly_mode: &str,
         sensor: PyReadonlyArray1<'_, f64>,
         settings: PyReadonlyArray1<'_, f64>,
+        periods: Option<PyReadonlyArray1<'_, f64>>,
     ) -> PyResult<Self> {
         let p = fixed::<GEOMETRIC, _>("geometry", &geometry)?;
         let geometry = Geometry::from_parameters(&p, assembly(assembly_mode)?);
@@ -144,7 +147,7 @@ model_class!(DeltaModel, Model, delta, {
             target_offset: Vector3::from(fixed("target_offset", &target_offset)?),
             sensor: rigid(&fixed::<RIGID, _>("sensor", &sensor)?),
             rod_spacing,
-            pole_pitch,
+            pole_pitch: each_period(3, pole_pitch, periods.as_ref())?,
             home: [h1, h2, h3],
             time_origin_s,
             slip_time_s,

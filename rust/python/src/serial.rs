@@ -1,6 +1,8 @@
 //! The serial arm from Python: `SerialModel`, `SerialCalibrated`.
 
-use crate::arrays::{self, Marked, RIGID, Rows, fixed, marked, rigid, rows, shaped};
+use crate::arrays::{
+    self, Marked, RIGID, Rows, fixed, marked, periods as each_period, rigid, rows, shaped,
+};
 use crate::calibrated::Single;
 use crate::errors::{shape, to_python};
 use crate::maps::{WithDerivative, vector};
@@ -78,8 +80,9 @@ model_class!(SerialModel, Model, serial, {
     /// behind the last joint; `centres` `(0 to 4, 3)` of distances in the base frame (mm) and `planes` `(0 to 4, 6)`, a
     /// point (mm) and the normal of each; `sensor` `(12,)`: from base to sensor; `settings`:
     /// direction of the weight (3), period of the encoders, time origin, slip times of target, joints
-    /// and sensor (s).
+    /// and sensor (s); `periods` `(k,)`: that of each joint, where they differ.
     #[new]
+    #[pyo3(signature = (joints, targets, centres, planes, sensor, settings, periods=None))]
     fn new(
         joints: PyReadonlyArray2<'_, f64>,
         targets: PyReadonlyArray2<'_, f64>,
@@ -87,6 +90,7 @@ model_class!(SerialModel, Model, serial, {
         planes: PyReadonlyArray2<'_, f64>,
         sensor: PyReadonlyArray1<'_, f64>,
         settings: PyReadonlyArray1<'_, f64>,
+        periods: Option<PyReadonlyArray1<'_, f64>>,
     ) -> PyResult<Self> {
         let found = rows::<NUMBERS, _>("joints", &joints)?;
         if found.is_empty() || found.len() > JOINTS {
@@ -118,7 +122,7 @@ model_class!(SerialModel, Model, serial, {
             planes: flats(&planes)?,
             sensor: rigid(&fixed::<RIGID, _>("sensor", &sensor)?),
             gravity: Vector3::new(gx, gy, gz),
-            encoder_period,
+            encoder_period: each_period(found.len(), encoder_period, periods.as_ref())?,
             time_origin_s,
             slip_time_s,
             joint_slip_time_s,

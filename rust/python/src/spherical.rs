@@ -1,6 +1,6 @@
 //! The spherical robot from Python: `SphericalModel`, `SphericalCalibrated`, and where its camera should stand.
 
-use crate::arrays::{Marked, Rows, fixed, rows};
+use crate::arrays::{Marked, Rows, fixed, periods as each_period, rows};
 use crate::calibrated::{self, Calibrated as _, Single, calibrated_class};
 use crate::camera::face;
 use crate::errors::{shape, to_python};
@@ -50,9 +50,10 @@ pub struct SphericalModel(Model);
 
 model_class!(SphericalModel, Model, spherical, {
     /// `settings`: radius of the sphere (mm), direction of the weight (3), home joint readings (2, rad), time origin and
-    /// slip times of marker and camera (s) and period of the encoders (rad); these four may be left out.
+    /// slip times of marker and camera (s) and period of the encoders (rad); these four may be left out;
+    /// `periods` `(2,)`: that of each joint, where they differ.
     #[new]
-    #[pyo3(signature = (geometry, camera, settings, assembly_mode="outer", face_mode="near", readings="pixels"))]
+    #[pyo3(signature = (geometry, camera, settings, assembly_mode="outer", face_mode="near", readings="pixels", periods=None))]
     fn new(
         geometry: PyReadonlyArray1<'_, f64>,
         camera: PyReadonlyArray1<'_, f64>,
@@ -60,6 +61,7 @@ model_class!(SphericalModel, Model, spherical, {
         assembly_mode: &str,
         face_mode: &str,
         readings: &str,
+        periods: Option<PyReadonlyArray1<'_, f64>>,
     ) -> PyResult<Self> {
         let p = fixed::<GEOMETRIC, _>("geometry", &geometry)?;
         let geometry = Geometry::from_parameters(&p, assembly(assembly_mode)?);
@@ -89,7 +91,7 @@ model_class!(SphericalModel, Model, spherical, {
             time_origin_s,
             slip_time_s,
             joint_slip_time_s,
-            encoder_period,
+            encoder_period: each_period(2, encoder_period, periods.as_ref())?,
             sensor_slip_time_s,
         };
         model.with(&[0.0; PARAMETERS]).map_err(to_python)?;

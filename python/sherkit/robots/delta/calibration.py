@@ -237,7 +237,7 @@ class DeltaCalibration(Calibration):
         in the robot."""
         model = whole.fit.model
         robot: Delta = model.robot
-        if any(e.is_periodic for e in model.effects):
+        if any(e.is_periodic for e in model.effects) and isinstance(model.period_mm, float):
             robot = replace(robot, pole_pitch_mm=model.period_mm)
         return cls(
             robot=robot,

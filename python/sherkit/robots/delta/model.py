@@ -18,7 +18,7 @@ from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...errors import SherkitError
 from ...model.chain import SLACK, ChainModel
-from ...model.effect import Effect, Parameter, Sentences
+from ...model.effect import Effect, Parameter, Sentences, Setting
 from ...model.sensor_pose import POSE
 from ...model.sentences import catalogue_of
 from .robot import DELTA, POSITION, Delta
@@ -112,7 +112,7 @@ class DeltaModel(ChainModel):
     """
 
     robot: Delta
-    period_mm: float | None = None
+    period_mm: Setting | None = None
     slip_time_s: float = 0.0
     joint_slip_time_s: float = 0.0
     sensor_slip_time_s: float = 0.0
@@ -151,7 +151,7 @@ class DeltaModel(ChainModel):
             return replace(super().as_known(parameter), known=True)
         return super().as_known(parameter)
 
-    def settings(self) -> dict[str, float | None]:
+    def settings(self) -> dict[str, Setting | None]:
         """Period of the encoders, moments of the slips, lag of the stands, origin of time."""
         return {
             "period_mm": self.period_mm,
@@ -168,10 +168,15 @@ class DeltaModel(ChainModel):
         r = self.robot
         # without a cyclic error the period does not matter
         times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
-        settings = [r.rod_spacing_mm or 0.0, self.period_mm or 1.0, *self.home_mm, *times]
+        settings = [r.rod_spacing_mm or 0.0, 1.0, *self.home_mm, *times]
         offset = np.array(r.target_offset_mm)
         return _core.DeltaModel(
-            r.geometry, offset, r.assembly_mode, r.sensor_pose.numbers, np.array(settings, dtype=float)
+            r.geometry,
+            offset,
+            r.assembly_mode,
+            r.sensor_pose.numbers,
+            np.array(settings, dtype=float),
+            self.periods(DELTA.joints, 1.0),
         )
 
     @cached_property

@@ -39,14 +39,14 @@ _FEW_JOINTS = 3
 class Known:
     """What effects look at besides joints and point: ``time_s`` (n,), ``temperature_c`` (n,) and that of the stands
     ``stand_c`` (n,), ``direction`` (n, k) and ``velocity`` (n, k), NaN where they are not known; and the settings
-    ``wave``, one turn over the period, ``time_origin_s`` and the moments of the slips."""
+    ``wave``, one turn over the period of each joint, ``time_origin_s`` and the moments of the slips."""
 
     time_s: Floats
     temperature_c: Floats
     stand_c: Floats
     direction: Floats
     velocity: Floats
-    wave: float
+    wave: tuple[float, ...]
     time_origin_s: float
     slip_time_s: float
     joint_slip_time_s: float
@@ -127,7 +127,7 @@ def generic_effects(
         for name, times in (("encoder_eccentricity", 1.0), ("encoder_two_per_turn", 2.0)):
             each = tuple(one for i, by in turning.items() for one in _waves([joints[i]], units[i], 2e-3 / times / by))
             out.append(Generic(name, "joints", each, _wave_of({i: times * by for i, by in turning.items()})))
-    # one period for joints of one unit: that of most of them
+    # joints of one unit: that of most of them
     unit = max(units, key=units.count, default="")
     by = factor(unit, "rad")
     if unit == "mm" or by is not None:
@@ -251,7 +251,7 @@ def _wave_of(turns: Mapping[int, float]) -> Formula:
 
 
 def _cyclic(which: Sequence[int]) -> Formula:
-    return lambda q, at: _wave(q, dict.fromkeys(which, at.wave))
+    return lambda q, at: _wave(q, {k: at.wave[k] for k in which})
 
 
 def _warmer(at: Known) -> Floats:
@@ -327,13 +327,13 @@ _TINY = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class MachineCore(NumpyChain):
-    """The chain of one machine at the settings of its effects: ``wave``, one turn over the period of its encoders, and
+    """The chain of one machine at the settings of its effects: ``wave``, one turn over the period of each joint, and
     four moments, s. Its readings are places that a sensor sees from its ``pose``, where it has one."""
 
     function: UserFunction
     effects: tuple[Generic, ...]
     pose: SensorPose | None
-    wave: float
+    wave: tuple[float, ...]
     time_origin_s: float
     slip_time_s: float
     joint_slip_time_s: float
@@ -349,9 +349,9 @@ class MachineCore(NumpyChain):
         joints, _, columns, push = block
         k = joints.shape[1]
         columns = np.full((len(joints), 3 + 2 * k), np.nan) if columns is None else columns
-        moments = (self.wave, self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
+        moments = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         moved = columns[:, 2 : 2 + k], columns[:, 2 + k : 2 + 2 * k]
-        known = Known(columns[:, 0], columns[:, 1], columns[:, -1], *moved, *moments)
+        known = Known(columns[:, 0], columns[:, 1], columns[:, -1], *moved, self.wave, *moments)
         return joints, known, np.zeros((len(joints), 3)) if push is None else push
 
     def _link(self, link: str, x: NDArray[Any], values: Floats, known: Known) -> NDArray[Any]:

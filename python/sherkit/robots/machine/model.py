@@ -17,7 +17,7 @@ from ...data.columns import unit_in
 from ...errors import EffectError, FitError
 from ...model.base import Reachable
 from ...model.chain import ChainModel
-from ...model.effect import Effect
+from ...model.effect import Effect, Setting
 from ...model.sensor_link import seen_from
 from .core import MachineCore
 from .described import Described
@@ -43,15 +43,16 @@ class MachineModel(ChainModel):
     thermal_shift_lag_s: float = 0.0
     sensor_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
-    period_mm: float | None = None
-    period_rad: float | None = None
-    period_deg: float | None = None
-    period_mrad: float | None = None
-    period_urad: float | None = None
-    period_arcmin: float | None = None
-    period_arcsec: float | None = None
+    period_mm: Setting | None = None
+    period_rad: Setting | None = None
+    period_deg: Setting | None = None
+    period_mrad: Setting | None = None
+    period_urad: Setting | None = None
+    period_arcmin: Setting | None = None
+    period_arcsec: Setting | None = None
 
     one_posture: ClassVar = False
+    waves_are: ClassVar = "gear ripple"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Its class is made again with the machine."""
@@ -73,10 +74,10 @@ class MachineModel(ChainModel):
         """All of them, and what is open of the sensor's pose."""
         return tuple(p.name for p in self.base)
 
-    def settings(self) -> dict[str, float | None]:
+    def settings(self) -> dict[str, Setting | None]:
         """Moments of the slips, lag of the stands, origin of time, and the period of the encoders where all joints have
         one."""
-        times: dict[str, float | None] = {
+        times: dict[str, Setting | None] = {
             "slip_time_s": self.slip_time_s,
             "joint_slip_time_s": self.joint_slip_time_s,
             "thermal_shift_lag_s": self.thermal_shift_lag_s,
@@ -90,9 +91,9 @@ class MachineModel(ChainModel):
     @cached_property
     def core(self) -> MachineCore:
         """The chain."""
-        period = next((given for name in _PERIODS if (given := getattr(self, name))), 1.0)
+        waves = 2.0 * np.pi / self.periods(self.layouts[0].joints, 1.0)
         times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
-        return MachineCore(self.robot.asked, self.robot.links, self.robot.pose, 2.0 * np.pi / period, *times)
+        return MachineCore(self.robot.asked, self.robot.links, self.robot.pose, tuple(waves.tolist()), *times)
 
     # -- where a fit begins --------------------------------------------------------------------------------
 

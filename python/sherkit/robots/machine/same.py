@@ -60,7 +60,7 @@ def _columns(
     known = np.column_stack([60.0 * np.arange(n), 20.0 + rng.normal(size=n), rng.choice([-1.0, 1.0], (n, k)),
                              rng.normal(size=(n, k)), 20.0 + rng.normal(size=n)])  # fmt: skip
     late = 30.0 * n
-    core = MachineCore(function, tuple(effects), pose, 1.0, 0.0, late, late, late)
+    core = MachineCore(function, tuple(effects), pose, (1.0,) * k, 0.0, late, late, late)
     total = count + sum(len(one.parameters) for one in effects)
     columns = core.derivatives(np.zeros(total), (joints, None, known, None), range(total))[0]
     whole = np.asarray(np.isfinite(columns).all(axis=(1, 2)))

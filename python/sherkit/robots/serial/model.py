@@ -18,11 +18,11 @@ import sherkit._core as _core
 
 from ...base.types import Floats
 from ...data import Measurements
-from ...data.columns import Layout
+from ...data.columns import Layout, unit_in
 from ...errors import FitError, SherkitWarning
 from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
-from ...model.effect import Effect, Parameter, Sentences, parameters_of_core
+from ...model.effect import Effect, Parameter, Sentences, Setting, parameters_of_core
 from ...model.relations import Apart
 from ...model.sentences import catalogue_of
 from .plates import PlateChain, as_plates, plates_of, renamed
@@ -136,7 +136,7 @@ def effects_of(robot: Serial) -> Mapping[str, Effect]:
             # once per turn: what slides has none
             own = [p for p in own if p.unit == "rad"]
         elif effect.is_periodic:
-            # one period for joints of one unit: that of most of them
+            # joints of one unit: that of most of them
             own = [p for p in own if p.unit == robot.joint_unit]
             effect = replace(effect, search=f"period_{robot.joint_unit}")
         elif name == "reading_delay":
@@ -188,7 +188,7 @@ class SerialModel(ChainModel):
     (``plane_1_lean_u``, ``plane_1_height`` …), of each joint's zero (``offset_2``), and of where its axis lies
     (``shift_x_2``, ``shift_y_2``) and leans (``tilt_x_2``, ``tilt_y_2``), in its own frame, whose z is the axis. Left
     out, it is :attr:`default`. ``period_rad``, or ``period_mm``
-    where every joint slides, is that of the encoders' cyclic error.
+    where every joint slides, is that of the cyclic error of encoders and gears, one for all or one for each joint.
     """
 
     robot: Serial
@@ -197,13 +197,27 @@ class SerialModel(ChainModel):
     thermal_shift_lag_s: float = 0.0
     sensor_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
-    period_rad: float | None = None
-    period_mm: float | None = None
+    period_rad: Setting | None = None
+    period_mm: Setting | None = None
 
     catalogue: ClassVar = SERIAL_CATALOGUE
     table: ClassVar = _core.SerialModel.CATALOGUE
     targets: ClassVar = POSITION
     one_posture: ClassVar = False
+    waves_are: ClassVar = "gear ripple"
+    period_in_file: ClassVar = "gear_ratio of each [[joint]]"
+
+    def __post_init__(self) -> None:
+        mine = [name for name in self.robot.layout.joints if unit_in(name) == self.robot.joint_unit]
+        if self.period_rad is None and len(self.given_periods) == len(mine):
+            object.__setattr__(self, "period_rad", tuple(self.given_periods[name] for name in mine))
+        super().__post_init__()
+
+    @property
+    def given_periods(self) -> Mapping[str, float]:
+        """Those of gears whose ratio the file says."""
+        named = zip(self.robot.layout.joints, self.robot.joints, strict=True)
+        return {name: 2.0 * np.pi / joint.gear_ratio for name, joint in named if joint.gear_ratio}
 
     @property
     def layouts(self) -> tuple[Layout, ...]:  # type: ignore[override]
@@ -277,7 +291,7 @@ class SerialModel(ChainModel):
         """
         return _told_apart(self.robot)
 
-    def settings(self) -> dict[str, float | None]:
+    def settings(self) -> dict[str, Setting | None]:
         """Moments of the slips (target, joints, tracker), lag of the stands, origin of time, period of the encoders."""
         unit = self.robot.joint_unit
         return {
@@ -293,9 +307,9 @@ class SerialModel(ChainModel):
     def core(self) -> _core.SerialModel:
         """The compiled model."""
         # without a cyclic error the period does not matter
-        period = self.period_rad or self.period_mm or np.pi
+        periods = self.periods(self.robot.layout.joints, np.pi)
         slips = (self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
-        return self.robot.core((period, self.time_origin_s, *slips))
+        return self.robot.core((np.pi, self.time_origin_s, *slips), periods)
 
     def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
         """With the numbers of the targets and what hangs there, where the rows have them."""

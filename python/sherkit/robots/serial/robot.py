@@ -86,7 +86,7 @@ class Joint:
     ``limits`` and ``home``, about which encoder scales are counted, are degrees, or mm where it is prismatic.
     ``follows`` is the part of the reading of the joint before it, in both their units, by which it moves besides: one
     or minus one where a parallelogram turns it. ``mass_kg`` and ``centre_mm`` are those of the link that it moves, in
-    its frame.
+    its frame. ``gear_ratio`` is how often its motor turns for one turn of it: so often an unround gear errs.
     """
 
     name: str
@@ -99,6 +99,7 @@ class Joint:
     mass_kg: float | None = None
     centre_mm: Triple = _ZERO
     follows: float = 0.0
+    gear_ratio: float | None = None
 
     @property
     def slides(self) -> bool:
@@ -163,6 +164,7 @@ _KEYS = {
         "follows": key(Table.number).quiet,
         "mass_kg": key(Table.positive, or_zero=True),
         "centre_mm": key(Table.numbers, 3).quiet,
+        **({"gear_ratio": key(Table.positive)} if kind == "revolute" else {}),
     }
     for kind, unit in (("revolute", "deg"), ("prismatic", "mm"))
 }
@@ -369,9 +371,11 @@ class Serial(Declared, Stating, Saved, Shown):
         ends = np.array([*following, self.targets[0]])
         return np.linalg.norm(ends, axis=1) / 1000.0, 0.5 * ends
 
-    def core(self, settings: Sequence[float] = (np.pi, 0.0, 0.0, 0.0, 0.0)) -> _core.SerialModel:
+    def core(
+        self, settings: Sequence[float] = (np.pi, 0.0, 0.0, 0.0, 0.0), periods: Floats | None = None
+    ) -> _core.SerialModel:
         """The compiled chain for the period of the encoders, origin of time and moments of the slips of target,
-        joints and sensor."""
+        joints and sensor; ``periods`` (k,) where joints have their own."""
         before, rows = np.eye(3), []
         for joint, mass, centre in zip(self.joints, *self.weights, strict=True):
             # a frame is given behind that of the drawing, which is turned from the one before
@@ -389,6 +393,7 @@ class Serial(Declared, Stating, Saved, Shown):
             planes,
             self.sensor_pose.numbers,
             np.array([*pull, *settings]),
+            periods,
         )
 
     @cached_property

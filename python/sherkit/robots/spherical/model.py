@@ -23,7 +23,7 @@ from ...data.noise import noise_of
 from ...errors import FitError, SherkitError
 from ...fit.identify import Fit
 from ...model.chain import SLACK, ChainModel
-from ...model.effect import Effect, Sentences
+from ...model.effect import Effect, Sentences, Setting
 from ...model.kinds import model_of
 from ...model.sensor_pose import POSE
 from ...model.sentences import catalogue_of
@@ -105,7 +105,7 @@ class SphericalModel(ChainModel):
     thermal_shift_lag_s: float = 0.0
     sensor_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
-    period_rad: float | None = None
+    period_rad: Setting | None = None
 
     catalogue: ClassVar = SPHERICAL_CATALOGUE
     layouts: ClassVar = (SPHERICAL_PIXELS, SPHERICAL_ANGLES)
@@ -132,7 +132,7 @@ class SphericalModel(ChainModel):
             return made
         return replace(made, free=tuple(name for name in made.free if name not in POSE))
 
-    def settings(self) -> dict[str, float | None]:
+    def settings(self) -> dict[str, Setting | None]:
         """Moments of the slips of marker, joints, camera, lag of the stands, origin of time, period of the encoders."""
         return {
             "slip_time_s": self.slip_time_s,
@@ -150,9 +150,10 @@ class SphericalModel(ChainModel):
         pull = np.array(r.gravity) / np.linalg.norm(r.gravity)
         # without a cyclic error the period does not matter
         times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
-        settings = np.array([r.radius_mm, *pull, *np.deg2rad(r.home_deg), *times, self.period_rad or np.pi])
+        periods = self.periods(self.layouts[0].joints, np.pi)
+        settings = np.array([r.radius_mm, *pull, *np.deg2rad(r.home_deg), *times, np.pi])
         camera = (r.camera or _ANY_CAMERA).parameters
-        return _core.SphericalModel(r.geometry, camera, settings, r.assembly_mode, readings="pixels")
+        return _core.SphericalModel(r.geometry, camera, settings, r.assembly_mode, readings="pixels", periods=periods)
 
     @cached_property
     def pointing(self) -> _core.SphericalModel:

@@ -24,7 +24,7 @@ pub struct Joints<const J: usize> {
     backlash: [f64; J],
     slip: [f64; J],
     delay: f64,
-    wave: f64,
+    wave: [f64; J],
     home: [f64; J],
     slip_time_s: f64,
     /// No effect acts.
@@ -106,8 +106,8 @@ impl<const J: usize> Joints<J> {
         self.exact && !wanted.any(T::AT.joints.rows)
     }
 
-    /// `θ = r + o + s (r - home) + a sin kr + b cos kr + w direction/2 + j - delay · velocity`, with `k` the wave of the
-    /// encoder, or one for the eccentricity of its ring, and `j` from the moment on at which joints slipped.
+    /// `θ = r + o + s (r - home) + a sin kr + b cos kr + w direction/2 + j - delay · velocity`, with `k` the joint's own
+    /// wave of its encoder or gear, or one for the eccentricity of its ring, and `j` from the moment on at which joints slipped.
     #[inline]
     pub(crate) fn at<T: Table>(
         &self,
@@ -148,10 +148,10 @@ impl<const J: usize> Joints<J> {
             }
             // a wave at zero whose derivatives nobody wants need not be computed
             if asked(at.encoder_cyclic, &self.cyclic[i], wanted) {
-                let ((sin, cos), [a, b]) = (sin_cos(self.wave * r), self.cyclic[i]);
+                let ((sin, cos), [a, b]) = (sin_cos(self.wave[i] * r), self.cyclic[i]);
                 gains.cyclic = [sin, cos];
                 more = more + a * sin + b * cos;
-                slope += self.wave * (a * cos - b * sin);
+                slope += self.wave[i] * (a * cos - b * sin);
             }
             if asked(at.encoder_eccentricity, &self.eccentricity[i], wanted) {
                 let ((sin, cos), [a, b]) = (sin_cos(r), self.eccentricity[i]);

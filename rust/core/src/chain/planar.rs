@@ -107,7 +107,7 @@ impl Robot<2, 3, PARAMETERS> for Arm {
     fn settings(&self) -> Settings<2> {
         Settings {
             home: [0.1, -0.2],
-            wave: 7.0,
+            wave: [7.0, 11.0],
             time_origin_s: 100.0,
             slip_time_s: 500.0,
             joint_slip_time_s: 600.0,

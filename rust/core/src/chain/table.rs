@@ -22,8 +22,8 @@ pub trait Table: Copy + Debug {
 pub struct Settings<const J: usize> {
     /// Joint readings of the home position, about which scale errors turn, mm or rad.
     pub home: [f64; J],
-    /// Phase of the encoders' cyclic error by the reading, rad/mm or rad/rad.
-    pub wave: f64,
+    /// Phase of each joint's cyclic error by its reading, rad/mm or rad/rad.
+    pub wave: [f64; J],
     /// Time from which drift counts, s.
     pub time_origin_s: f64,
     /// Moment of the slip, s.

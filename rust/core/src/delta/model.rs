@@ -37,7 +37,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     fn settings(&self) -> Settings<LIMBS> {
         Settings {
             home: self.home,
-            wave: TAU / self.pole_pitch,
+            wave: self.pole_pitch.map(|pitch| TAU / pitch),
             time_origin_s: self.time_origin_s,
             slip_time_s: self.slip_time_s,
             joint_slip_time_s: self.joint_slip_time_s,
@@ -47,13 +47,16 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     fn check(&self) -> Result<()> {
         let settings = [
             self.rod_spacing,
-            self.pole_pitch,
             self.time_origin_s,
             self.slip_time_s,
             self.joint_slip_time_s,
             self.sensor_slip_time_s,
         ];
-        let settings = settings.iter().chain(&self.home).chain(&self.target_offset);
+        let settings = settings
+            .iter()
+            .chain(&self.pole_pitch)
+            .chain(&self.home)
+            .chain(&self.target_offset);
         let settings = settings.chain(&self.sensor.translation);
         if let Some(index) = settings.clone().position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
@@ -62,7 +65,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
             let what = "the pose of the sensor needs right angles";
             return Err(Error::InvalidGeometry { limb: 0, what });
         }
-        if self.pole_pitch <= 0.0 {
+        if self.pole_pitch.iter().any(|pitch| *pitch <= 0.0) {
             let what = "the period of the encoders must be positive";
             return Err(Error::InvalidGeometry { limb: 0, what });
         }

@@ -15,8 +15,8 @@ pub struct Model {
     pub sensor: Rigid,
     /// Distance between the two rods of a limb, mm; zero where the platform cannot tilt.
     pub rod_spacing: f64,
-    /// Period of the encoders' cyclic error, mm.
-    pub pole_pitch: f64,
+    /// Period of each encoder's cyclic error, mm.
+    pub pole_pitch: [f64; LIMBS],
     /// Joint readings of the home position, mm, about which scale errors and leans turn.
     pub home: [f64; LIMBS],
     /// Time from which drift counts, s.

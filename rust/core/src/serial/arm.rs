@@ -59,8 +59,8 @@ pub struct Model {
     pub sensor: Rigid,
     /// Direction of the weight, base frame, of length one.
     pub gravity: Vector3<f64>,
-    /// Period of the encoders' cyclic error, rad, or mm where every joint slides.
-    pub encoder_period: f64,
+    /// Period of the cyclic error of each joint's gear or encoder, rad, or mm of one that slides.
+    pub encoder_period: [f64; JOINTS],
     /// Time from which drift counts, s.
     pub time_origin_s: f64,
     /// Moment at which the target slips, s.

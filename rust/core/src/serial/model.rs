@@ -43,7 +43,7 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
     fn settings(&self) -> Settings<JOINTS> {
         Settings {
             home: self.joints.map(|joint| joint.home),
-            wave: TAU / self.encoder_period,
+            wave: self.encoder_period.map(|period| TAU / period),
             time_origin_s: self.time_origin_s,
             slip_time_s: self.slip_time_s,
             joint_slip_time_s: self.joint_slip_time_s,
@@ -74,11 +74,14 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
             self.slip_time_s,
             self.joint_slip_time_s,
             self.sensor_slip_time_s,
-            self.encoder_period,
         ];
         let points = self.targets_mm.iter().chain(&self.centres_mm);
         let points = points.chain(self.planes.iter().map(|plane| &plane.at));
-        let settings = times.iter().chain(points.flatten()).chain(&self.gravity);
+        let settings = times
+            .iter()
+            .chain(&self.encoder_period)
+            .chain(points.flatten())
+            .chain(&self.gravity);
         let mut settings = settings.chain(&self.sensor.translation);
         if let Some(index) = settings.position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
@@ -86,7 +89,7 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
         if !self.sensor.is_proper() {
             return refuse(0, "the pose of the sensor needs right angles");
         }
-        if self.encoder_period <= 0.0 {
+        if self.encoder_period.iter().any(|period| *period <= 0.0) {
             return refuse(0, "the period of the encoders must be positive");
         }
         // nor is a direction that is not a number

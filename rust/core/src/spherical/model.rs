@@ -83,7 +83,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     fn settings(&self) -> Settings<LIMBS> {
         Settings {
             home: self.home,
-            wave: TAU / self.encoder_period,
+            wave: self.encoder_period.map(|period| TAU / period),
             time_origin_s: self.time_origin_s,
             slip_time_s: self.slip_time_s,
             joint_slip_time_s: self.joint_slip_time_s,
@@ -96,13 +96,17 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
             self.slip_time_s,
             self.joint_slip_time_s,
             self.sensor_slip_time_s,
-            self.encoder_period,
         ];
-        let mut settings = self.home.iter().chain(&self.gravity).chain(&times);
+        let mut settings = self
+            .home
+            .iter()
+            .chain(&self.encoder_period)
+            .chain(&self.gravity)
+            .chain(&times);
         if let Some(index) = settings.position(|v| !v.is_finite()) {
             return Err(Error::NotFinite { index });
         }
-        if self.encoder_period <= 0.0 {
+        if self.encoder_period.iter().any(|period| *period <= 0.0) {
             let what = "the period of the encoders must be positive";
             return Err(Error::InvalidGeometry { limb: 0, what });
         }

@@ -37,8 +37,8 @@ pub struct Model {
     pub slip_time_s: f64,
     /// Moment at which joints slip, s.
     pub joint_slip_time_s: f64,
-    /// Period of the encoders' cyclic error, rad.
-    pub encoder_period: f64,
+    /// Period of each encoder's cyclic error, rad.
+    pub encoder_period: [f64; LIMBS],
     /// Moment of the slip of the camera, s.
     pub sensor_slip_time_s: f64,
 }

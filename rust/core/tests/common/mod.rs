@@ -200,7 +200,7 @@ pub fn model_of(robot: &Robot) -> Model {
         target_offset: Vector3::new(7.0, -11.0, -30.0),
         sensor: robot.sensor,
         rod_spacing: 40.0,
-        pole_pitch: 16.0,
+        pole_pitch: [16.0, 12.0, 20.0],
         home: [robot.joints.x, robot.joints.y - 40.0, robot.joints.z + 90.0],
         time_origin_s: 100.0,
         slip_time_s: 2000.0,

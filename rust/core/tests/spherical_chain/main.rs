@@ -135,7 +135,7 @@ fn robots() -> impl Strategy<Value = (Model, [f64; 2])> {
                     time_origin_s: 100.0,
                     slip_time_s: 2000.0,
                     joint_slip_time_s: 2100.0,
-                    encoder_period: 0.4,
+                    encoder_period: [0.4, 0.5],
                     sensor_slip_time_s: 2200.0,
                 },
                 [mean + half, mean - half],
@@ -457,8 +457,8 @@ fn joints_by_hand(
             + v(JOINT_SCALE, i) * (q - model.home[i])
             + v(ENCODER_ECCENTRICITY, 2 * i) * q.sin()
             + v(ENCODER_ECCENTRICITY, 2 * i + 1) * q.cos()
-            + v(ENCODER_CYCLIC, 2 * i) * (TAU * q / model.encoder_period).sin()
-            + v(ENCODER_CYCLIC, 2 * i + 1) * (TAU * q / model.encoder_period).cos()
+            + v(ENCODER_CYCLIC, 2 * i) * (TAU * q / model.encoder_period[i]).sin()
+            + v(ENCODER_CYCLIC, 2 * i + 1) * (TAU * q / model.encoder_period[i]).cos()
             // the full width between the two directions
             + v(BACKLASH, i) * covariates.direction[i] / 2.0
             + v(JOINT_SLIP, i)

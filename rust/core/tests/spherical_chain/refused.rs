@@ -14,7 +14,7 @@ fn the_papers() -> Model {
         time_origin_s: 0.0,
         slip_time_s: 0.0,
         joint_slip_time_s: 0.0,
-        encoder_period: 0.4,
+        encoder_period: [0.4, 0.3],
         sensor_slip_time_s: 0.0,
     }
 }

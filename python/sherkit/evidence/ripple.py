@@ -1,0 +1,236 @@
+"""A period for each joint: gears and encoders need not be alike.
+
+The periodogram of each joint by itself, beside the waves of the others, until none of them moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+import scipy
+
+from ..base import linalg
+from ..base.types import Floats
+from ..model.effect import Effect
+from .base import Base
+from .blocks import Block, Columns, Visits
+from .family import Family
+from .made import Maker
+from .run import Run
+from .waves import TURN, waves_of_gear
+
+#: Change of χ² from which on a period counts as better than another, besides what choosing among all brings by
+#: chance: beyond it the odds are "very strong" (Kass and Raftery, "Bayes factors", JASA 1995).
+CLEARLY = 10.0
+#: Part of a wave's square that what is in the model must leave for it to be seen.
+SEEN = 0.01
+#: Rounds in which the periods of joints are looked for beside each other.
+_ROUNDS = 5
+#: Waves over a joint's range by which its frequency may still move.
+_MOVED = 0.02
+#: Deviation up to which a whole number of waves a turn is told from the next.
+_TOLD = 0.35
+#: Part of the numbers read up to which all other effects may stand beside the waves.
+_BESIDE = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Ripple:
+    """Waves of an ``effect`` with a period for each joint.
+
+    ``found`` maps the joints whose waves take more than chance to frequency and its standard deviation; ``ways`` is the
+    logarithm of how many such choices there are, ``chance`` what choosing brings by chance, in squared noises.
+    ``given`` are the periods that a robot's file says of its joints; ``joints`` are all that have a wave.
+    """
+
+    effect: Effect
+    joints: tuple[str, ...]
+    found: Mapping[str, tuple[float, float]]
+    given: Mapping[str, float]
+    ways: float
+    chance: float
+    #: Over which each joint is read.
+    spans: Mapping[str, float]
+
+    def periods(self, common: float) -> tuple[float, ...]:
+        """One for each joint: its own, else that of the file, else the ``common`` one."""
+        own = {name: 1.0 / frequency for name, (frequency, _) in self.found.items()}
+        return tuple(own.get(name, self.given.get(name, common)) for name in self.joints)
+
+    def add_to(self, made: Maker) -> None:
+        """A block of the waves that were found, at the periods of all."""
+        view, pieces = made.view, []
+        for name, (frequency, _) in self.found.items():
+            waves = made.table(TURN * frequency * view.inputs[name], np.ones(1))
+            pieces.append((made.part(waves, view.patterns[name][:, :, None]), np.arange(2)))
+        made.add("effect", (), pieces, effect=self.effect, setting=self.likeliest, ways=self.ways)
+
+    def is_shape(self, block: Block) -> bool:
+        """Whether a shape is the wave of one of these joints, as good as at its period."""
+        name = block.pattern or ""
+        if block.shape != "periodic" or name not in self.found or not block.period:
+            return False
+        return abs(1.0 / block.period - self.found[name][0]) * self.spans[name] <= 1.0
+
+    @property
+    def likeliest(self) -> tuple[float, ...]:
+        """The same where no period is common to all: others as the first that was found."""
+        return self.periods(1.0 / next(iter(self.found.values()))[0])
+
+
+def ripple_of(base: Base, effect: Effect, *, alone: bool = False) -> Ripple | None:
+    """The waves that joints have of their own beside what is in a model; None where none takes more than chance.
+
+    ``alone`` where nothing but them may be missing: else all other effects stand beside them, at any size, since what
+    else is missing would look like waves.
+    """
+    run, view = base.family.run, base.family.run.view
+    given = {name: period for name, period in run.of.model.given_periods.items() if name in view.waving}
+    family = _pairs(run, effect, given)
+    spans = {name: float(np.ptp(view.inputs[name])) for name in view.waving}
+    if not len(family):
+        return None
+    plain = base.asked(family)
+    if not alone:
+        plain = _beside_all(plain, effect)
+    joint = np.array([view.waving.index(block.pattern or "") for block in family.blocks])
+    tried = np.bincount(joint, minlength=len(view.waving))
+    by_chance = 2.0 * np.log(np.maximum(tried, 1)) + CLEARLY
+    found: dict[str, tuple[float, float]] = {}
+
+    def again(which: Sequence[str]) -> bool:
+        """Looks for the wave of each of these anew, beside the others; whether any has moved, or is none any more."""
+        before = dict(found)
+        for name in which:
+            found.pop(name, None)
+            others, k = _beside(plain, found), view.waving.index(name)
+            near = _setting(family, int(np.argmax(np.where(joint == k, others.gains[0], -np.inf))))
+            frequency, std, takes = _peak(others, effect, name, 1.0 / near, is_given=name in given)
+            if takes > by_chance[k] * _noise(others, takes):
+                found[name] = frequency, std
+        return before.keys() != found.keys() or any(
+            abs(before[name][0] - at) * spans[name] > _MOVED for name, (at, _) in found.items()
+        )
+
+    while len(found) < len(view.waving):
+        now = _beside(plain, found)
+        worth = now.gains[0] / _noise(now) - by_chance[joint]
+        worth[np.isin(joint, [view.waving.index(name) for name in found])] = -np.inf
+        best = int(np.argmax(worth))
+        if not worth[best] > 0:
+            break
+        name = view.waving[joint[best]]
+        again([name])
+        if name not in found:
+            break
+    for _ in range(_ROUNDS if len(found) > 1 else 0):
+        if not again(list(found)):
+            break
+    if not found:
+        return None
+    which = [view.waving.index(name) for name in found]
+    ways = float(np.log(tried[which]).sum() + np.log(comb(len(view.waving), len(which)) * len(view.waving)))
+    return Ripple(effect, view.waving, found, given, ways, float(by_chance[which].sum()), spans)
+
+
+def wave_takes(base: Base, columns: Floats) -> float:
+    """Sum of squares that sines and cosines (N, 2 k) of inputs take.
+
+    Beside a period at which these poses cannot see a wave (joints that stand at its multiples), one of metres takes
+    what a straight line would: what the model leaves of a wave but for so little does not count as one.
+    """
+    # sine and cosine of an input share a scale: where it stands at multiples of a period, there is no sine
+    pairs = np.square(columns).sum(axis=0).reshape(-1, 2).mean(axis=1)
+    columns = columns / np.sqrt(np.maximum(np.repeat(pairs, 2), np.finfo(float).tiny))
+    over = columns - base.basis @ (base.basis.T @ columns)
+    left, directions = linalg.eigh(over.T @ over)
+    seen = left > SEEN
+    return float(((directions[:, seen].T @ (over.T @ base.residual)) ** 2 / left[seen]).sum())
+
+
+def _pairs(run: Run, effect: Effect, given: Mapping[str, float]) -> Family:
+    """Sine and cosine of each joint by itself, at each period that is tried."""
+    made, view = Maker(run, Visits.of(run)), run.view
+    for name in view.waving:
+        values = view.inputs[name]
+        reach = float(np.ptp(values))
+        counts = np.array([reach / given[name]]) if name in given else waves_of_gear(values, view.axes)
+        if not reach > 0 or not len(counts):
+            continue
+        part = made.part(made.table(TURN * values / reach, counts), view.patterns[name][:, :, None])
+        for k, count in enumerate(counts.tolist()):
+            pair = np.array([k, len(counts) + k])
+            made.add("effect", (), [(part, pair)], effect=effect, setting=reach / count, pattern=name)
+    parts, blocks = made.done()
+    out = Family(run, made=(Columns(run, made.visits, parts), blocks))
+    out.least = np.full(len(out), SEEN)
+    return out
+
+
+def _beside_all(base: Base, effect: Effect) -> Base:
+    """With every other effect that has no setting to search for in the model, as far as the readings bear that."""
+    run, view = base.family.run, base.family.run.view
+    which = [at for one, at in view.effects if one.name != effect.name]
+    count = sum(at.stop - at.start for at in which)
+    if not count or base.basis.shape[1] + count > _BESIDE * len(base.residual):
+        return base
+    every = view.effects_in(view.whole)
+    columns = run.flat(np.concatenate([every[:, :, at] for at in which], axis=2))
+    length = np.linalg.norm(columns, axis=0)
+    return base.with_columns(columns[:, length > 0] / length[length > 0], SEEN**0.5)
+
+
+def _beside(base: Base, found: Mapping[str, tuple[float, float]]) -> Base:
+    """With these waves in the model."""
+    if not found:
+        return base
+    columns = np.concatenate([_pair(base.family.run, name, at) for name, (at, _) in found.items()], axis=1)
+    return base.with_columns(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), SEEN**0.5)
+
+
+def _pair(run: Run, name: str, frequency: float) -> Floats:
+    """Sine and cosine (N, 2) of a joint."""
+    angle = TURN * frequency * run.view.inputs[name]
+    waves = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    return run.flat(run.view.patterns[name][:, :, None] * waves[:, None])
+
+
+def _noise(base: Base, takes: float = 0.0) -> float:
+    return max((base.rss - takes) / max(base.free, 1), 1e-300)
+
+
+def _setting(family: Family, i: int) -> float:
+    setting = family.blocks[i].setting
+    assert isinstance(setting, float), "a wave of one joint has one period"
+    return setting
+
+
+def _peak(base: Base, effect: Effect, name: str, near: float, *, is_given: bool) -> tuple[float, float, float]:
+    """The frequency near one of the grid at which the wave of a joint takes most, its standard deviation, and what it
+    takes. On a ring a whole number a turn, where one is told from the next, is taken if it does as well; one that is
+    given stays."""
+    run = base.family.run
+    span = float(np.ptp(run.view.inputs[name]))
+
+    def takes(frequency: float) -> float:
+        return wave_takes(base, _pair(run, name, frequency))
+
+    if is_given:
+        return near, 0.0, takes(near)
+    step = 0.5 / span
+    found = scipy.optimize.minimize_scalar(
+        lambda f: -takes(f), bounds=(max(near - step, 0.5 * near), near + step), method="bounded",
+        options={"xatol": 1e-2 * step},
+    )  # fmt: skip
+    best, most, h = float(found.x), -float(found.fun), 0.1 / span
+    noise = _noise(base, most)
+    bend = (2.0 * most - takes(best - h) - takes(best + h)) / h**2
+    std = float(np.sqrt(2.0 * noise / bend)) if bend > 0 else np.inf
+    whole = max(round(TURN * best), 2) / TURN
+    told = effect.search == "period_rad" and TURN * std < _TOLD
+    if told and most - (exactly := takes(whole)) < CLEARLY * noise:
+        return whole, std, exactly
+    return best, std, most
