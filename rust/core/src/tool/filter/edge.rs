@@ -16,9 +16,8 @@ const KEPT_S: f64 = 5.0;
 const FITS: f64 = 16.0;
 /// What a hole gives way for a force changes by this share with the force.
 const HARDENS: f64 = 0.1;
-/// Deviation of a force that nobody has read, mN; deviations of a force below which nobody notices it.
+/// Deviation of a force that nobody has read, mN.
 const UNREAD_MN: f64 = 100.0;
-const NOTICED: f64 = 5.0;
 
 impl ToolFilter {
     /// A force was felt whose components have this variance, where shaft and hole give way so much (mm/mN).
@@ -111,12 +110,6 @@ impl ToolFilter {
         // what is not read for long has no pace that was ever learnt
         let edge = self.edge.mean * waited * waited.min(OVER_S) * (1.0 + waited.min(2.0));
         let stiff = 1.0 / gives;
-        if s.free {
-            // it stands anywhere within the clearance, and may lean as far as it was moved
-            let most = moved * moved + edge;
-            let room = NOTICED * NOTICED * felt.noise * gives * gives + most;
-            return room.min(most) * stiff * stiff / 4.0;
-        }
         let give = s.p[GIVES][GIVES] * (s.way * s.size - felt.force).norm_squared();
         // noise across a small force turns the edge about the middle of the hole
         let clearance = s.x[CLEARANCE] * stiff;

@@ -1,8 +1,9 @@
 //! How the moments of no force move: with warmth, as references creep, and after bends, as fibres lag.
 //!
-//! A quarter of a second in which moments are small and stand still tells them: what leans on a hand trembles. How far they stand from where an earlier rest had them says how
-//! references creep; in proportion to the bends before, how fibres lag, and so does what bends leave in the means of the
-//! sections beyond what the bench knows of it. Between rests they may be as far off as that.
+//! A quarter of a second in which moments are small and stand still tells them: what leans on a hand trembles. How far they
+//! stand from where an earlier rest had them says how references creep; in proportion to the bends before, how fibres lag,
+//! and so does what bends leave in the means of the sections beyond what the bench knows of it. Between rests they may be as
+//! far off as that.
 
 use super::moments::Moments;
 use super::start::{Offsets, ToolFilter};
@@ -135,7 +136,6 @@ impl ToolFilter {
         if within > 4.0 * STILL {
             return;
         }
-        self.tip.rest();
         let before = s.p[OFFSETS][OFFSETS];
         for k in 0..4 {
             let mut h = [0.0; N];

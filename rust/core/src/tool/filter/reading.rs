@@ -24,9 +24,11 @@ const SLIDES_MM_S: f64 = 0.2;
 const LASTS: f64 = 50.0;
 const LOST: f64 = 2.0;
 const UNLIKE_NM: f64 = 1.5e-3;
-/// Innovations that pull one way: over this time, s; how far the logarithm of the hole's drift follows; the largest square
-/// that counts, and that of another hole; the fastest over the slowest.
+/// Innovations that pull one way: over this time, s; the square that they have on average where nothing does, less than one
+/// for all that is considered and stays; how far the logarithm of the hole's drift follows; the largest square that counts,
+/// and that of another hole; the fastest over the slowest.
 const OVER_S: f64 = 0.2;
+const QUIET: f64 = 0.76;
 const FOLLOWS: f64 = 0.1;
 const MOST: f64 = 16.0;
 const ANOTHER: f64 = 49.0;
@@ -265,7 +267,7 @@ impl ToolFilter {
         } else if self.state.time_s - d.since_s < OVER_S {
             return;
         } else if square.is_finite() {
-            let next = d.per_second * libm::exp(FOLLOWS * (square.min(MOST) - 1.0));
+            let next = d.per_second * libm::exp(FOLLOWS * (square.min(MOST) - QUIET));
             d.per_second = next.min(slowest * FASTEST).max(slowest);
         }
         *d = Drift::new(self.state.time_s, d.per_second);

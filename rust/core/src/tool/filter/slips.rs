@@ -2,8 +2,8 @@
 
 use crate::tool::sensing::FIBRES;
 
-/// Least readings; the least `a` of a fibre that slips, nine in a hundred, beyond what fibres lag; what it may leave of the differences at most, and
-/// by how much more any other must.
+/// Least readings; the least `a` of a fibre that slips, nine in a hundred, beyond what fibres lag; what it may leave of the
+/// differences at most, and by how much more any other must.
 const SLIPS: f64 = 100.0;
 const SLIPPED: f64 = 0.03;
 const EXPLAINED: f64 = 0.05;

@@ -132,7 +132,6 @@ pub(super) struct Tip {
     pub(super) force: Vector2<f64>,
     pub(super) variance: f64,
     pub(super) of_zero: f64,
-    pub(super) zero: Vector2<f64>,
     pub(super) tells: bool,
     /// Whether it is one.
     pub(super) on: bool,

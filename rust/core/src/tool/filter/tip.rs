@@ -16,8 +16,6 @@ const MOST_MN: f64 = 40.0;
 const ZERO_NM: f64 = 1.5e-4;
 const FELT: f64 = 28.0;
 const GONE: f64 = 6.0;
-/// What one rest counts for its zero.
-const RESTED: f64 = 0.2;
 
 impl Tip {
     /// Takes it off moments at these distances, mm.
@@ -48,15 +46,6 @@ impl Tip {
             0.0
         }
     }
-
-    /// Nothing touches.
-    pub(super) fn rest(&mut self) {
-        if self.tells && self.variance < CHANGES / 8.0 {
-            let share = self.force * RESTED;
-            self.zero += share;
-            self.force -= share;
-        }
-    }
 }
 
 impl ToolFilter {
@@ -65,7 +54,7 @@ impl ToolFilter {
     pub(super) fn feel_tip(&mut self, shifts: &Shifts, tells: bool, elapsed_s: f64) {
         let (t, g) = (&mut self.tip, &self.gratings);
         let per = 0.5 * (g.per_nm[0] + g.per_nm[1]) / (THIRD_MM * THIRD_MM);
-        let told = g.of_third(&shifts[2]) / THIRD_MM - t.zero;
+        let told = g.of_third(&shifts[2]) / THIRD_MM;
         let tells = tells && told.norm_squared() < MOST_MN * MOST_MN;
         if !(tells && t.tells) {
             (t.force, t.variance) = (Vector2::zeros(), CHANGES);
