@@ -206,7 +206,7 @@ typedef struct sherkit_measurement {
 
 // A calibrated serial arm. Its content is nobody's business.
 typedef struct sherkit_serial {
-    uint64_t words[1024];
+    uint64_t words[1152];
 } sherkit_serial;
 
 // What a pose of the arm depends on beside its joints. NaN where it is not known; an effect that needs it then gives

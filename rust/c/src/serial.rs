@@ -13,14 +13,14 @@ use sherkit_core::{Result, flat};
 /// A calibrated serial arm. Its content is nobody's business.
 #[repr(C)]
 pub struct sherkit_serial {
-    words: [u64; 1024],
+    words: [u64; 1152],
 }
 
 // SAFETY: one array of so many words.
 unsafe impl Opaque for sherkit_serial {
     type Value = Calibrated;
     const MARK: u64 = 0x7368_6b73_6572_6961;
-    const WORDS: usize = 1024;
+    const WORDS: usize = 1152;
 }
 
 /// What a pose of the arm depends on beside its joints. NaN where it is not known; an effect that needs it then gives
