@@ -104,7 +104,7 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Any]]:
         *plain.catalogue.values(), *fit.parameters, data, stream, data.repeatability, study, fit,
         study.history[-1], study.diagnose(), *study.diagnose().findings,
         sk.Study(EXAMPLE, data).calibration(), EXAMPLE, study.model,
-        sk.delta.VirtualDelta.draw(EXAMPLE, 1), EXAMPLE.sensor_pose, sk.fit.hold_out(plain, data), noise_of(data),
+        sk.delta.VirtualDelta.draw(EXAMPLE, 1), EXAMPLE.sensor_pose, EXAMPLE.tolerances, sk.fit.hold_out(plain, data), noise_of(data),
         sk.delta.choose_correction(sk.identify(EXAMPLE, data)), sk.delta.DELTA, sk.fit.identify_stream(EXAMPLE, stream),
         sph, sph.camera, virtual_of(sph), looked, by_sight, by_sight.model,
         sk.Study(sph, looked).calibration(), sk.spherical.camera_placement(200.0, 0.5),

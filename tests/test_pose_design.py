@@ -49,7 +49,7 @@ def test_the_standard_deviations_are_those_of_an_identification():
     chosen = choose_poses(model, rows(poses), 40, sigma=0.005)
     virtual = VirtualDelta(EXAMPLE, noise_mm=0.005)
     data = virtual.measure(poses[chosen.rows], repeats=1, seed=3)
-    fit = identify(EXAMPLE, data)
+    fit = identify(EXAMPLE, data, priors=False)
     ratio = fit.std_from_readings / chosen.std
     # the fit takes the noise from its own residuals
     assert 0.8 < ratio.mean() < 1.2

@@ -132,9 +132,6 @@ def layout_of(names: Collection[str], own: Sequence[Layout] = ()) -> Layout:
         missing = len(one.joints) - joints if joints else len(names)
         return joints + 0.5 * sum(n in names for n in one.readings), -missing
 
-    whole = [one for one in own if all(n in names for n in one.joints) and any(n in names for n in one.readings)]
-    if whole:
-        return max(whole, key=named)
     nearest = max(_read_in(names), key=named)
     return nearest if not own or any(name in names for name in nearest.joints) else own[0]
 

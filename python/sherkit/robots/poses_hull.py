@@ -43,7 +43,7 @@ def beyond(poses: Floats, joints: Floats) -> Floats:
     """How far each posture (n, j) lies outside the hull of ``poses`` (k, j), in half ranges (n,); zero inside it, give
     or take a tenth of the range, and where no poses are known."""
     out = np.zeros(len(joints))
-    if not len(poses):
+    if not poses.size:  # no poses, or nothing that moves
         return out
     middle, half = 0.5 * (poses.max(axis=0) + poses.min(axis=0)), 0.5 * np.ptp(poses, axis=0)
     half = np.maximum(half, _STILL * max(float(half.max()), 1e-12) / _MARGIN)
