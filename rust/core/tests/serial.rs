@@ -257,7 +257,7 @@ proptest! {
             prop_assert!((column - differences).norm() < 1e-6 * column.norm().max(1.0), "{k}: {column} {differences}");
         }
         let start = joints.map(|q| 0.98 * q);
-        for (arm, at) in [(based, place), (sensed, there)] {
+        for (arm, at) in [(&based, place), (&sensed, there)] {
             let back = arm.inverse(&at, &start, &now).unwrap();
             prop_assert!((arm.forward(&back, &now).unwrap().0 - at).norm() < 1e-6);
         }
