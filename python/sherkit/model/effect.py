@@ -161,11 +161,12 @@ class Effect(Shown):
             )
         out = out.astype(float)
         wrong = ~np.isfinite(out).all(axis=1)
-        # a row that was marked since no model reaches it has no position either
-        away = wrong & run_of(rows).outlier
-        out[away] = 0.0
-        if (wrong & ~away).any():
-            row = int(np.argmax(wrong & ~away))
+        if wrong.any():
+            # a row that was marked since no model reaches it has no position either
+            out[wrong & run_of(rows).outlier] = 0.0
+            wrong &= ~run_of(rows).outlier
+        if wrong.any():
+            row = int(np.argmax(wrong))
             raise EffectError(f"effect '{self.name}' is not finite at row {row}")
         return out
 

@@ -60,6 +60,6 @@ class Rows:
         return self._data.covariates[found]
 
 
-def run_of(rows: Rows) -> Measurements:
-    """The run itself; as an attribute its name would hide a column of the file."""
-    return rows._data
+def run_of(rows: Rows | Measurements) -> Measurements:
+    """The run itself, which a model may hand on as it is; as an attribute its name would hide a column of the file."""
+    return rows if isinstance(rows, Measurements) else rows._data
