@@ -147,7 +147,7 @@ class LeastSquares:
         inside = model.in_sockets(data)
         if isinstance(model, ChainModel) and not (model.own or model.relations or inside):
             return solver, model.solve(solver, data, weights)
-        lengths = weights.copy()
+        names, lengths = [p.name for p in model.parameters], weights.copy()
         if inside:
             lengths[inside.rows] = 0.0
 
@@ -159,7 +159,7 @@ class LeastSquares:
                 each = np.repeat(np.sqrt(3.0) * weights[inside.rows, -1:], 3, axis=1)
                 solver.push(np.ascontiguousarray(columns), -off, each)
             for one in model.relations:
-                columns, missing = one.row([p.name for p in model.parameters], values)
+                columns, missing = one.row(names, values)
                 solver.push(columns[None, None, :], np.array([[missing]]), np.array([[1.0 / one.sd_mm]]))
             solver.push_priors()
 

@@ -35,11 +35,10 @@ class Sockets:
     def at(self, values: Floats) -> tuple[Floats, Floats]:
         """How far the ball is from its socket (k, 3), mm, with derivatives (k, 3, p). Raises as ``predict``."""
         model, names = self.model, [p.name for p in self.model.parameters]
-        still = np.where([name.startswith("sensor_") for name in names], 0.0, values)
+        of_sensor = np.array([name.startswith("sensor_") for name in names])
+        still = np.where(of_sensor, 0.0, values)
         places = self.of_base.predict(self.as_places, still)[:, :3]
-        columns = self.of_base.derivatives(self.as_places, still)[:, :3] * ~np.array(
-            [name.startswith("sensor_") for name in names]
-        )
+        columns = self.of_base.derivatives(self.as_places, still)[:, :3] * ~of_sensor
         off = places - np.array(model.robot.centres_mm)[self.sockets]
         for number in np.unique(self.sockets):
             for axis, letter in enumerate("xyz"):
