@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
 
+from ..base.answer import AFTER, BEFORE, FILES, TARGET, Answer, Bar, ToDo
+from ..base.figures import odds
 from ..data.columns import POSE, REPEAT
 from ..diagnosis import Diagnosis
 from . import told
@@ -100,7 +103,7 @@ class Adaptive(Held):
         end = self.conclusion
         leading = ", ".join(f"{name} {value / np.log(10.0):+.1f}" for name, value in end.evidence)
         known = f", within {end.accuracy_um:.3g} µm" if end.accuracy_um is not None else ""
-        evidence = 0.0 if self.last is None else self.last.log_evidence / float(np.log(10.0))
+        chance = odds(0.0 if self.last is None else self.last.log_evidence / float(np.log(10.0)))
         new = self.progress[-1] if len(self._looks) > 1 else None
         off = ""
         if new is not None and np.isfinite(new.by_lead):
@@ -109,7 +112,7 @@ class Adaptive(Held):
             off = f"; off by {new.by_lead:.3g} {unit} at the readings since the look before{without}"
         off += "".join(f"; {one}" for one in self._first)
         return (
-            f"{self.readings} readings: {self.verdict}{known}; evidence that something is missing 1e{evidence:.1f}; "
+            f"{self.readings} readings: {self.verdict}{known}; the odds that something is missing are {chance}; "
             f"leading (powers of ten): {leading or 'nothing yet'}{off}"
         )
 
@@ -131,6 +134,31 @@ class Adaptive(Held):
                 f"calibrated, it is within {end.accuracy_um:.3g} µm anywhere in the region, in 95 of 100 cases{needed}"
             )
         return (*out, *end.notes)
+
+    @property
+    def answer(self) -> Answer:
+        """What it says for whoever reads nothing else, while it goes on too."""
+        end, said = self.conclusion, list(self.told())
+        needed = () if self.required_um is None else (Bar(TARGET, "target", self.required_um),)
+        within = () if end.accuracy_um is None else (Bar(AFTER, "anywhere, 95 of 100", end.accuracy_um),)
+        new = self.progress[-1] if len(self._looks) > 1 else None
+        off = () if new is None or not np.isfinite(new.by_geometry) or self.layout.unit != "µm" else (
+            Bar(BEFORE, "new readings, geometry alone", float(new.by_geometry)),
+        )  # fmt: skip
+        to_do = ToDo("") if self.done else ToDo(self.next_in_words)
+        if self.done and end.verdict == "explained":
+            named = " ".join(f"--effect {name}" for name in end.effects)
+            to_do = ToDo("take the rows out, and calibrate", f"sherkit calibrate {FILES} {named} -o calibrated.toml")
+        verdict = said[0] if self.done else f"{self.readings} readings, {said[0]} so far"
+        return Answer(
+            verdict, self.why, tuple(said[1:]), (to_do,) if to_do.sentence else (), (*off, *within, *needed), "µm"
+        )  # fmt: skip
+
+    @property
+    def next_in_words(self) -> str:
+        """Why the next poses are driven."""
+        asked = Counter(row["reason"] for row in self.ask())
+        return "next: " + ", ".join(f"{count} × {reason}" for reason, count in asked.items())
 
     @property
     def conclusion(self) -> Conclusion:

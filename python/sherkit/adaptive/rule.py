@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
+from ..base.names import listed
 from ..evidence.sizes import PLAUSIBLE
 from ..evidence.thresholds import SCALES, SURE
 from .agreement import ROUGH, ROUGH_WEIGHT, agreement_of
@@ -99,13 +100,12 @@ def is_silent(seen: tuple[Unseen, ...]) -> bool:
 
 def sentences(seen: tuple[Unseen, ...], unit: str, per_unit: float, untestable: Mapping[str, str]) -> list[str]:
     """What could not be seen, and from which size on it would have been."""
-    out = []
-    for one in seen:
-        if one.power < POWER:
-            size = f"{one.from_rms * per_unit:.2g} {unit} RMS"
-            seen_from = f"would have been seen from {size} on" if np.isfinite(one.from_rms) else "is undetectable here"
-            out.append(f"{one.name} {seen_from}")
-    return [*out, *(f"{name} was not looked for: {why}" for name, why in untestable.items())]
+    unseen = [one for one in seen if one.power < POWER]
+    sizes = [f"{one.name} {one.from_rms * per_unit:.2g}" for one in unseen if np.isfinite(one.from_rms)]
+    never = [one.name for one in unseen if not np.isfinite(one.from_rms)]
+    out = [f"from this size on it would have been seen, {unit} RMS: {listed(sizes, 20)}"] if sizes else []
+    out += [f"undetectable here: {listed(never, 20)}"] if never else []
+    return [*out, *(f"not looked for: {name}, {why}" for name, why in untestable.items())]
 
 
 # -- the rule ---------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import errno
 import io
 import ipaddress
 import secrets
+import shlex
 import signal
 import socket
 import tempfile
@@ -33,8 +34,10 @@ from tornado.ioloop import IOLoop
 from tornado.routing import Router
 from tornado.web import OutputTransform, RequestHandler
 
+from ..base.answer import FILES
 from ..errors import SherkitError
-from ..report.document import Report, SourceFile, html
+from ..report.document import Report, html
+from ..report.page import Made, SourceFile
 from ..study import Study
 from .page import StudyPage
 from .workbench import Progress, Workbench
@@ -241,9 +244,12 @@ class _Download(RequestHandler):
     def _report(self, study: Study, step: Progress) -> bytes:
         found = study.diagnose(step=step)
         sources = [SourceFile.of(path) for path in self.bench.sources if path.exists()]
-        title = f"What was found on {Path(study.data.source).name}"
+        names = [one.name for one in sources]
+        given = shlex.join(names[:2]) if len(names) > 1 else FILES
+        about = ", ".join(Path(name).name for name in names) or Path(study.data.source).name
+        made = Made(about, self.command, sources, lambda line: line.replace(FILES, given))
         calibration = study.calibration() if study.deployable else None
-        return html(Report(title, study, found, self.command, sources, calibration)).encode("utf-8")
+        return html(Report(study, found, made, calibration)).encode("utf-8")
 
     def _study(self, study: Study, _: Progress) -> bytes:
         study.save(self.bench.folder)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..base import linalg
+from ..base.answer import AFTER, BEFORE, TARGET, Answer, Bar, ToDo
 from ..base.arguments import as_annotated
 from ..base.figures import finite, number, odds, stated
 from ..base.notebook import Shown
@@ -26,7 +27,7 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .courses import Courses
 from .joined import About, Joined
-from .pool import Pool, read_runs, sees_of, unchanged_advice
+from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
 from .vouching import error_of
 
 #: Evidence (a logarithm) up to which nothing has changed.
@@ -96,6 +97,8 @@ class Comparison(Shown):
     smallest_found: float | None = None
     unseen: tuple[tuple[str, float], ...] = ()
     silent: dict[str, str] = field(default_factory=dict)
+    #: Effects that are in the model of all runs.
+    known: tuple[str, ...] = ()
     aside: dict[str, int] = field(default_factory=dict)
     joined: Joined | None = field(default=None, repr=False)
 
@@ -110,6 +113,18 @@ class Comparison(Shown):
             most = max(moved, key=lambda one: abs(one.change) / max(one.std, 1e-300))
             told += f", most clearly {most}"
         return f"{self.verdict}: {told}" if told else self.verdict
+
+    @property
+    def answer(self) -> Answer:
+        """What it says for whoever reads nothing else."""
+        before, after, needed = (self.error[name] for name in ("before", "after", "needed"))
+        bars = ((BEFORE, "first run", before), (AFTER, "later, by the model of the first", after),
+                (TARGET, "target", needed))  # fmt: skip
+        return Answer(
+            self.verdict_and_what, "", (*left_out(self.silent), *self.rests_on, *told_ties(self.indistinguishable)),
+            (ToDo(self.advice, calibrate_again(self.verdict, self.known)),),
+            tuple(Bar(what, name, value) for what, name, value in bars if value), self.unit,
+        )  # fmt: skip
 
     @property
     def rests_on(self) -> tuple[str, ...]:
@@ -134,7 +149,7 @@ class Comparison(Shown):
         return sees_of(self.smallest_found, self.unit)
 
     def __repr__(self) -> str:
-        lines = [self.headline, *(f"  {' or '.join(tie)}: these runs cannot tell" for tie in self.indistinguishable)]
+        lines = [self.headline, *(f"  {one}" for one in told_ties(self.indistinguishable))]
         lines.append(f"  before {_told(self.error['before'])}, after {_told(self.error['after'])} {self.unit}")
         return "\n".join([*lines, *([f"  {self.sees}"] if self.sees else []), f"  {self.advice}"])
 
@@ -231,6 +246,7 @@ def concluded(pool: Pool) -> Comparison:
         unseen=pool.unseen if verdict == "unchanged" else (),
         silent={name: str(one) for name, one in pool.silent.items()},
         aside={name: len(joined.runs[k].aside) + int(data[k].outlier.sum()) for k, name in enumerate(called)},
+        known=joined.known,
         joined=joined,
     )
 

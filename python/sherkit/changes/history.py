@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..base import linalg
+from ..base.answer import AFTER, BEFORE, Answer, Bar, ToDo
 from ..base.arguments import as_annotated
 from ..base.figures import finite, stated
 from ..base.names import listed
@@ -33,7 +34,7 @@ from ..model.robot_file import RobotLike, load_robot
 from .comparison import QUIET
 from .courses import Courses
 from .joined import About, Joined
-from .pool import Pool, read_runs, sees_of, unchanged_advice
+from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, unchanged_advice
 from .vouching import error_of
 
 STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"
@@ -68,6 +69,11 @@ class Course:
     exceeds: str = ""
     #: What these runs cannot tell from it: the same or another change, in another course.
     or_else: tuple[str, ...] = ()
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is said in one line."""
+        return len(self.parameters) == 1 and not self.exceeds and not self.or_else
 
     def __str__(self) -> str:
         told = []
@@ -105,6 +111,8 @@ class History(Shown):
     smallest_found: float | None = None
     silent: dict[str, str] = field(default_factory=dict)
     advice: str = ""
+    #: Effects that are in the model of all runs.
+    known: tuple[str, ...] = ()
 
     @property
     def headline(self) -> str:
@@ -114,13 +122,25 @@ class History(Shown):
     @property
     def verdict_and_what(self) -> str:
         """The verdict, and what has changed, in which course."""
+        if len(self.changes) == 1 and self.changes[0].is_plain:
+            return f"{self.verdict}: {self.changes[0]}"
         told = [f"{one.name} ({one.kind}{f' at {one.date}' if one.date else ''})" for one in self.changes]
         return f"{self.verdict}: {', '.join(told)}" if told else self.verdict
 
     @property
-    def rests_on(self) -> tuple[str, ...]:
-        """What the verdict rests on, in sentences."""
-        return (self.sees,) if self.sees else ()
+    def answer(self) -> Answer:
+        """What it says for whoever reads nothing else."""
+        told = [*left_out(self.silent), *([self.sees] if self.sees else [])]
+        # the first line has said of a single change what there is to say
+        told += [] if len(self.changes) == 1 and self.changes[0].is_plain else map(str, self.changes)
+        if self.verdict != "undecided":
+            told.append(f"{len(self.stood_still)} other parameters and effects stood still")
+        errors = [run["error"] for run in self.runs if run["error"] is not None]
+        bars = () if len(errors) < 2 else (
+            Bar(BEFORE, "first run", errors[0]), Bar(AFTER, "last, by the model of the first", errors[-1])
+        )  # fmt: skip
+        to_do = ToDo(self.advice, calibrate_again(self.verdict, self.known))
+        return Answer(self.verdict_and_what, "", tuple(told), (to_do,), bars, self.unit)
 
     @property
     def sees(self) -> str:
@@ -265,6 +285,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     quiet = verdict == "unchanged"
     return History(
         verdict=verdict, changes=tuple(changes), runs=(), unit=pool.unit, values=values, stood_still=tuple(still),
+        known=joined.known,
         smallest_found=pool.smallest if quiet else None, silent={name: str(one) for name, one in pool.silent.items()},
         advice="; ".join([
             unchanged_advice(float(joined.fit.error.rms), needed, pool.unit) if quiet else _ADVICE[verdict],

@@ -26,7 +26,7 @@ from ..evidence.run import Run
 from ..evidence.whitening import Whitening, orthonormal
 from ..fit.identify import Fit
 from ..model.base import ModelWithEffects
-from ..model.effect import Effect, Parameter
+from ..model.effect import WITHIN, Effect, Parameter
 from .runs import OWN_NOISE, SeenRun, candidates_of, columns_of, growth_of, seen
 
 #: Part of a column that must be left of it to be seen.
@@ -218,6 +218,11 @@ class Joined:
     def lacking(self, lasting: Floats) -> Joined:
         """The same runs, of which all lack these columns (n, m, k)."""
         return Joined(self.fit, self._data, self.axes, lasting=lasting)
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Effects that are in the model of all runs."""
+        return tuple(one.name for one in self.model.effects if one.name not in WITHIN)
 
     @property
     def steps(self) -> list[Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..adaptive.gate import POWER, Power, Silent, silence
+from ..base.answer import FILES
 from ..base.figures import number
 from ..base.types import Floats
 from ..data import Measurements
@@ -146,6 +147,24 @@ def unchanged_advice(before: float, needed: float | None, unit: str) -> str:
         f"nothing has changed, but the model of the first run is off by {number(before)} {unit}, noise included, where "
         f"the target is {number(needed)}: diagnose that run"
     )
+
+
+def calibrate_again(verdict: str, effects: Sequence[str]) -> str:
+    """The command that calibrates the latest run with what is in the model of all; empty where nothing asks for it."""
+    if verdict in ("unchanged", "undecided"):
+        return ""
+    inside = "".join(f" --effect {name}" for name in effects)
+    return f"sherkit calibrate {FILES}{inside} -o calibrated.toml"
+
+
+def left_out(silent: Mapping[str, object]) -> list[str]:
+    """Runs that cannot speak, each with why."""
+    return [f"Left out: {name}: {why}." for name, why in silent.items()]
+
+
+def told_ties(ties: Sequence[Sequence[str]]) -> list[str]:
+    """What these runs cannot tell apart."""
+    return [f"{' or '.join(tie)}: these runs cannot tell." for tie in ties]
 
 
 def sees_of(smallest: float | None, unit: str) -> str:

@@ -18,6 +18,7 @@ import scipy
 from ..adaptive.gate import Power, Silent, power_of, silence, still
 from ..adaptive.region import Region, planned
 from ..base import linalg
+from ..base.answer import AFTER, TARGET, Answer, Bar, ToDo
 from ..base.arguments import Count, Seed, as_annotated
 from ..base.figures import finite, number
 from ..base.names import listed
@@ -41,6 +42,7 @@ from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
 from .comparison import Moved
 from .joined import estimated, rows_as_run
+from .pool import told_ties
 from .promise import broken, shows
 from .runs import candidates_of, columns_of, noise_of_repeats
 from .stand import Stand, stand_of
@@ -102,6 +104,19 @@ class Verification(Shown):
         if least <= _SURE * promised * (1.0 + 1e-9):
             return [found]
         return [f"these rows cannot tell an error of {_SURE:g} × the promise: {found}, {number(least / promised)} × it"]
+
+    @property
+    def answer(self) -> Answer:
+        """What it says for whoever reads nothing else."""
+        told = [*self.sees, *told_ties(self.indistinguishable)]
+        told.append(f"These poses would have shown, at its plausible size: {listed(self.would_show, 12) or 'nothing'}")
+        if self.would_not:
+            told.append(f"And would not have shown: {listed(self.would_not, 12)}")
+        bars = ((AFTER, "seen", self.error["seen"]), (TARGET, "promised", self.error["promised"]))
+        return Answer(
+            self.headline, "", tuple(told), (ToDo(self.advice),),
+            tuple(Bar(what, name, value) for what, name, value in bars if value is not None), self.unit,
+        )  # fmt: skip
 
     def __repr__(self) -> str:
         return "\n".join([self.headline, *(f"  {one}" for one in (*self.sees, self.advice))])

@@ -130,8 +130,7 @@ def calibrate(
             found = study.diagnose(step=step)
             step("writing the report")
             sources = [robot, *runs, *([local] if local else []), *files]
-            title = f"Calibration of {robot.stem} from {run.name}"
-            output.write_report(report, title, study, found, sources, calibration=result.calibration, result=result)
+            output.write_report(report, study, found, sources, calibration=result.calibration, result=result)
     if as_json:
         output.print_json(to_json(result))
     else:

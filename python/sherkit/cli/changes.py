@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,7 +13,7 @@ from rich.markup import escape
 
 from ..base.names import CALIBRATED
 from ..base.workers import processes
-from ..changes import Comparison, History, Verification
+from ..changes import Comparison, History
 from ..changes import compare as compare_runs
 from ..changes import history as history_of
 from ..changes import verify as verify_run
@@ -52,8 +52,7 @@ def compare(
     """
     machine = _machine(robot, report)
     found = compare_runs(machine, [before, *after], effects=added or None)
-    title = f"What has changed of {robot.stem} since {before.name}?"
-    _tell(found, _say, as_json, report, title)
+    _tell(found, _say, (robot, before, *after), as_json, report)
 
 
 def _machine(robot: Path, report: Path | None) -> Robot:
@@ -63,32 +62,31 @@ def _machine(robot: Path, report: Path | None) -> Robot:
     return robot_at(robot)[0]
 
 
-def _tell(found: Told, say: Callable[[Told], None], as_json: bool, report: Path | None, title: str) -> None:
-    """What was found: a page, and JSON or sentences."""
+def _tell(
+    found: Told, say: Callable[..., None], files: Sequence[Path], as_json: bool, report: Path | None
+) -> None:  # fmt: skip
+    """What was found: a page, and JSON or sentences; what is calibrated again is the latest run."""
+    latest = (files[0], files[-1])
     if report is not None:
         from ..report.stories import write_comparison, write_history
 
-        if isinstance(found, Comparison):
-            write_comparison(report, found, title)
-        else:
-            write_history(report, found, title)
+        draw: Callable[..., None] = write_comparison if isinstance(found, Comparison) else write_history
+        draw(report, found, output.made_by(files, latest))
     if as_json:
         output.print_json(found.to_json())
         return
-    say(found)
+    say(found, *latest)
     if report is not None:
         output.say(f"\nthe report is in {report}")
 
 
-def _say(found: Comparison) -> None:
-    output.answer(found.verdict_and_what, *_left_out(found.silent), *found.rests_on, found.advice)
+def _say(found: Comparison, *files: Path) -> None:
+    output.show(found.answer, *files)
     if found.parameters:
         moved = table("What has changed", "parameter", "change", "since run")
         for one in found.parameters:
             moved.add_row(one.name, one.by, str(one.since + 1))
         out.print(moved)
-    for tie in found.indistinguishable:
-        output.say(f"{' or '.join(tie)}: these runs cannot tell")
     for run, stand in found.stand.items():
         output.say(f"the sensor of run {run}: {', '.join(f'{name} {value:.4g}' for name, value in stand.items())}")
     for run, count in found.aside.items():
@@ -99,10 +97,6 @@ def _say(found: Comparison) -> None:
         for pose in found.next_poses:
             proposed.add_row(*[f"{value:.4g}" for value in pose.values()])
         out.print(proposed)
-
-
-def _left_out(silent: Mapping[str, str]) -> list[str]:
-    return [f"Left out: {name}: {why}." for name, why in silent.items()]
 
 
 @click.command()
@@ -120,20 +114,17 @@ def history(
     machine = _machine(robot, report)
     given = [one.strip() for one in dates.split(",") if one.strip()]
     found = history_of(machine, list(runs), dates=given, effects=added or None)
-    _tell(found, _say_course, as_json, report, f"The course of {robot.stem}")
+    _tell(found, _say_course, (robot, *runs), as_json, report)
 
 
-def _say_course(found: History) -> None:
-    told = (*_left_out(found.silent), *found.rests_on, *map(str, found.changes))
-    output.answer(found.verdict_and_what, *told, found.advice)
+def _say_course(found: History, *files: Path) -> None:
+    output.show(found.answer, *files)
     made = table("Runs", "run", "date", "rows", f"error {found.unit}",
                  note="by the model of the first, from where each run's sensor stands")  # fmt: skip
     for run in found.runs:
         error = "left out" if run["error"] is None else f"{run['error']:.4g}"
         made.add_row(run["run"], run["date"], str(run["rows"]), error)
     out.print(made)
-    if found.verdict != "undecided":
-        output.say(f"{len(found.stood_still)} parameters and effects stood still")
 
 
 @click.command()
@@ -149,18 +140,9 @@ def verify(ctx: click.Context, calibration: Path, run: Path, as_json: bool, fail
     if as_json:
         output.print_json(found.to_json())
     else:
-        _say_verified(found)
+        output.show(found.answer, calibration, run)
     if fail_if_invalid and found.valid is False:
         ctx.exit(INVALID)
-
-
-def _say_verified(found: Verification) -> None:
-    output.answer(found.headline, *found.sees, found.advice)
-    for tie in found.indistinguishable:
-        output.say(f"  {' or '.join(tie)}: these poses cannot tell")
-    output.say(f"these poses would have shown, at its plausible size: {', '.join(found.would_show) or 'nothing'}")
-    if found.would_not:
-        output.say(f"and would not have shown: {', '.join(found.would_not)}")
 
 
 # -- Many machines built alike ----------------------------------------------------------------------------------------

@@ -101,9 +101,8 @@ def _report(
     step("writing the report")
     path = folder / "report.html"
     sources = [folder / name for name in ("robot.toml", "whole.csv", "local.csv")]
-    title = "The paper's two experiments on a virtual delta robot"
     output.write_report(
-        path, title, study, found, sources, calibration=calibration, result=result, simulated=True,
+        path, study, found, sources, calibration=calibration, result=result, simulated=True,
         printed=paper.TABLE_I,
     )  # fmt: skip
     return path

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -13,10 +12,11 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from ..base.answer import FILES
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis, largest, template
 from ..diagnosis import diagnose as run_diagnosis
-from ..diagnosis.answers import APART, FILES, MISSING, NEXT, WHERE, WHICH, Check, Finding
+from ..diagnosis.answers import APART, MISSING, NEXT, WHERE, WHICH, Check, Finding
 from ..diagnosis.findings import figure, p_value, plausibility
 from ..diagnosis.next_poses import SEPARATION
 from ..fit.identify import identify
@@ -69,8 +69,7 @@ def diagnose(
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
         if report is not None:
             step("writing the report")
-            title = f"What is {robot.stem} missing on {runs[0].name}?"
-            machine.report(report, title, found, own=own, added=added, seed=seed, sources=(robot, *runs, *files))
+            machine.report(report, found, own=own, added=added, seed=seed, sources=(robot, *runs, *files))
     said = [] if written is None else machine.write(written, found)
     if as_json:
         output.print_json(in_json(found.to_json(), shlex.join(map(str, machine.told(runs)))))
@@ -123,12 +122,7 @@ def print_diagnosis(d: Diagnosis, *files: Path, every_check: bool = False) -> No
     given = shlex.join(map(str, files)) or FILES
     # praise has no colour where nobody knows how much of the rest is noise
     colour = _COLOUR[d.verdict] if d.noise_origin != "unknown" or d.verdict not in ("adequate", "explained") else "cyan"
-    out.print(f"[bold]Verdict:[/] [bold {colour}]{escape(d.headline)}[/]")
-    _say(one for one in d.findings if one.about in ("cause", "brings"))
-    for one in d.findings:
-        if one.about == "elsewhere":
-            _say([replace(one, answer=f"{one.answer} {one.to_do}")])
-    _say([one for one in d.findings if one.question == NEXT][:1], given)
+    output.show(d.answer, *files, colour=colour)
     first, *more = (one for one in d.findings if one.question == MISSING and one.about != "left_out")
     out.print()
     out.print(f"[bold]1. {MISSING}[/]  {escape(str(first))}")

@@ -59,7 +59,7 @@ class MachineFile(Protocol):
         ...
 
     def report(
-        self, path: Path, title: str, found: Diagnosis, *, own: Sequence[Effect], added: Sequence[str], seed: int,
+        self, path: Path, found: Diagnosis, *, own: Sequence[Effect], added: Sequence[str], seed: int,
         sources: Sequence[Path],
     ) -> None:  # fmt: skip
         """Writes the report of a diagnosis."""

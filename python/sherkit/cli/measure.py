@@ -126,7 +126,9 @@ def until_diagnosed(
             if report is not None:
                 from ..report.stories import write_adaptive
 
-                write_adaptive(report, loop, f"What {path.stem} measured, and why")
+                write_adaptive(
+                    report, loop, output.made_by([experiment], [chosen.robot_path, path.with_suffix(".csv")])
+                )
 
         draw()
         if report is not None:
@@ -147,10 +149,8 @@ def until_diagnosed(
     if why == "ended":
         output.say(f"{stored} rows are in {path}: ended; go on with: {_again(experiment)}")
         return
-    output.say(f"{stored} rows are in {path}: {loop.why}")
-    for line in loop.told():
-        output.say(line)
-    output.say(f"Take them out with: sherkit export {path} -o {path.with_suffix('.csv')}")
+    output.show(loop.answer, chosen.robot_path, path.with_suffix(".csv"))
+    output.say(f"{stored} rows are in {path}; take them out with: sherkit export {path} -o {path.with_suffix('.csv')}")
 
 
 def _measure(chosen: Experiment, file: RunFile, live: Live) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from ..diagnosis.answers import FILES
+from ..base.answer import FILES
 from .paths import OutputFile, OutputFolder
 
 #: Where options that no function is given keep what was typed.

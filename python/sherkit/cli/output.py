@@ -18,7 +18,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
+from rich.text import Text
 
+from ..base.answer import Answer, as_sentence
 from ..base.figures import finite
 from ..data.files import is_output
 from ..data.head import columns_called
@@ -78,18 +80,23 @@ def say(message: str, about: Path | None = None) -> None:
     (err if about is not None and is_output(about) else out).print(escape(message), soft_wrap=True)
 
 
-def answer(verdict: str, *sentences: str) -> None:
-    """The answer first, as every verb gives it: what was found in one line, and under it what it rests on and what to
-    do."""
-    out.print(f"[bold]Verdict:[/] [bold]{escape(verdict)}[/]")
-    for one in sentences:
-        out.print(Padding(escape(_as_sentence(one)), (0, 0, 0, 3)))
+def show(answer: Answer, *files: Path, colour: str = "") -> None:
+    """The answer first, as every verb gives it: what was found in one line, under it what that rests on, and what to
+    do; ``files`` stand in the commands that it proposes."""
+    out.print(f"[bold]Verdict:[/] [bold {colour}]{escape(answer.verdict)}[/]")
+    for one in (answer.headline, *answer.sure):
+        if one:
+            out.print(_under(as_sentence(one)))
+    for step in answer.to_do:
+        out.print(_under(f"{as_sentence(step.sentence).rstrip('.')}:" if step.command else as_sentence(step.sentence)))
+        if step.command:
+            # a line of its own, which is copied as one however wide the screen is
+            out.print(Text(f"     {completed(step.command, shlex.join(map(str, files)))}"), soft_wrap=True)
 
 
-def _as_sentence(text: str) -> str:
-    """With a capital and a point; a name that comes first stays as it is."""
-    first = text.partition(" ")[0]
-    return f"{text[:1].upper() + text[1:] if first.isalpha() else text}{'' if text.endswith(('.', ':')) else '.'}"
+def _under(text: str) -> Padding:
+    """A line below a heading; what is too long for it goes on below its begin."""
+    return Padding(Text(text), (0, 0, 0, 3), expand=False)
 
 
 def print_json(value: Any) -> None:
@@ -170,6 +177,7 @@ def _bar() -> Progress:
 if TYPE_CHECKING:
     from ..calibration import Result
     from ..diagnosis import Diagnosis
+    from ..report.page import Made
     from ..robots.calibrated import Calibration
     from ..study import Study
 
@@ -195,25 +203,22 @@ def require_view() -> None:
         raise SherkitError(message) from None
 
 
+def made_by(sources: Sequence[Path], files: Sequence[Path] = ()) -> Made:
+    """How this command makes a page of ``sources``; ``files``, by default the first two, stand in what it proposes."""
+    from ..report.page import Made, SourceFile  # Bokeh takes a second to load
+
+    given = shlex.join(map(str, files or sources[:2]))
+    about = ", ".join(path.name for path in sources)
+    return Made(about, command_line(), [SourceFile.of(p) for p in sources], lambda line: completed(line, given))
+
+
 def write_report(
-    path: Path, title: str, study: Study, found: Diagnosis, sources: Sequence[Path], *,
+    path: Path, study: Study, found: Diagnosis, sources: Sequence[Path], *,
     calibration: Calibration | None = None, result: Result | None = None, simulated: bool = False,
     printed: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
     """Writes the report of a study that stands at the last state to be told."""
-    from ..report.document import Report, SourceFile  # Bokeh takes a second to load
+    from ..report.document import Report
     from ..report.document import write_report as write_it
 
-    written = Report(
-        title=title,
-        study=study,
-        found=found,
-        command=command_line(),
-        sources=[SourceFile.of(p) for p in sources],
-        calibration=calibration,
-        result=result,
-        simulated=simulated,
-        printed=printed or {},
-        completed=completed,
-    )
-    write_it(written, path)
+    write_it(Report(study, found, made_by(sources), calibration, result, simulated, printed or {}), path)

@@ -45,12 +45,13 @@ def printer(
             raise SherkitError("--output: is for Klipper's printer.cfg; the commands of other firmwares are printed")
         write_whole(written, klipper_config(config, examined.new.towers))
     if report is not None:
-        from ..report.printer import page
+        from ..report.printer import write_printer
 
-        write_whole(report, page(examined, config.name))
+        write_printer(report, examined, output.made_by((config, *maps)))
     if as_json:
         output.print_json(examined.to_json())
         return
+    out.print(f"[bold]Verdict: {escape(examined.answer.verdict)}[/]")
     for title, sentences in examined.sections:
         out.print(f"[bold]{title}[/]")
         for one in sentences:

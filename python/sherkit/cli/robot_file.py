@@ -74,11 +74,11 @@ class RobotFile:
         raise NotImplementedError
 
     def report(
-        self, path: Path, title: str, found: Diagnosis, *, own: Sequence[Effect], added: Sequence[str], seed: int,
+        self, path: Path, found: Diagnosis, *, own: Sequence[Effect], added: Sequence[str], seed: int,
         sources: Sequence[Path],
     ) -> None:  # fmt: skip
         """The report of a study that has all that was named."""
         study = Study(self.nominal, self.data, effects=own, seed=seed)
         for name in (*added, *found.effects):
             study.add(name)
-        output.write_report(path, title, study, found, sources)
+        output.write_report(path, study, found, sources)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import click
 import numpy as np
 import polars as pl
 
+from ..base.answer import AFTER, BEFORE, Bar, ToDo, as_sentence
 from ..base.names import listed
 from ..data.tables import write_table
 from ..diagnosis import Diagnosis
@@ -61,21 +64,25 @@ def estimate(
     judged, truths = judge(result), known(result)
     if destination is not None:
         write_table(_frame(result, both=both), destination)
+    answer = replace(trust(result, truths).answer, bars=_bars(judged), unit="mm")
     if picture is not None:
         from ..report.estimate import depth_over_time, estimate_picture
         from ..report.page import save_picture
+        from ..report.stories import write_estimate
 
-        save_picture(estimate_picture(depth_over_time(result), trust(result, truths).sentence), picture)
+        if picture.suffix.lower() == ".html":
+            write_estimate(picture, answer, depth_over_time(result), _tables(result), output.made_by([tool, run]))
+        else:
+            save_picture(estimate_picture(depth_over_time(result), as_sentence(answer.verdict)), picture)
     if as_json:
         output.print_json(_json(result, judged, truths))
         return
+    output.show(answer, tool, run)
     sizes = summary(recorded)
     output.say(
         f"{sizes['rows']} rows of the robot at {sizes['robot_hz']:.0f} Hz, {sizes['pictures']} pictures; "
         f"filter: {next(name for name, noise in _FILTERS.items() if noise == made.noise)}"
     )
-    for sentence in trust(result, truths).sentences:
-        output.say(sentence)
     for j in judged:
         _print_errors(j)
     if not judged:
@@ -87,6 +94,15 @@ def estimate(
         output.say(f"estimates written to {destination}")
     if picture is not None:
         output.say(f"drawn in {picture}")
+
+
+def _bars(judged: Sequence[Judgement]) -> tuple[Bar, ...]:
+    """Mean errors of the depth beside the paper's filter, where the run tells them."""
+    errors = {e.signal: e.total for j in judged if j.quantity == "depth" for e in j.errors}
+    which = ((BEFORE, "paper's filter"), (AFTER, "filter"))
+    return tuple(
+        Bar(what, f"depth, {name}", errors[name]) for what, name in which if np.isfinite(errors.get(name, np.nan))
+    )
 
 
 def _print_errors(j: Judgement) -> None:
@@ -158,7 +174,8 @@ def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict
             }
             for j in judged
         },
-        "trust": {"verdict": told.verdict, "sentence": told.sentence, "noticed": list(told.noticed)},
+        "trust": {"verdict": told.verdict, "sentence": told.sentence, "to_do": told.to_do,
+                  "noticed": list(told.noticed)},
         "innovations": number(e.depth.consistency.ratio),
         "knowledge": [{**asdict(k), "verdict": k.verdict} for k in truths],
         "status": status_in_words(e.depth),
@@ -296,28 +313,35 @@ def sentences_of(told: Applied) -> list[str]:
     return [f"written into the tool: {written}", *told.why]
 
 
-def write_tool_report(path: Path, title: str, found: Diagnosis, e: Estimate, told: Applied) -> None:
-    """The story of a run as one HTML file."""
+def write_tool_report(
+    path: Path, found: Diagnosis, e: Estimate, told: Applied, sources: Sequence[Path], written: Path | None = None
+) -> None:  # fmt: skip
+    """The story of a run as one HTML file: what was missing, then depth and tip with that in the tool."""
     from ..report.estimate import depth_over_time  # Bokeh takes a second to load
-    from ..report.stories import Rows
-    from ..report.stories import write_tool_report as write
+    from ..report.stories import write_estimate
+
+    depth = trust(e, known(e)).answer
+    sure = (f"{depth.verdict}: {depth.sure[0]}", *depth.sure[1:], *sentences_of(told), *map(str, e.faults))
+    to_do = found.answer.to_do
+    if written is not None:
+        # what was named is in the tool already
+        go_on = ToDo("estimate the next run", f"sherkit estimate {shlex.quote(str(written))} RUN")
+        to_do = (*(one for one in to_do if not one.command), go_on)
+    answer = replace(found.answer, sure=(*found.answer.sure, *sure), to_do=to_do)
+    write_estimate(path, answer, depth_over_time(e), _tables(e), output.made_by(sources), found)
+
+
+def _tables(e: Estimate) -> list[str]:
+    """Errors and what the filter knows of them, as HTML."""
+    from ..report.page import table_of
 
     errors = [(f"{j.quantity}, {x.signal}", *_error_cells(x)) for j in judge(e) for x in j.errors]
     truths = [_knowledge_cells(k) for k in known(e) if k.signal == "filter" or k.condition == "whole run"]
-    tables = [
-        Rows("Mean error, mm", ("", "whole run", "T0", "T1", "largest"), tuple(errors)),
-        Rows("Does the filter know its own errors?", ("", *_KNOWLEDGE), tuple(truths)),
-    ]
-    said = [*trust(e, known(e)).sentences, *sentences_of(told), *(str(fault) for fault in e.faults)]
-    write(
-        path,
-        title,
-        found,
-        depth_over_time(e),
-        said,
-        tables=[t for t in tables if t.cells],
-        command=output.command_line(),
+    tables = (
+        ("Mean error, mm", ("", "whole run", "T0", "T1", "largest"), errors),
+        ("Does the filter know its own errors?", ("", *_KNOWLEDGE), truths),
     )
+    return [table_of(heads, rows, caption) for caption, heads, rows in tables if rows]
 
 
 def print_alignment(found: Aligned) -> None:

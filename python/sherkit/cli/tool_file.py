@@ -68,10 +68,10 @@ class ToolFile:
         told.tool.save(destination)
         return [*sentences_of(told), f"the tool is in {destination}"]
 
-    def report(self, path: Path, title: str, found: Diagnosis, **_: Any) -> None:
+    def report(self, path: Path, found: Diagnosis, *, sources: Sequence[Path], **_: Any) -> None:
         """The story of the run, with what was named written into the tool."""
         told = applied(self.model, found.fit)
-        write_tool_report(path, title, found, estimate(told.tool, self.model.run), told)
+        write_tool_report(path, found, estimate(told.tool, self.model.run), told, sources)
 
     # -- verbs in a way of its own -----------------------------------------------------------------------
 
@@ -97,7 +97,7 @@ class ToolFile:
             step("fitting the camera's offset")
             found = run_diagnosis(identify(model, data), effects=own, step=step)
             step("depth and tip")
-            self.report(page, f"{self.path.stem} on {run.name}", found)
+            self.report(page, found, sources=(self.path, run))
         output.say(f"{found.headline}\nthe page is {page}")
         if opened:
             webbrowser.open(page.resolve().as_uri())

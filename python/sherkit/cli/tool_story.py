@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +82,7 @@ def tool_story(
         after = run_filters(told.tool, recorded)
     told.tool.save(destination)
     if report is not None:
-        write_tool_report(report, f"{destination.stem}, from {run.name}", diagnosis, after, told)
+        write_tool_report(report, diagnosis, after, told, (bench, free, run), destination)
     if as_json:
         output.print_json(_json(calibration, found, tares, diagnosis, told, before, after))
         return
@@ -102,7 +102,7 @@ def tool_story(
             f"   the hole is {hole.clearance_mm:.2f} ± {hole.clearance_std_mm:.2f} mm wider than the shaft all around"
         )
     _say("4. What is missing?", run)
-    output.say(f"   Verdict: {diagnosis.headline}")
+    output.show(replace(diagnosis.answer, to_do=()), destination, run)
     for finding in diagnosis.findings:
         if finding.about in ("tie", "note"):
             output.say(f"   {finding.answer}")

@@ -9,14 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from ..base.answer import AFTER, BEFORE, NOISE, TARGET, Answer, Bar, ToDo
 from ..base.figures import finite, in_names
-from ..base.names import state_with
+from ..base.names import CALIBRATED, state_with
 from ..base.notebook import Shown
 from ..base.types import Ints
 from ..fit.error import ErrorSize
 from ..fit.forms import Known, known
 from ..fit.identify import Fit
 from ..fit.regions import Elsewhere
+from ..model.kinds import required_um
 from .instrument import called
 from .where import Dependence
 
@@ -127,8 +129,6 @@ WRONG, MISSING, WHERE, WHICH, APART, NEXT = QUESTIONS = (
     "What is wrong?", "Is anything missing?", "Where?", "Which effect?", "What can these data not tell apart?",
     "What next?",
 )  # fmt: skip
-#: Where a command has the files that were given.
-FILES = "ROBOT RUN"
 
 
 @dataclass(frozen=True)
@@ -362,6 +362,30 @@ class Diagnosis(Shown):
             table = pl.DataFrame([sk.diagnose(robot, run).row() for run in runs])
         """
         return self.summary.row()
+
+    @cached_property
+    def answer(self) -> Answer:
+        """The same for whoever reads nothing else: what is missing, what it brings, what to do."""
+        told = {one.about: one for one in reversed(self.findings)}
+        cause, brings, elsewhere = told["cause"], told.get("brings"), told.get("elsewhere")
+        to_do = [ToDo((brings or cause).to_do)]
+        if elsewhere is not None:
+            to_do.append(ToDo(elsewhere.to_do))
+        to_do.append(ToDo(told["next"].answer, told["next"].command))
+        return Answer(
+            self.headline, cause.answer, tuple(str(one) for one in (brings, elsewhere) if one is not None),
+            tuple(one for one in to_do if one.sentence), self._bars(), self.unit,
+        )  # fmt: skip
+
+    def _bars(self) -> tuple[Bar, ...]:
+        """The error before and after, the noise where it is known, and what is needed."""
+        needed = required_um(getattr(self.fit.model, "robot", None))
+        out = [Bar(BEFORE, CALIBRATED, float(self.steps[0].error.rms))]
+        if len(self.steps) > 1:
+            out.append(Bar(AFTER, state_with(self.effects), float(self.error.rms)))
+        if self.noise_origin != "unknown":
+            out.append(Bar(NOISE, "noise", self.noise_size))
+        return (*out, *([Bar(TARGET, "target", needed)] if needed and self.unit == "µm" else []))
 
     def finding(self, about: str) -> Finding:
         """The first finding about this. Raises ``KeyError`` where there is none."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from ..base.answer import FILES
 from ..base.figures import in_names, number, stated
 from ..base.names import listed
 from ..fit.regions import TO_DO
@@ -13,7 +14,6 @@ from ..model.kinds import required_um
 from ..model.sensor_pose import SLIP
 from .answers import (
     APART,
-    FILES,
     MISSING,
     NEXT,
     SINGLY,
@@ -84,7 +84,7 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
     came = {f"before_{end}": float(d.steps[0].error.rms)}
     if d.effects:
         causes = [effect for effect in d.fit.model.effects if effect.name in d.effects and effect.name != SLIP]
-        physics = " ".join(f"{_first_sentence(e.physics)} {_most(d, e)}".strip() for e in causes)
+        physics = " ".join(f"{_most(d, e)} {_first_sentence(e.physics)}".strip() for e in causes)
         tied = f" These poses cannot tell it from {listed(d.indistinguishable[0][1:])}." if d.indistinguishable else ""
         whole = "" if d.verdict == "explained" else f" That is not all: {_rest(d)}."
         if d.too_few_poses:
@@ -196,8 +196,14 @@ def _most(d: Diagnosis, effect: Effect) -> str:
     report = next((one for one in d.candidates if one.effect == effect.name), None)
     if report is None:
         return ""
-    many = len(effect.parameters) > 1 and effect.name not in d.known
-    return f"As fitted: {largest(d, report)}{', the largest' if many else ''}."
+    if effect.name in d.known:
+        return f"As fitted: {d.known[effect.name].short}."
+    worst = report.largest
+    words = effect.in_words(worst["name"], worst["value"], worst["std"], worst["unit"])
+    most = f", the most of {len(effect.parameters)} numbers" if len(effect.parameters) > 1 else ""
+    if not words:
+        return f"As fitted: {largest(d, report)}{most}."
+    return f"{words[:1].upper()}{words[1:]} ({worst['name']}{most})."
 
 
 def _first_sentence(text: str) -> str:
@@ -222,7 +228,7 @@ def _missing(d: Diagnosis) -> Iterator[Finding]:
         )  # fmt: skip
     yield Finding(
         MISSING, "missing", "something is" if d.p_missing <= d.level else "nothing significant",
-        {"p_missing": d.p_missing}, sure=f"p = {d.p_missing:.4g} over all effects and shapes",
+        {"p_missing": d.p_missing}, sure=f"{_with_p(d.p_missing)} over all effects and shapes",
     )  # fmt: skip
     if len(d.outliers):
         yield Finding(

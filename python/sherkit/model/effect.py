@@ -4,6 +4,7 @@ where it stands in one.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..base.arguments import as_annotated
+from ..base.figures import stated
 from ..base.names import listed, nearest
 from ..base.notebook import Shown
 from ..base.types import Floats
@@ -55,6 +57,9 @@ def as_written(settings: Mapping[str, Setting | None]) -> dict[str, float | list
 
 # -- Effects ---------------------------------------------------------------------------------------------------------
 
+#: Two words of which the sign of a value chooses one.
+_WAYS = re.compile(r"\b(\w+)/(\w+)\b")
+
 #: What belongs to the model of a robot that has it: no effect that may be missing.
 WITHIN = frozenset({"datum", "sensor_pose"})
 
@@ -78,6 +83,9 @@ class Sentences:
     physics: str
     residuals: str
     remedy: str
+    #: By the name of a parameter without its limb or axis: what its value means, with ``{k}`` for that, ``{size}``, and
+    #: the two ``ways`` of its sign as ``longer/shorter``.
+    sizes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -98,6 +106,7 @@ class Effect(Shown):
     physics: str = ""
     residuals: str = ""
     remedy: str = ""
+    sizes: Mapping[str, str] = field(default_factory=dict, hash=False, repr=False)
     search: str | None = None
     frees: bool = False
     function: Function | None = field(default=None, repr=False)
@@ -129,6 +138,16 @@ class Effect(Shown):
         """Which of these joints, by the names of their readings, are in the unit of its period: those that it moves."""
         unit = (self.search or "").removeprefix("period_")
         return [k for k, name in enumerate(joints) if unit_in(name) == unit]
+
+    def in_words(self, parameter: str, value: float, std: float, unit: str) -> str:
+        """What a value of one of its parameters is in the workshop ("rail 3 leans sideways by 0.81 ± 0.01°"); empty
+        where nobody has said."""
+        for stem, said in self.sizes.items():
+            if parameter == stem or parameter.startswith(f"{stem}_"):
+                chosen = _WAYS.sub(lambda found: found[1 + (value < 0)], said)
+                size = stated(value if chosen == said else abs(value), std, unit)
+                return chosen.format(k=parameter[len(stem) + 1 :], size=size)
+        return ""
 
     def qualified(self) -> tuple[Parameter, ...]:
         """The parameters under the names they have in a model."""
@@ -245,6 +264,7 @@ def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str
             physics=sentences[name].physics,
             residuals=sentences[name].residuals,
             remedy=sentences[name].remedy,
+            sizes=sentences[name].sizes,
         )
         for name, row in rows.items()
     }

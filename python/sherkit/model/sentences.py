@@ -12,12 +12,14 @@ COMMON: dict[str, Sentences] = {
         physics="A reading shows the robot a little earlier than the joints beside it: filters, transfer, buffers.",
         residuals="Proportional to the velocity of the joints; none where the robot stands still.",
         remedy="Trigger instrument and encoders together; or measure at rest.",
+        sizes={"delay": "readings come {size} late/early"},
     ),
     "joint_scale": Sentences(
         physics="The ratio of gear, belt or scale is not quite what the drawing says, so an encoder counts too much or "
         "too little.",
         residuals="Grows in proportion to the travel of one joint; zero at the home position.",
         remedy="Compare the travel of each joint with a gauge or its index marks; correct counts per travel.",
+        sizes={"scale": "joint {k} counts {size} too much/little"},
     ),
     "encoder_cyclic": Sentences(
         physics="An encoder errs by a sine and cosine that repeat: a magnetic scale read a little off centre once per "
@@ -34,17 +36,20 @@ COMMON: dict[str, Sentences] = {
         physics="Play in drive and bearings: where a joint stops depends on the side from which it came.",
         residuals="Two values at one place, by the direction of the last motion.",
         remedy="Preload the drive; or approach every pose from the same side.",
+        sizes={"width": "joint {k} has {size} of play"},
     ),
     "thermal_growth": Sentences(
         physics="Everything expands with temperature, so every coordinate grows in proportion to itself.",
         residuals="Proportional to position times the deviation of temperature from 20 °C.",
         remedy="Warm up before measuring; hold the temperature; use Invar.",
+        sizes={"coefficient": "everything grows/shrinks by {size}"},
     ),
     "joint_slip": Sentences(
         physics="A joint lost steps at one moment, or its encoder, pulley or coupling slipped: from then on it stands "
         "beside where it is read. The value is how far.",
         residuals="From one moment on as if one joint stood elsewhere by the same amount; none before it.",
         remedy="Home the joint and compare; lower its acceleration, tighten coupling and pulley; measure again.",
+        sizes={"step": "joint {k} jumped by {size}"},
     ),
     "thermal_shift": Sentences(
         physics="A stand, a tripod or a base expands, so that instrument and robot move apart with the temperature, "
@@ -52,16 +57,19 @@ COMMON: dict[str, Sentences] = {
         "shift. The control loop, which has no instrument, is not given it.",
         residuals="The same at every pose, in proportion to the temperature, or to that of some minutes ago.",
         remedy="Put robot and instrument on one plate; warm up; shield the stand; return to a reference pose often.",
+        sizes={"shift": "robot and instrument move apart along {k} by {size}"},
     ),
     "drift": Sentences(
         physics="The point wanders steadily while the run lasts: creep, settling supports, warming electronics.",
         residuals="A straight line over time, whatever the pose.",
         remedy="Warm up; return to a reference pose regularly; shuffle the order of poses.",
+        sizes={"rate": "the point wanders along {k} by {size}"},
     ),
     "slip": Sentences(
         physics="Something let go at one moment: a clamp, a magnet, what the instrument looks at.",
         residuals="A step over time: all readings before it agree, all after it agree.",
         remedy="Tighten what holds the measured point; measure again from the moment on.",
+        sizes={"step": "the point jumped along {k} by {size}"},
     ),
     "sensor_linearity": Sentences(
         physics="A sensor's reading bends away from the straight line with the distance from its own zero.",
@@ -79,6 +87,7 @@ COMMON: dict[str, Sentences] = {
         physics="The focal length differs from the calibrated one: the lens was refocused, or warmed up.",
         residuals="The picture grows or shrinks about its middle.",
         remedy="Lock the focus and calibrate the camera again.",
+        sizes={"focal": "the focal length is {size} longer/shorter than calibrated"},
     ),
     "lens_distortion": Sentences(
         physics="The lens bends straight lines: radially (k1, k2) and, where its elements are not centred, sideways "
@@ -90,6 +99,7 @@ COMMON: dict[str, Sentences] = {
         physics="A picture shows the robot a little earlier than its time stamp says: exposure, transfer, buffers.",
         residuals="Proportional to the velocity of the joints; none where the robot stands still.",
         remedy="Trigger camera and encoders together; or measure at rest.",
+        sizes={"delay": "pictures come {size} late/early"},
     ),
 }
 

@@ -5,24 +5,14 @@ Numbers and verdicts are plain HTML, so that it reads without JavaScript too; th
 
 from __future__ import annotations
 
-import hashlib
 import json
-import platform
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bokeh.embed import components
 from bokeh.models import GridPlot
-from bokeh.resources import Resources
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
-import sherkit._core as _core
 
 from ..base.figures import in_people_units, in_small_units, stated, with_error
 from ..base.names import CALIBRATED, listed, state_with
@@ -30,7 +20,7 @@ from ..calibration import Result
 from ..data.columns import unit_in
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
-from ..diagnosis.answers import APART, FILES, NEXT
+from ..diagnosis.answers import APART, NEXT
 from ..diagnosis.findings import plausibility
 from ..errors import SherkitError
 from ..fit.forms import known
@@ -41,14 +31,13 @@ from ..robots.calibration_run import CalibrationRun
 from ..study import Study
 from .candidates import Atlas, atlas_of, candidates, signature_atlas
 from .card import effect_card
-from .page import fresh_nonce, numbered, policy
+from .page import Made, rendered
 from .parameters import NextPoses, accuracy_map, accuracy_of, correlations, directions, next_poses, parameters
-from .picture import Picture, in_one_document
+from .picture import Picture
 from .residual_against import ResidualAgainst, noise_picture, residual_against, run_in_time
 from .residual_arrows import Change
 from .residual_map import residual_map, still
 from .residuals import Residuals, State, drawn, residuals_of, said
-from .scene import script as scene_script
 from .scene import space_of
 from .states import error_history, error_history_of, packed, states_of
 from .style import number, quantity
@@ -70,45 +59,24 @@ _CONTENTS = (
 _PAGE_PX, _AXIS_PX = 1230, 62
 
 
-@dataclass(frozen=True)
-class SourceFile:
-    """A file that a report was made from, with the SHA-256 of its bytes."""
-
-    name: str
-    sha256: str
-
-    @classmethod
-    def of(cls, path: str | Path) -> SourceFile:
-        """Reads and hashes a file."""
-        return cls(str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest())
-
-
-def _with_files(command: str, files: str) -> str:
-    return command.replace(FILES, files)
-
-
 @dataclass(frozen=True, eq=False)
 class Report:
     """What a report tells. ``study`` is at the state that is told last; ``found`` was asked of ``found.base``.
 
-    ``calibration`` is what the report says how to use; ``result`` a calibration run with its tables. ``command`` makes
-    the report again from ``sources``. ``simulated`` says so at the top. ``printed`` are the figures of a
-    paper to stand beside, by run, by line of its table and by reading: RMS and deviation, in the unit that people read.
+    ``calibration`` is what the report says how to use; ``result`` a calibration run with its tables. ``simulated`` says
+    so at the top. ``printed`` are the figures of a paper to stand beside, by run, by line of its table and by reading:
+    RMS and deviation, in the unit that people read.
     """
 
-    title: str
     study: Study
     found: Diagnosis
-    command: str
-    sources: Sequence[SourceFile]
+    made: Made
     calibration: Calibration | None = None
     result: Result | None = None
     simulated: bool = False
     printed: Mapping[str, Mapping[str, Mapping[str, tuple[int, int]]]] = field(default_factory=dict)
     #: Lines that a command adds: what else was measured, in sentences.
     remarks: Sequence[str] = field(default_factory=tuple)
-    #: A command that is proposed, with the files in their place: a command line adds the options that it was given.
-    completed: Callable[[str, str], str] = _with_files
 
 
 def write_report(report: Report, path: str | Path) -> None:
@@ -120,72 +88,46 @@ def html(report: Report) -> str:
     """The report as HTML. Every text from files is escaped."""
     pictures, swaps, atlas, maps = _pictures(report)
     cards, other_cards = _cards(report, atlas)
-    nonce = fresh_nonce()
-    script, places = components(in_one_document({name: one.root for name, one in pictures.items()}))
-    resources = Resources(mode="inline", components=["bokeh"])
-    environment = Environment(
-        loader=PackageLoader("sherkit.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
-    )  # fmt: skip
-    environment.filters |= {
-        "number": number,
-        "p": _p,
-        "quantity": quantity,
-        "listed": listed,
-        "plausibility": plausibility,
-        "known": stated,
-        "given": lambda command: report.completed(command, _given(report)),
-    }
+    roots = {name: one.root for name, one in pictures.items()}
+    filters: dict[str, Callable[..., Any]] = {
+        "p": _p, "quantity": quantity, "listed": listed, "plausibility": plausibility, "known": stated,
+        "given": report.made.given,
+    }  # fmt: skip
     told = report.found.to_json()
     told["findings"] = [
-        one | {"command": report.completed(one["command"], _given(report))} if one.get("command") else one
-        for one in told["findings"]
+        one | {"command": report.made.given(one["command"])} if one.get("command") else one for one in told["findings"]
     ]
-    return environment.get_template("report.html").render(
+    return rendered(
+        "report.html", report.found.answer, report.made, roots, filters,
         report=report,
         found=report.found,
         study=report.study,
         said=report.found.findings,
         questions={"APART": APART, "NEXT": NEXT},
-        answer={one.about: one for one in report.found.findings},
+        told={one.about: one for one in report.found.findings},
         contents=_CONTENTS,
         most=_MOST_OPEN,
         alone=_nothing_added(report),
         cards=cards,
         other_cards=other_cards,
         space=_space(report),
-        scene_script=scene_script(),
         lines=_error_lines(report),
         parameters=_parameter_lines(report),
         directions=[str(d) for d in getattr(report.study.fit, "badly_observed", ())],
         unobserved=[str(d) for d in getattr(report.study.fit, "unobserved", ())],
         accuracy=_accuracy_lines(report.calibration),
         coordinates=_together(report.calibration.coordinates) if report.calibration else "",
-        bars=_bars(report),
         printed_map=_printed(pictures["residual_map"]),
         example=_example(report.calibration),
         measured=_measured(report),
         notes={name: one.note for name, one in pictures.items()},
-        places=places,
-        nonce=nonce,
-        policy=policy(nonce),
-        script=numbered(script, nonce),
-        bokeh=numbered(resources.render_js(), nonce),
         swaps=_in_script(swaps) if swaps else None,
         variables=[(k, quantity(name)) for k, name in enumerate(swaps["variables"])] if swaps else [],
         titles=list(enumerate(swaps["titles"])) if swaps else [],
         still=maps,
         machine=_in_script(told),
         required=required_um(report.study.robot),
-        versions=[("sherkit", _core.__version__), ("Python", platform.python_version()),
-                  *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))],
-        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )  # fmt: skip
-
-
-def _given(report: Report) -> str:
-    """The files of the robot and of its run, for commands."""
-    return shlex.join(one.name for one in report.sources[:2]) if len(report.sources) > 1 else FILES
 
 
 def _nothing_added(report: Report) -> bool:
@@ -207,19 +149,6 @@ def _printed(picture: Picture[Any]) -> str:
     grid = next(one for one in (picture.root, *picture.root.children) if isinstance(one, GridPlot))
     rows = {row: figure.frame_height + _AXIS_PX for figure, row, *_ in grid.children}
     return f"{min(1.0, _PAGE_PX / sum(rows.values())):.2f}"
-
-
-def _bars(report: Report) -> list[tuple[str, str, float]]:
-    """Before, after, noise and what is needed as bars: key, name and length of each."""
-    found, needed = report.found, required_um(report.study.robot)
-    out = [("error-before", CALIBRATED, found.steps[0].error.rms)]
-    if len(found.steps) > 1:
-        out.append(("error-after", state_with(found.effects), found.error.rms))
-    if found.noise_origin != "unknown":
-        out.append(("noise", "noise", found.noise_size))
-    if needed and found.unit == "µm":
-        out.append(("needed", "needed", needed))
-    return out
 
 
 def _together(names: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""A page of its own: what it may run and ask for, how it is written, and pictures as files (HTML, PNG, SVG).
+"""A page of its own: what it may run and ask for, the one page of every verb, and pictures as files (HTML, PNG, SVG).
 
 Its own scripts, known by a number used once, and nothing from elsewhere.
 
@@ -9,26 +9,35 @@ not escaped has no number, and does not run. Source: Content Security Policy Lev
 from __future__ import annotations
 
 import base64
+import hashlib
 import html as escaping
+import platform
 import re
 import secrets
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
-from html import escape
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from bokeh.embed import file_html
-from bokeh.layouts import column
-from bokeh.models import Div, UIElement
-from bokeh.resources import INLINE
+from bokeh.embed import components, file_html
+from bokeh.models import LayoutDOM, UIElement
+from bokeh.resources import INLINE, Resources
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
+import sherkit._core as _core
+
+from ..base.answer import Answer, as_sentence
+from ..base.figures import number
 from ..data.files import write_whole
 from ..errors import SherkitError
-from .picture import Picture
-from .scene import script
+from .picture import Picture, in_one_document
+from .scene import script as scene_script
 
 #: Bokeh's own page with a policy.
 _PAGE = """
@@ -94,26 +103,99 @@ def _later(scripts: str) -> str:
     return _RUNS.sub(rf'\1<script type="text/plain" class="{LATER}">', scripts)
 
 
-def write_page(
-    path: Path, title: str, sentences: Sequence[str], figures: Sequence[Any], scene: str = "", again_s: int = 0
-) -> None:
-    """One HTML file that opens without a network, the first of its ``sentences``, the answer, bold; ``scene`` is HTML
-    that follows what is told. A browser reads the page anew every ``again_s`` seconds, unless that is 0."""
-    told = "".join(
-        f"<p><b>{escape(one)}</b></p>" if k == 0 else f"<p>{escape(one)}</p>" for k, one in enumerate(sentences)
-    )
-    style = "<style>:host{font:15px/1.45 sans-serif}p{margin:.5em 0}</style>"
-    head = Div(text=f"{style}<h1>{escape(title)}</h1>{told}{scene}", sizing_mode="stretch_width")
+# -- The page of a verb -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file that a page was made from, with the SHA-256 of its bytes."""
+
+    name: str
+    sha256: str
+
+    @classmethod
+    def of(cls, path: str | Path) -> SourceFile:
+        """Reads and hashes a file."""
+        return cls(str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest())
+
+
+def _as_it_is(command: str) -> str:
+    return command
+
+
+@dataclass(frozen=True)
+class Made:
+    """How a page was made: the ``command`` that makes it again from ``sources``; ``given`` puts their names, and the
+    options of a command line, into a command that is proposed."""
+
+    about: str
+    command: str = ""
+    sources: Sequence[SourceFile] = ()
+    given: Callable[[str], str] = _as_it_is
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page: a picture of Bokeh's, HTML, or both below a note on how to read it."""
+
+    title: str
+    html: str = ""
+    root: LayoutDOM | None = None
+    note: str = ""
+
+    @property
+    def name(self) -> str:
+        """By what the contents find it."""
+        return re.sub(r"\W+", "_", self.title.lower()).strip("_")
+
+
+def table_of(heads: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
+    """A table as HTML, its texts escaped."""
+
+    def line(tag: str, cells: Sequence[str]) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escaping.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+    above = f"<caption>{escaping.escape(caption)}</caption>" if caption else ""
+    return f"<table>{above}{line('th', heads)}{''.join(line('td', cells) for cells in rows)}</table>"
+
+
+def sentences_of(*texts: str) -> str:
+    """Sentences as HTML, one below the other."""
+    return "".join(f"<p>{escaping.escape(one)}</p>" for one in texts)
+
+
+def write_page(path: Path, answer: Answer, sections: Sequence[Section], made: Made, *, again_s: int = 0) -> None:
+    """One HTML file that opens without a network, the answer first. A browser reads it anew every ``again_s`` seconds,
+    unless that is 0. Raises :class:`~sherkit.errors.NotWritten`."""
+    roots = {one.name: one.root for one in sections if one.root is not None}
+    contents = [("answer", "Answer"), *((one.name, one.title) for one in sections), ("made", "How this was made")]
+    known: dict[str, Any] = {"sections": sections, "contents": contents, "short": True, "again_s": again_s}
+    write_whole(path, rendered("page.html", answer, made, roots, **known))
+
+
+def rendered(
+    template: str, answer: Answer, made: Made, roots: Mapping[str, LayoutDOM],
+    filters: Mapping[str, Callable[..., Any]] = MappingProxyType({}), **known: Any,
+) -> str:  # fmt: skip
+    """A page by its template, under the policy of a file that asks nothing of a network; every text from a file is
+    escaped."""
     nonce = fresh_nonce()
-    # what is wider than the screen is moved by itself, and not the page with its sentences
-    framed = [column(one, sizing_mode="stretch_width", styles={"overflow-x": "auto"}) for one in figures]
-    whole = column(head, *framed, sizing_mode="stretch_width", margin=(10, 30, 30, 30))
-    # a library of Bokeh's holds the end of a body in a text
-    page, _, end = page_of(whole, title, nonce).rpartition("</body>")
-    moving = f'<script nonce="{nonce}">{script()}</script>' if "<sherkit-scene" in scene else ""
-    if again_s:
-        page = page.replace("<head>", f'<head><meta http-equiv="refresh" content="{again_s}">', 1)
-    write_whole(path, f"{page}{moving}</body>{end}")
+    script, places = components(in_one_document(roots)) if roots else ("", {})
+    bokeh = Resources(mode="inline", components=["bokeh"]).render_js() if roots else ""
+    environment = Environment(
+        loader=PackageLoader("sherkit.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters |= {"number": number, "sentence": as_sentence, **filters}
+    versions = [("sherkit", _core.__version__), ("Python", platform.python_version()),
+                *((name, version(name)) for name in ("numpy", "scipy", "polars", "bokeh"))]  # fmt: skip
+    every = {
+        "answer": answer, "made": made, "nonce": nonce, "policy": policy(nonce), "places": places,
+        "script": numbered(script, nonce), "bokeh": numbered(bokeh, nonce), "scene_script": scene_script(),
+        "versions": versions, "now": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), "short": False, "again_s": 0,
+        **known,
+    }  # fmt: skip
+    return environment.get_template(template).render(every)
 
 
 # -- As a file --------------------------------------------------------------------------------------------------------

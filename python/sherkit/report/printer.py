@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ..base.types import Floats
 from ..fit.forms import known
 from ..robots.printer.examined import Examined
 from ..robots.printer.model import distances
+from .page import Made, Section, sentences_of, table_of, write_page
 
 _SIZE, _GAP, _TOP = 300, 40, 40
 #: Blue and orange, which colour-blind people tell apart too.
@@ -18,20 +20,18 @@ _LOW, _HIGH = np.array([0, 114, 178]), np.array([213, 94, 0])
 _NAMES = "ABC"
 
 
-def page(examined: Examined, name: str) -> str:
-    """HTML that opens without a network; every text from a file is escaped."""
-    told = "".join(
-        f"<h2>{escape(title)}</h2>" + "".join(f"<p>{escape(one)}</p>" for one in sentences)
-        for title, sentences in examined.sections
-    )
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">"
-        f"<title>{escape(name)}</title><style>body{{font:16px/1.5 sans-serif;max-width:68rem;margin:2rem auto;"
-        "padding:0 1rem;color:#222}h2{font-size:1.1rem;margin:1.4rem 0 .2rem}p{margin:.2rem 0}"
-        "svg{max-width:100%;height:auto}</style></head><body>"
-        f"<h1>{escape(name)}</h1>{drawing(examined)}{told}</body></html>\n"
-    )
+#: What the answer does not say already.
+_FURTHER = ("What was measured", "What accuracy remains", "What to measure next")
+
+
+def write_printer(path: Path, examined: Examined, made: Made) -> None:
+    """A page that opens without a network. Raises :class:`~sherkit.errors.NotWritten`."""
+    sections = [
+        Section("The machine and its plate", f'<div class="picture">{drawing(examined)}</div>'),
+        Section("Numbers of the firmware", table_of(("", "now", "better"), examined.numbers)),
+        *(Section(title, sentences_of(*said)) for title, said in examined.sections if title in _FURTHER),
+    ]
+    write_page(path, examined.answer, sections, made)
 
 
 def drawing(examined: Examined) -> str:

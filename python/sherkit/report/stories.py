@@ -5,20 +5,18 @@ a run of the flexible tool.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from html import escape
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bokeh.layouts import column
-from bokeh.models import DataRange1d, Div, Whisker
+from bokeh.models import DataRange1d, Whisker
 
 from ..adaptive import Adaptive
+from ..base.answer import Answer
 from ..base.figures import in_people_units, number
 from ..changes import Comparison, History
 from ..changes.joined import Joined
-from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from ..errors import FitError, SherkitError
 from ..model.drawing import drawing_of_readings
@@ -26,7 +24,7 @@ from ..model.kinds import draw_of
 from .card import growing
 from .estimate import EstimateOverTime, estimate_picture
 from .notebook import pictures_of
-from .page import page_of, write_page
+from .page import Made, Section, sentences_of, table_of, write_page
 from .picture import Picture, Tables, sources_of, stacked
 from .scene import Scene
 from .style import COLOURS, MUTED, figure, legend, padded, quantity
@@ -186,24 +184,19 @@ _TEN = float(np.log(10.0))
 _KINDS = ("start", "all", "what tells rivals apart", "confirm", "explore", "again", "time")
 
 
-def write_adaptive(path: Path, loop: Adaptive, title: str) -> None:
+def write_adaptive(path: Path, loop: Adaptive, made: Made) -> None:
     """Writes the evidence of what led, reading after reading, how far off the models were at readings that they did
     not know yet, and where and why the robot was driven. Until the loop is done the page renews itself."""
-    told = [loop.why, loop.sentence(), *loop.told()] if loop.done else [loop.sentence(), _next(loop)]
-    figures: list[Any] = []
+    sections = []
     if loop.looks:
-        figures += [_evidence(loop), _error_lines(loop)]
+        sections += [
+            Section("Evidence", sentences_of(loop.sentence()), _evidence(loop),
+                    "Of what is missing, as powers of ten to one; above the dashed line something leads."),
+            Section("Error", "", _error_lines(loop), "At readings that no fit knew yet; what is promised."),
+        ]  # fmt: skip
     if loop.readings:
-        figures.append(_places(loop))
-    write_page(path, title, [one for one in told if one], figures, again_s=0 if loop.done else _AGAIN_S)
-
-
-def _next(loop: Adaptive) -> str:
-    """Why the next poses are driven, in words."""
-    asked: dict[str, int] = {}
-    for row in loop.ask():
-        asked[row["reason"]] = asked.get(row["reason"], 0) + 1
-    return "next: " + ", ".join(f"{count} × {reason}" for reason, count in asked.items())
+        sections.append(Section("Where it was driven", "", _places(loop), "By why."))
+    write_page(path, loop.answer, sections, made, again_s=0 if loop.done else _AGAIN_S)
 
 
 def _evidence(loop: Adaptive) -> Any:
@@ -269,95 +262,57 @@ def _kind(reason: str) -> str:
 # -- As pages ---------------------------------------------------------------------------------------------------------
 
 
-def write_comparison(path: Path, found: Comparison, title: str) -> None:
+def write_comparison(path: Path, found: Comparison, made: Made) -> None:
     """Before and after beside each other on one scale, and the mechanism with what has changed, exaggerated.
 
     Raises :class:`~sherkit.errors.FitError` for a comparison that was read from a file, without its runs.
     """
-    told = [found.headline, *found.rests_on]
-    told += [f"{' or '.join(tie)}: these runs cannot tell" for tie in found.indistinguishable]
     if found.joined is None and found.silent:
-        write_page(path, title, [*told, found.advice], [])
+        write_page(path, found.answer, [], made)
         return
+    sections, drawn = [], mechanism_with_change(found)
+    if found.parameters:
+        rows = [(one.name, one.by, str(one.since + 1)) for one in found.parameters]
+        sections.append(Section("What has changed", table_of(("parameter", "change", "since run"), rows)))
+    if drawn is not None:
+        sections.append(Section("On the machine", f"{drawn[0].html()}{sentences_of(drawn[1])}"))
     picture = before_and_after(found)
-    poses = [", ".join(f"{name} {value:.4g}" for name, value in pose.items()) for pose in found.next_poses]
-    drawn = mechanism_with_change(found)
-    scene = "" if drawn is None else f"<h2>What has changed</h2>{drawn[0].html()}<p>{escape(drawn[1])}</p>"
-    scene += f"<h2>Before and after</h2><p>{escape(picture.note)}</p>"
-    write_page(path, title, [*told, found.advice, *poses], [picture.root], scene)
+    sections.append(Section("Before and after", "", picture.root, picture.note))
+    if found.next_poses:
+        poses = [[f"{value:.4g}" for value in pose.values()] for pose in found.next_poses]
+        heads = [quantity(name) for name in found.next_poses[0]]
+        sections.append(Section("Poses that would tell", table_of(heads, poses)))
+    write_page(path, found.answer, sections, made)
 
 
-def write_history(path: Path, found: History, title: str) -> None:
+def write_history(path: Path, found: History, made: Made) -> None:
     """The error of each run, and of what has changed its course with deviations; what stood still is left out."""
-    told = [f"{found.headline}.", *found.rests_on, *map(str, found.changes)]
-    if found.verdict != "undecided":
-        told.append(f"{len(found.stood_still)} others stood still.")
-    seen = [run for run in found.runs if run["error"] is not None]
-    write_page(path, title, [*told, found.advice], [course(found).root] if seen else [])
+    rows = [(str(run["run"]), str(run["date"]), str(run["rows"]),
+             "left out" if run["error"] is None else number(run["error"])) for run in found.runs]  # fmt: skip
+    sections = []
+    if any(run["error"] is not None for run in found.runs):
+        picture = course(found)
+        sections.append(Section("The course", "", picture.root, picture.note))
+    sections.append(Section("Runs", table_of(("run", "date", "rows", f"error, {found.unit}"), rows)))
+    write_page(path, found.answer, sections, made)
 
 
-# -- A run of the flexible tool ----------------------------------------------------------------------------------------
-
-#: Text and tables of the page.
-_SAID_STYLE = """
-<style>
-.said { max-width: 62em; font-size: 15px; line-height: 1.45 } .said h1 { font-size: 26px }
-.said h2 { font-size: 19px; margin: 1.2em 0 0.3em } .said li { margin: 0.25em 0 } .said .note { color: #555 }
-.said table { border-collapse: collapse; margin: 0.6em 0 } .said caption { text-align: left; font-weight: bold }
-.said th, .said td { padding: 3px 14px 3px 0; text-align: right; border-bottom: 1px solid #ddd }
-.said th:first-child, .said td:first-child { text-align: left }
-</style>
-"""
+# -- A run of the flexible tool ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Rows:
-    """A table of the report: its caption, the heads of its columns, cells by row."""
-
-    caption: str
-    heads: tuple[str, ...]
-    cells: tuple[tuple[str, ...], ...]
-
-    def __str__(self) -> str:
-        def row(tag: str, cells: Sequence[str]) -> str:
-            return "<tr>" + "".join(f"<{tag}>{escape(c)}</{tag}>" for c in cells) + "</tr>"
-
-        rows = "".join(row("td", cells) for cells in self.cells)
-        return f"<table><caption>{escape(self.caption)}</caption>{row('th', self.heads)}{rows}</table>"
-
-
-def write_tool_report(
-    path: str | Path, title: str, found: Diagnosis, estimate: EstimateOverTime, said: Sequence[str] = (), *,
-    tables: Sequence[Rows] = (), command: str = "",
+def write_estimate(
+    path: Path, answer: Answer, over_time: EstimateOverTime, tables: Sequence[str], made: Made,
+    found: Diagnosis | None = None,
 ) -> None:  # fmt: skip
-    """Writes it; it opens without a network. ``said`` are sentences and ``tables`` what a command adds. Raises
+    """Depth and tip over a run, ``tables`` of their errors, and what a diagnosis ``found``, where one was asked. Raises
     :class:`~sherkit.errors.NotWritten`."""
-    indistinguishable = (f"This run cannot tell {' from '.join(t)}." for t in found.indistinguishable)
-    over_time, *others = estimate_picture(estimate), *pictures_of(found)
-    parts = [
-        _told(
-            f"<h1>{escape(title)}</h1><p><b>{escape(found.headline)}</b></p>",
-            *(f"<p>{escape(s)}</p>" for s in (*indistinguishable, *found.notes, *said)),
-            f"<h2>{escape(estimate.name.capitalize())} over the run</h2>",
-        ),
-        over_time.root,
-        _told(f'<p class="note">{escape(over_time.note)}</p>', *(str(t) for t in tables)),
-        _told("<h2>What is missing, and what the camera sees beside the model</h2>"),
-    ]
-    for picture in others:
-        parts += [picture.root, _told(f'<p class="note">{escape(picture.note)}</p>')]
-    parts.append(
-        _told(
-            "<h2>What the verdict rests on</h2><ul>",
-            *(f"<li>{escape(str(check))}</li>" for check in found.checks),
-            "</ul>",
-            f"<p>Made by <code>{escape(command)}</code></p>" if command else "",
-        )
-    )
-    page = column(*parts, sizing_mode="stretch_width", styles={"padding": "0 24px", "box-sizing": "border-box"})
-    write_whole(path, page_of(page, title))
-
-
-def _told(*lines: str) -> Div:
-    """A block of text between pictures; a Div stands alone, so that each brings its style."""
-    return Div(text=f'{_SAID_STYLE}<div class="said">{"".join(lines)}</div>', sizing_mode="stretch_width")
+    drawn = estimate_picture(over_time)
+    sections = [Section(f"{over_time.name.capitalize()} over the run", "", drawn.root, drawn.note)]
+    if any(tables):
+        sections.append(Section("Errors", "".join(tables)))
+    for k, picture in enumerate(pictures_of(found) if found is not None else ()):
+        title = "What is missing" if not k else f"What the camera sees, {k}"
+        sections.append(Section(title, "", picture.root, picture.note))
+    if found is not None:
+        sections.append(Section("What the verdict rests on", sentences_of(*map(str, found.checks))))
+    write_page(path, answer, sections, made)

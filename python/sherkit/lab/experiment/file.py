@@ -116,7 +116,8 @@ _SPELT = {"µm": "um"}
 
 @dataclass(frozen=True)
 class Experiment:
-    """A plan and what carries it out. ``run_path`` is where its run file stands unless another is named.
+    """A plan and what carries it out. ``run_path`` is where its run file stands unless another is named,
+    ``robot_path`` the file of its robot.
 
     ``targets`` are the coordinates of its poses (n, k), as the robot's kinematics has them: mm or rad.
     """
@@ -131,6 +132,7 @@ class Experiment:
     warm_up_s: float
     attempts: int
     run_path: Path
+    robot_path: Path
     source: str
     text: str
     #: How the robot chooses its poses itself, as :class:`~sherkit.Adaptive` takes it; None where ``[adaptive]`` is
@@ -267,7 +269,7 @@ def experiment_from(
             f"from {low:g} to {high:g} {unit}"
         )
     return Experiment(
-        made, plan, targets, instruments, settling, checks, goal, warm_up_s, attempts, run_path,
+        made, plan, targets, instruments, settling, checks, goal, warm_up_s, attempts, run_path, robot_path,
         str(path), tomli_w.dumps(table.values), chosen,
     )  # fmt: skip
 

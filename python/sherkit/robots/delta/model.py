@@ -30,6 +30,7 @@ _OWN = {
         physics="Each encoder counts too many or too few millimetres: its scale is a few parts in ten thousand off.",
         residuals="Grows in proportion to the travel of one joint; zero at the home position.",
         remedy="Compare each axis with a gauge block or laser over its travel; correct counts per millimetre.",
+        sizes={"scale": "encoder {k} counts {size} too much/little"},
     ),
     "rail_lean": Sentences(
         physics="The rails are not parallel: each leans outwards (radial) or sideways (tangential).",
@@ -37,6 +38,10 @@ _OWN = {
         "to all rails "
         "is a tilt of the instrument, where that may stand anywhere.",
         remedy="Square the rails to the base with a level or autocollimator; shim the feet.",
+        sizes={
+            "radial": "rail {k} leans outwards/inwards by {size}",
+            "tangential": "rail {k} leans sideways by {size}",
+        },
     ),
     "rod_mismatch": Sentences(
         physics="The two rods of a limb differ in length, so the platform tilts and carries the measured point with "
@@ -44,6 +49,7 @@ _OWN = {
         residuals="Quadratic in position, nearly all of it hidden in radii and rod lengths: a small rest, a large "
         "cause.",
         remedy="Measure rods in pairs on one fixture and match them; shorten the lever from platform to tool.",
+        sizes={"difference": "the two rods of limb {k} differ by {size}"},
     ),
     "limb_twist": Sentences(
         physics="The joint axis of a limb at its carriage is turned against that at the platform, as a rail at a wrong "
@@ -51,18 +57,21 @@ _OWN = {
         residuals="The tilt times the lever from platform to tool, growing from the middle outwards. A turn common to "
         "all limbs hides in the base geometry: differences between limbs are what shows.",
         remedy="Align the axes of each limb with a bar through both joints; turn each carriage with its rail.",
+        sizes={"twist": "limb {k} is twisted by {size}"},
     ),
     "drive_compliance": Sentences(
         physics="Belt, screw or controller let a carriage give way along its rail under what its limb pulls with; the "
         "value is the way under the platform's whole weight.",
         residuals="A joint error that follows the limb's share of the weight: most where that limb carries most.",
         remedy="Stiffen belt and controller, balance the platform's weight, or read the carriage and not the motor.",
+        sizes={"yield": "carriage {k} gives way by {size}"},
     ),
     "gravity_sag": Sentences(
         physics="Limbs stretch under the platform's weight, the more the more of it they carry; the value is the "
         "stretch of a limb under all of it.",
         residuals="Smooth over the workspace, deeper where one limb hangs steep; mostly hidden in rod lengths.",
         remedy="Stiffen joints and rods, or balance the platform's weight.",
+        sizes={"compliance": "limb {k} stretches by {size}"},
     ),
     "link_growth": Sentences(
         physics="Rods, frame and rails expand with temperature, each by its own part: carbon rods between steel rails, "
@@ -70,6 +79,11 @@ _OWN = {
         residuals="Proportional to the deviation of temperature from 20 °C: rods that grow push the platform along "
         "the rails, a frame that grows pulls it back, rails that grow stretch the heights.",
         remedy="Warm up before measuring; hold the temperature; rods and frame of one material, or of Invar.",
+        sizes={
+            "rods": "the rods grow/shrink by {size}",
+            "frame": "the frame grows/shrinks by {size}",
+            "rails": "the rails grow/shrink by {size}",
+        },
     ),
     "slip": Sentences(
         physics="Something let go at one moment: a clamp, a magnet, the calibration cube.",

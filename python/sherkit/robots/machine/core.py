@@ -285,6 +285,7 @@ _OWN = {
         physics="The zero of an encoder is not where the model has it.",
         residuals="As if one joint stood elsewhere by the same amount at every pose.",
         remedy="Home the joint again, or correct the offset in the controller.",
+        sizes={"offset": "the zero of {k} is off by {size}"},
     ),
     "joint_coupling": Sentences(
         physics="One joint moves along with another: axes that are not square, a belt or gear that couples them.",
@@ -301,6 +302,7 @@ _OWN = {
         "fall at a metre from it.",
         residuals="Downwards, with the square of the distance from the z axis.",
         remedy="Balance or stiffen the overhanging part; preload its bearing.",
+        sizes={"fall": "a metre out it hangs {size} too low"},
     ),
     "instrument_turned": Sentences(
         physics="The measuring instrument's axes are not parallel to those of the model.",

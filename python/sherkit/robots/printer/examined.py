@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ...base.answer import AFTER, BEFORE, Answer, Bar, ToDo
 from ...diagnosis import Diagnosis, diagnose
 from ...fit.forms import known
 from ...fit.identify import Fit
@@ -104,6 +105,36 @@ class Examined:
         return not self.suspects and told.p_missing <= told.level and self.after_mm >= _FELT_MM
 
     # -- words ---------------------------------------------------------------------------------------------
+
+    @property
+    def answer(self) -> Answer:
+        """What it says for whoever reads nothing else."""
+        said = [" together with ".join(_CALLED.get(n, n) for n in one.names) for one in self.suspects]
+        if said:
+            verdict = f"{'either ' if self.tied else ''}{', or '.join(said)}"
+        elif self.unknown:
+            verdict = "a pattern that no known fault makes"
+        else:
+            verdict = "the numbers in the firmware" if self.better_numbers else "nothing that this probing shows"
+        wrong = self._wrong()
+        bars = (
+            Bar(BEFORE, "the plate as it reads now", self.before_mm),
+            Bar(AFTER, "with the best numbers", self.after_mm),
+        )
+        return Answer(
+            verdict, wrong[0], (*wrong[1:], *self._sure()), tuple(ToDo(one) for one in self._do()), bars, "mm"
+        )  # fmt: skip
+
+    @property
+    def numbers(self) -> list[tuple[str, str, str]]:
+        """The firmware's numbers, each as it is and as it would be better."""
+        now, new = self.found.robot.towers, self.new.towers
+        out = [("delta radius, mm", f"{now.radius_mm:.3f}", f"{new.radius_mm:.3f}")]
+        for k, tower in enumerate("ABC"):
+            each = (("angle, °", "angle_deg"), ("arm, mm", "arm_mm"), ("endstop, mm", "endstop_mm"))
+            out += [(f"{tower}: {what}", f"{getattr(now, name)[k]:.3f}", f"{getattr(new, name)[k]:.3f}")
+                    for what, name in each]  # fmt: skip
+        return out
 
     @property
     def sections(self) -> list[tuple[str, list[str]]]:

@@ -37,12 +37,14 @@ _OWN = {
         "angle.",
         residuals="The common part turns the whole picture about the actuated axis; the difference lifts the tool.",
         remedy="Drive each joint to its mechanical zero and set the encoder there.",
+        sizes={"offset": "the zero of joint {k} is off by {size}"},
     ),
     "joint_scale": Sentences(
         physics="The ratio of gear or belt is not quite what the drawing says, so an encoder counts too many or too "
         "few radians.",
         residuals="Grows in proportion to the travel of one joint; zero at the home position.",
         remedy="Compare a full turn of each joint with its index mark; correct counts per turn.",
+        sizes={"scale": "joint {k} counts {size} too much/little"},
     ),
     "unequal_limbs": Sentences(
         physics="The two limbs are not alike: the arcs of limb 1 are longer than the common ones by the value, those "
@@ -55,11 +57,16 @@ _OWN = {
         "robot moves.",
         residuals="Millimetres that turn with the joints, whatever the radius.",
         remedy="Shim the bearings of the elbows until their axes meet; this is what makes the robot safe.",
+        sizes={
+            "across": "the elbow of limb {k} misses the centre by {size} across its axis",
+            "along": "the elbow of limb {k} misses the centre by {size} along its axis",
+        },
     ),
     "gravity_flexure": Sentences(
         physics="The distal links bend under the weight of the tool; the value is the bend under all of its moment.",
         residuals="Droop that grows with the horizontal lever arm of the tool.",
         remedy="Stiffen the distal links, or balance the tool.",
+        sizes={"bend": "limb {k} bends by {size}"},
     ),
     "marker_offset": Sentences(
         physics="The marker is not on the tool axis: it sits beside it, and turns with the distal link.",

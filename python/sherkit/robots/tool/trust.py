@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...base.answer import Answer, ToDo
 from .exchanged import exchanged
 from .filters import Estimate
 from .known import Knowledge
@@ -23,12 +24,13 @@ class Trust:
 
     verdict: str
     sentence: str
+    to_do: str
     noticed: tuple[str, ...]
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """All of it."""
-        return (self.sentence, *self.noticed)
+    def answer(self) -> Answer:
+        """What it says for whoever reads nothing else."""
+        return Answer(f"the depth is {self.verdict}", "", (self.sentence, *self.noticed), (ToDo(self.to_do),))
 
 
 def trust(e: Estimate, truths: list[Knowledge]) -> Trust:
@@ -40,7 +42,7 @@ def trust(e: Estimate, truths: list[Knowledge]) -> Trust:
     std = float(np.median(e.depth_std_mm))
     if of and of[0].verdict != "unknown":
         k = of[0]
-        told = f"{k.coverage:.0%} of the rows lie in its 95 % interval, NEES {k.nees:.2f}, ± {std:.2f} mm"
+        told = f"{100 * k.coverage:.0f} % of the rows lie in its 95 % interval, NEES {k.nees:.2f}, ± {std:.2f} mm"
         verdict = {"consistent": "trusted"}.get(k.verdict, k.verdict)
     else:
         c = e.depth.consistency
@@ -52,7 +54,7 @@ def trust(e: Estimate, truths: list[Knowledge]) -> Trust:
         "overconfident": f"count on more than the deviation{why or ', and calibrate the tool again on its bench'}",
         "unknown": "nothing was measured that tells; look at what the rows say of themselves",
     }[verdict]
-    return Trust(verdict, f"The depth is {verdict}: {told}. What to do: {do}.", noticed)
+    return Trust(verdict, told, do, noticed)
 
 
 def _noticed(e: Estimate) -> list[str]:
