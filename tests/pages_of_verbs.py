@@ -20,9 +20,6 @@ from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool
 from test_arm_counted import arm_in
 
-#: What stands in the pages of one delta whose rails lean: a command of the demo makes it.
-_DELTA = ("diagnose", "calibrate")
-
 
 def _by(folder: Path, line: str) -> str:
     """What a command that ends well prints. Raises AssertionError with what it said else."""
@@ -117,3 +114,5 @@ PAGES: dict[str, Callable[[Path], str]] = {
     "diagnose": _diagnose, "arm": _arm, "calibrate": _calibrate, "compare": _compare, "history": _history,
     "measure": _measure, "tool": _tool, "estimate": _estimate, "printer": _printer, "effects": _effects,
 }  # fmt: skip
+#: Those that propose a command.
+COMMANDS = ("diagnose", "arm", "compare", "history", "measure", "tool", "printer")

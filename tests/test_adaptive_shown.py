@@ -10,6 +10,7 @@ import pytest
 
 import sherkit as sk
 from driven_worlds import DrivenDelta, World
+from sherkit.report.page import Made
 from sherkit.report.stories import write_adaptive
 
 HIDDEN = "rail_lean"
@@ -64,21 +65,21 @@ def test_the_page_renews_itself_until_it_is_known(
 ) -> None:
     """Catches a page that stands still while the run goes on, one that never ends, and one that hides what is next."""
     loop, world, _ = on_its_way
-    write_adaptive(tmp_path / "page.html", loop, "A <run>")
+    write_adaptive(tmp_path / "page.html", loop, Made("A <run>"))
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert 'http-equiv="refresh"' in page
-    assert "next: " in page
+    assert "Next: " in page
     assert "A &lt;run&gt;" in page
     assert HIDDEN in page
     done = sk.Adaptive(world.robot, budget=loop.readings)
     done.tell(loop.data)
     assert done.done
-    write_adaptive(tmp_path / "page.html", done, "A run")
+    write_adaptive(tmp_path / "page.html", done, Made("A run"))
     assert 'http-equiv="refresh"' not in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 def test_a_page_of_nothing_yet(tmp_path: Path) -> None:
     """Catches a page that fails before the first look."""
     loop = sk.Adaptive(DrivenDelta(1).robot)
-    write_adaptive(tmp_path / "page.html", loop, "A run")
+    write_adaptive(tmp_path / "page.html", loop, Made("A run"))
     assert "0 readings" in (tmp_path / "page.html").read_text(encoding="utf-8")

@@ -76,5 +76,5 @@ def test_terminal_json_and_report_are_of_the_same_rows(lab: Path, capsys: pytest
     assert f"1 gross error, line {LINE}: left out; --with-outliers uses them" in " ".join(shown.split())
     report = (lab / "report.html").read_text(encoding="utf-8")
     assert f"lines {LINE}" in report
-    found = re.search(r'id="error-before">([\d.]+)', report)
+    found = re.search(r'id="bar_before">([\d.]+)', report)
     assert float(found[1]) == pytest.approx(error.rms, rel=6e-3)

@@ -313,8 +313,9 @@ def test_an_experiment_is_measured(folder: Path) -> None:
 
 def _report(study: sk.Study) -> str:
     from sherkit.report.document import Report, html
+    from sherkit.report.page import Made
 
-    return html(Report("A planar arm", study, study.diagnose(), "", ()))
+    return html(Report(study, study.diagnose(), Made("run.csv")))
 
 
 def test_the_page(folder: Path) -> None:

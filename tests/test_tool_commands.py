@@ -45,7 +45,7 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     assert made.exit_code == 0, made.output
     assert "Error of the depth" in made.output
     assert "95 % cover" in made.output
-    assert "The depth is" in made.output
+    assert "Verdict: the depth is" in made.output
     assert "NIS / expected" not in made.output
     out = pl.read_csv(tmp_path / "out.csv")
     assert len(out) == 6001

@@ -151,7 +151,7 @@ def to_json(result: Result) -> dict[str, Any]:
 
 def _run_json(run: CalibrationRun) -> dict[str, Any]:
     fit = run.fit
-    repeats = fit.data.repeatability
+    repeats = fit.repeatability
 
     layout = fit.data.layout
     # programs find the unit in the key

@@ -76,14 +76,16 @@ class Course:
         return len(self.parameters) == 1 and not self.exceeds and not self.or_else
 
     def __str__(self) -> str:
-        told = []
-        per = {"step": "", "once": "", "ramp": " per month", "season": " per °C"}[self.kind]
-        for name, value, std, unit in self.parameters:
-            told.append(f"{name} by {stated(value, std, unit)}{per}")
         when = f" at {self.date}" if self.date else ""
         end = f"; beyond what is needed {self.exceeds}" if self.exceeds else ""
         other = f"; these runs cannot tell it from {', '.join(self.or_else)}" if self.or_else else ""
-        return f"{self.kind}{when}: {'; '.join(told)}{end}{other}"
+        return f"{self.kind}{when}: {self.sizes}{end}{other}"
+
+    @property
+    def sizes(self) -> str:
+        """By how much each of its parameters changes."""
+        per = {"step": "", "once": "", "ramp": " per month", "season": " per °C"}[self.kind]
+        return "; ".join(f"{name} by {stated(value, std, unit)}{per}" for name, value, std, unit in self.parameters)
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -123,7 +125,8 @@ class History(Shown):
     def verdict_and_what(self) -> str:
         """The verdict, and what has changed, in which course."""
         if len(self.changes) == 1 and self.changes[0].is_plain:
-            return f"{self.verdict}: {self.changes[0]}"
+            only = self.changes[0]
+            return f"{self.verdict}: {only.sizes} ({only.kind}{f' at {only.date}' if only.date else ''})"
         told = [f"{one.name} ({one.kind}{f' at {one.date}' if one.date else ''})" for one in self.changes]
         return f"{self.verdict}: {', '.join(told)}" if told else self.verdict
 

@@ -182,7 +182,7 @@ def errors(e: CalibrationRun, title: str, beside: Mapping[str, Mapping[str, tupl
         if printed:
             blank = [""] * len(sizes)
             made.add_row("  the paper's robot", *blank, *[f"{v[0]} ± {v[1]}" for v in printed.values()], style="dim")
-    repeats = e.fit.data.repeatability
+    repeats = e.fit.repeatability
     if repeats:
         made.add_row(
             "repeatability (1 σ)",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -44,10 +45,11 @@ def printer(
         if found.robot.firmware != "klipper":
             raise SherkitError("--output: is for Klipper's printer.cfg; the commands of other firmwares are printed")
         write_whole(written, klipper_config(config, examined.new.towers))
+        examined = replace(examined, written=str(written))
     if report is not None:
         from ..report.printer import write_printer
 
-        write_printer(report, examined, output.made_by((config, *maps)))
+        write_printer(report, examined, output.made_by((config, *maps), (config, *maps)))
     if as_json:
         output.print_json(examined.to_json())
         return

@@ -12,7 +12,7 @@ from . import Measurements
 #: Standard deviation of a Gaussian per median absolute deviation.
 MAD = 1.482602218505602
 #: Fewer degrees of freedom than this from repeats say too little about the noise to weigh by.
-_MIN_FREEDOM = 5
+MIN_FREEDOM = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ def _of_readings(data: Measurements) -> Noise:
     if repeats is not None:
         columns = np.full(len(data.layout.readings), np.nan)
         for k, name in enumerate(data.layout.readings):
-            if repeats.degrees_of_freedom.get(name, 0) >= _MIN_FREEDOM and repeats.sigma[name] > 0:
+            if repeats.degrees_of_freedom.get(name, 0) >= MIN_FREEDOM and repeats.sigma[name] > 0:
                 columns[k] = repeats.sigma[name]
         filled = np.where(np.isfinite(sigma), sigma, columns)
         if np.isfinite(filled[needed]).all():

@@ -36,6 +36,26 @@ class Repeatability:
     degrees_of_freedom: dict[str, int]
 
 
+def pure_error(names: Sequence[str], values: Floats, used: Bools, groups: Ints) -> Repeatability | None:
+    """How far ``values`` (n, m) of one group are from each other, of those that are ``used`` (n, m); None where every
+    group has one row."""
+    sigma: dict[str, float] = {}
+    freedom: dict[str, int] = {}
+    for k, name in enumerate(names):
+        rows = used[:, k]
+        if not rows.any():
+            continue
+        group = np.unique(groups[rows], return_inverse=True)[1]
+        count = np.bincount(group)
+        value = values[rows, k]
+        mean = np.bincount(group, value) / count
+        free = int((count - 1).sum())
+        if free > 0:
+            sigma[name] = float(np.sqrt(((value - mean[group]) ** 2).sum() / free))
+            freedom[name] = free
+    return Repeatability(sigma, freedom) if sigma else None
+
+
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """Rows of readings of a machine. Arrays have one row per reading and are not to be written to.
@@ -354,21 +374,7 @@ class Measurements:
         Outliers that the user marked are left out. A pose's readings are compared with their own mean, so
         the figure is free of any model (Draper and Smith, *Applied Regression Analysis*, 1.5).
         """
-        sigma: dict[str, float] = {}
-        freedom: dict[str, int] = {}
-        for k, name in enumerate(self.layout.readings):
-            rows = self.used[:, k]
-            if not rows.any():
-                continue
-            group = np.unique(self.groups[rows], return_inverse=True)[1]
-            count = np.bincount(group)
-            value = self.readings[rows, k]
-            mean = np.bincount(group, value) / count
-            free = int((count - 1).sum())
-            if free > 0:
-                sigma[name] = float(np.sqrt(((value - mean[group]) ** 2).sum() / free))
-                freedom[name] = free
-        return Repeatability(sigma, freedom) if sigma else None
+        return pure_error(self.layout.readings, self.readings, self.used, self.groups)
 
     # -- leaving -----------------------------------------------------------------------------------------
 

@@ -71,13 +71,11 @@ def in_repeats(before: Base, left: Described, every: FittedRun) -> Repeats | Non
 
 def _scatter(run: FittedRun, noise: Floats) -> Floats:
     """By how much repeats of a pose differ in each reading (columns,) of a run; ``noise`` where too few tell."""
-    out = noise.copy()
+    out, told = noise.copy(), run.fit.repeatability
     for a in run.axes:
-        used = run.used[:, a]
-        pose = np.unique(run.data.groups[used], return_inverse=True)[1].ravel()
-        free = len(pose) - int(pose.max(initial=-1)) - 1
-        if free >= _FEWEST:
-            out[a] = np.sqrt(np.square(_apart(run.residuals[used, a], 1, pose)).sum() / free)
+        name = run.data.layout.readings[a]
+        if told is not None and told.degrees_of_freedom.get(name, 0) >= _FEWEST:
+            out[a] = told.sigma[name]
     return out
 
 

@@ -93,7 +93,7 @@ class FittedRun(Saved):
     @cached_property
     def noise(self) -> tuple[Floats, str]:
         """Noise per reading column (columns,), and where it is known from: declared, repeats or unknown."""
-        noise = noise_of(self.data)
+        noise = self.fit.noise
         sigma = np.ones(len(self.names))
         for a in self.axes:
             sigma[a] = float(np.sqrt(np.mean(noise.sigma[self.used[:, a], a] ** 2)))

@@ -25,6 +25,7 @@ from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.noise import Noise, noise_of
 from ..data.reader import RunLike
+from ..data.rows import Repeatability
 from ..errors import FitError
 from ..model.any import Model
 from ..model.base import ModelWithEffects
@@ -36,6 +37,7 @@ from .folds import blocks_of
 from .least_squares import LOSSES, LeastSquares, reached, scale, spread
 from .minimum import NEAR, beginning, noise_ratio, over_the_wall
 from .regions import Elsewhere, errors_elsewhere
+from .repeats import noise_beside, repeatability_of
 from .set_up import held, set_up_mistakes
 from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
@@ -127,6 +129,12 @@ class Fit(Identified, Shown):
     priors: bool
     #: Whether the drawing counts for the regions alone: with an effect more in the model it may not need to.
     for_regions: bool = False
+
+    @cached_property
+    def repeatability(self) -> Repeatability | None:
+        """By how much repeats of a pose differ beside what the model explains of them; None where no pose was read
+        twice."""
+        return repeatability_of(self)
 
     @cached_property
     def predicted(self) -> Floats:
@@ -272,10 +280,15 @@ def identify(
     model = model.for_run(data)
     if loss not in LOSSES:
         raise FitError(f"loss: '{loss}' is not known; choose {', '.join(LOSSES)}")
+    told = noise is not None
     noise = noise or noise_of(data)
     if not data.used.any():
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
     fit = _fitted(model, data, noise, start, loss=loss, priors=bool(priors), linear=linear)
+    if not told and (beside := noise_beside(fit)) is not None:
+        noise = beside
+        near = fit.values if fit.converged else start
+        fit = _fitted(model, data, noise, near, loss=loss, priors=bool(priors), linear=linear)
     decided = fit.converged and fit.supported == fit.rank
     if priors is None and not linear and not (decided and not _worse(fit, start)):
         # what readings do not decide the drawing does, unless they contradict it; those that never change cannot: the

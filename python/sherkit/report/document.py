@@ -291,7 +291,7 @@ def _table_one(run: CalibrationRun, key: str, beside: Mapping[str, Mapping[str, 
         figures = beside.get(printed, {})
         if figures:
             rows.append(("the paper's robot", ["", "", *(f"{v[0]} ± {v[1]}" for v in figures.values())], True))
-    repeats = run.fit.data.repeatability
+    repeats = run.fit.repeatability
     if repeats:
         per_unit = run.fit.data.layout.per_unit
         cells = [f"± {number(per_unit * repeats.sigma[a])}" if a in repeats.sigma else "" for a in axes]

@@ -12,7 +12,7 @@ canvas { width: 100%; display: block; background: var(--paper); border: 1px soli
   touch-action: pan-y; box-sizing: border-box }
 canvas:active { cursor: grabbing } canvas:focus-visible { outline: 3px solid var(--now); outline-offset: 1px }
 .controls { display: flex; flex-wrap: wrap; gap: 4px 18px; align-items: center; font: 15px/1.6 sans-serif; color: var(--ink) }
-label { display: flex; gap: 8px; align-items: center } input[type=range] { width: 170px; accent-color: var(--now) }
+label { display: flex; flex-wrap: wrap; gap: 0 8px; align-items: center; max-width: 100% } input[type=range] { width: 170px; accent-color: var(--now) }
 .view { position: relative } .zoom { position: absolute; right: 6px; top: 6px; display: flex; gap: 4px }
 .zoom button { font: 17px/1 sans-serif; width: 28px; height: 28px; padding: 0; color: var(--ink); background: var(--paper);
   border: 1px solid var(--rule); border-radius: 3px } .zoom button:focus-visible { outline: 3px solid var(--now) }

@@ -5,7 +5,7 @@ For somebody who has a probe and a screwdriver. What the sentences rest on is a 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ...base.answer import AFTER, BEFORE, Answer, Bar, ToDo
+from ...base.answer import AFTER, BEFORE, FILES, Answer, Bar, ToDo
 from ...diagnosis import Diagnosis, diagnose
 from ...fit.forms import known
 from ...fit.identify import Fit
@@ -51,6 +51,8 @@ class Examined:
     plain: Fit
     diagnosis: Diagnosis
     suspects: tuple[Suspect, ...]
+    #: The file that the better numbers were written to.
+    written: str = ""
 
     @property
     def tied(self) -> bool:
@@ -121,9 +123,22 @@ class Examined:
             Bar(BEFORE, "the plate as it reads now", self.before_mm),
             Bar(AFTER, "with the best numbers", self.after_mm),
         )
+        # the verdict says which pattern it is
+        further = [one for one in wrong[1:] if "has a pattern: " not in one]
         return Answer(
-            verdict, wrong[0], (*wrong[1:], *self._sure()), tuple(ToDo(one) for one in self._do()), bars, "mm"
+            verdict, wrong[0], (*further, *self._sure()), tuple(self._steps()), bars, "mm"
         )  # fmt: skip
+
+    def _steps(self) -> Iterator[ToDo]:
+        """What to do, with the commands that do it."""
+        lines = [one for one in self._do() if one.startswith(" ")]
+        for one in self._do():
+            if one.endswith("use that file."):
+                yield ToDo("write the better numbers into a new printer.cfg", f"sherkit printer {FILES} -o new.cfg")
+            elif one.endswith(":"):
+                yield ToDo(one[:-1], "\n".join(line.strip() for line in lines))
+            elif one not in lines:
+                yield ToDo(one)
 
     @property
     def numbers(self) -> list[tuple[str, str, str]]:
@@ -227,7 +242,9 @@ class Examined:
         if self.better_numbers:
             if self.found.robot.firmware == "klipper":
                 out.append(
-                    "Write the better numbers into printer.cfg: run this again with -o NEW.cfg, and use that file."
+                    f"Use {self.written}: it has the better numbers."
+                    if self.written
+                    else "Write the better numbers into printer.cfg: run this again with -o NEW.cfg, and use that file."
                 )
             else:
                 out += [
