@@ -22,6 +22,7 @@ import polars as pl
 import scipy
 
 from .base.arguments import Level, Seed, as_annotated
+from .base.figures import sized
 from .base.names import listed
 from .base.workers import Outcome, run_tasks
 from .data.noise import MAD
@@ -88,10 +89,12 @@ class StandsOut:
     median: float
     deviations: float
     threshold: float
+    unit: str = ""
 
     def __str__(self) -> str:
         return (
-            f"{self.run}: {self.name} is {self.value:.4g}, the fleet's median {self.median:.4g}: "
+            f"{self.run}: {self.name} is {sized(self.value, self.unit)}, the fleet's median "
+            f"{sized(self.median, self.unit)}: "
             f"{self.deviations:+.1f} deviations, where {self.threshold:.1f} are rare"
         )
 
@@ -137,7 +140,7 @@ class Fleet:
                 scale = float(np.hypot(c.spread, std))
                 deviations = (value - c.median) / scale if scale > 0 else 0.0
                 if abs(deviations) > threshold:
-                    out.append(StandsOut(run, c.name, value, c.median, deviations, threshold))
+                    out.append(StandsOut(run, c.name, value, c.median, deviations, threshold, c.unit))
         return tuple(sorted(out, key=lambda one: -abs(one.deviations)))
 
     @cached_property

@@ -10,13 +10,17 @@ _MOST_DECIMALS = 7
 _SMALL = 0.095
 
 
+#: Units of turns that people read in degrees, and how many radians each is.
+_TURNS = {"rad": 1.0, "mrad": 1e-3}
+
+
 def in_people_units(unit: str) -> tuple[str, float]:
     """The unit in which people read a quantity of ``unit``, and how many of these make one of it."""
     if unit == "1":
         return "", 1.0
     first, slash, rest = unit.partition("/")
-    if first == "rad" and rest != "rad":
-        return f"°{slash}{rest}", math.degrees(1.0)
+    if first in _TURNS and rest != first:
+        return f"°{slash}{rest}", math.degrees(_TURNS[first])
     return unit, 1.0
 
 

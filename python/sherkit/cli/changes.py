@@ -11,12 +11,14 @@ from typing import TypeVar
 import click
 from rich.markup import escape
 
+from ..base.figures import in_people_units, sized
 from ..base.names import CALIBRATED
 from ..base.workers import processes
 from ..changes import Comparison, History
 from ..changes import compare as compare_runs
 from ..changes import history as history_of
 from ..changes import verify as verify_run
+from ..data.columns import unit_in
 from ..data.head import names_given
 from ..errors import SherkitError
 from ..fleets import FEWEST, Fleet, fleet
@@ -88,7 +90,9 @@ def _say(found: Comparison, *files: Path) -> None:
             moved.add_row(one.name, one.by, str(one.since + 1))
         out.print(moved)
     for run, stand in found.stand.items():
-        output.say(f"the sensor of run {run}: {', '.join(f'{name} {value:.4g}' for name, value in stand.items())}")
+        moved = ", ".join(f"{name.rpartition('_')[0]} {sized(value, unit_in(name))}" for name, value in stand.items())
+        which, _, source = run.partition(": ")
+        output.say(f"the sensor of run {which} ({source}) stands elsewhere than that of the first: {moved}")
     for run, count in found.aside.items():
         if count:
             output.say(f"{count} rows of run {run} stand apart from all others and were left out")
@@ -227,5 +231,6 @@ def _print(found: Fleet) -> None:
     columns = ("", "median", "from machine to machine", "unit", "machines")
     spread = output.table("What the machines have in common", *columns)
     for c in found.common:
-        spread.add_row(escape(c.name), f"{c.median:+.4g}", f"± {c.spread:.2g}", c.unit, str(c.machines))
+        shown, times = in_people_units(c.unit)
+        spread.add_row(escape(c.name), f"{times * c.median:+.4g}", f"± {times * c.spread:.2g}", shown, str(c.machines))
     output.out.print(spread)

@@ -9,6 +9,7 @@ from typing import Any
 import click
 import tomli_w
 
+from ..base.figures import sized
 from ..base.names import listed
 from ..data import Measurements
 from ..data.files import write_whole
@@ -127,9 +128,9 @@ def _show(effect: Effect, of: str) -> None:
         if effect.is_periodic:
             what = "period, down to the mean distance of a joint's distinct readings,"
         output.say(f"  its {what} is searched for as well")
-    made = output.table("", "parameter", "plausible size", "unit")
+    made = output.table("", "parameter", "plausible size")
     for p in effect.parameters:
-        made.add_row(p.name, f"{p.size:g}", p.unit)
+        made.add_row(p.name, sized(p.size, p.unit))
     output.out.print(made)
 
 

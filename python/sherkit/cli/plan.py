@@ -9,7 +9,7 @@ import click
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ..base.figures import in_names
+from ..base.figures import in_names, sized
 from ..base.names import listed
 from ..data import Measurements
 from ..diagnosis.sensor_pose import pose_in_words, taken_by_pose
@@ -200,7 +200,7 @@ def _show_parameters(planning: Planning) -> None:
     made = table("How well the parameters would be known", "parameter", "standard deviation", "µm where it acts",
                  note=note)  # fmt: skip
     for p, std in zip(planning.parameters, design.std, strict=True):
-        made.add_row(p.name, f"{std:.3g} {p.unit}", f"{1e3 * std * p.lever_mm:.3g}")
+        made.add_row(p.name, sized(float(std), p.unit), f"{1e3 * std * p.lever_mm:.3g}")
     out.print(made)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..base.figures import number
 from ..base.names import listed
 from ..base.types import Floats
 from ..data.columns import bare
@@ -119,7 +120,7 @@ _HELD = "every row in turn, held out with its block, five times over other folds
 def _fall(one: HeldOutGain, unit: str) -> str:
     if not np.isfinite(one.without):
         return "without it these rows cannot be fitted"
-    return f"held out {one.without:.4g} {unit} without it, {one.with_it:.4g} with it"
+    return f"held out {number(one.without)} {unit} without it, {number(one.with_it)} with it"
 
 
 def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Check:
@@ -277,14 +278,14 @@ def _small(final: FittedRun, error: float, sigma: Floats, origin: str, by_noise:
     tested = "the error on rows held out is as small as the noise"
     noise = _noise(final, sigma)
     if origin == "unknown":
-        return Check(SMALL, tested, _HELD, f"{error:.4g} {final.unit}; the noise is unknown", holds=None)
-    most, told = PRAISE * noise, f"{error:.4g} {final.unit} at a noise of {noise:.4g} ({origin})"
+        return Check(SMALL, tested, _HELD, f"{number(error)} {final.unit}; the noise is unknown", holds=None)
+    most, told = PRAISE * noise, f"{number(error)} {final.unit} at a noise of {number(noise)} ({origin})"
     if error > most and (bound := by_noise() * noise) > most:
-        told += f", which alone leaves up to {bound:.4g} on rows held out of these poses"
+        told += f", which alone leaves up to {number(bound)} on rows held out of these poses"
         most = bound
     return Check(
         SMALL, tested, _HELD, told, holds=error <= most,
-        fails=f"{error:.4g} {final.unit} are left on rows held out at a noise of {noise:.4g}",
+        fails=f"{number(error)} {final.unit} are left on rows held out at a noise of {number(noise)}",
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..base.figures import sized, stated
 from ..base.types import Floats
 from ..errors import FitError, SherkitWarning
 from ..fit.identify import Fit
@@ -51,8 +52,9 @@ def displaces(fit: Fit, before: Fit) -> bool:
 def largest(fit: Fit, k: int) -> str:
     """A parameter by its number, beside what is usual."""
     p = fit.parameters[k]
-    value = f"{p.name} = {fit.values[k]:.3g} ± {fit.std_from_readings[k]:.1g} {p.unit}".rstrip()
-    return f"{value} where {p.size:.3g} is usual"
+    # all that a person reads of a value has one deviation: that of readings and plausible sizes together
+    value = stated(float(fit.values[k]), float(fit.std[k]), p.unit, p.size)
+    return f"{p.name} = {value} where {sized(p.size, p.unit)} is usual"
 
 
 def refuse_absurd(fit: Fit, names: Sequence[str]) -> None:
