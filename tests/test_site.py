@@ -20,10 +20,11 @@ from sherkit.report.page import browser
 from test_docs import HERE, MACHINE, blocks, command, commands, run_python, sherkit, text_of
 
 #: Pages whose blocks run in order in the folder that the demo leaves.
-PAGES = ("docs/start.md", "docs/howto_data.md", "docs/howto_repeats.md", "docs/howto_ties.md", "docs/howto_plan.md",
+PAGES = ("docs/start.md", "docs/howto_data.md", "docs/howto_repeats.md", "docs/howto_ties.md", "docs/howto_plan.md", "docs/howto_effect.md",
          "docs/howto_adaptive.md", "docs/history.md", "docs/other_programs.md", "docs/howto_package.md")  # fmt: skip
 #: Pages that show nothing to run.
-WORDS = ("docs/verdict.md", "docs/glossary.md", "docs/questions.md", "docs/dependencies.md", "docs/reference.md")
+WORDS = ("docs/verdict.md", "docs/glossary.md", "docs/questions.md", "docs/dependencies.md", "docs/reference.md",
+         "docs/limits.md")  # fmt: skip
 INSTRUMENTS = "docs/instruments.md"
 LOOP = "docs/howto_c.md"
 NEEDS = {"docs/other_programs.md": ("bluesky", "ophyd", "rosbags")}
@@ -151,11 +152,18 @@ def test_the_site_is_built_and_every_link_leads_somewhere(tmp_path: Path) -> Non
     reference = (tmp_path / "site" / "docs" / "reference.html").read_text(encoding="utf-8")
     assert ":class:" not in reference
     if browser() is not None:
-        assert searched(tmp_path / "site" / "docs" / "start.html", "backlash") > 2
+        assert len(searched(tmp_path / "site" / "docs" / "start.html", "backlash")) > 2
+        for words, page in FOUND.items():
+            first = searched(tmp_path / "site" / "docs" / "gallery.html", words)[0]
+            assert page in first, f"'{words}' leads to {first}"
 
 
-def searched(page_file: Path, word: str) -> int:
-    """How many pages a search finds, on a site that is opened as files; nothing else may be asked for."""
+#: What a person types, and the page that it has to lead to first.
+FOUND = {"add an effect": "howto_effect.html", "undecided": "verdict.html", "install": "start.html", "C header": "howto_c.html"}
+
+
+def searched(page_file: Path, word: str) -> list[str]:
+    """The pages that a search finds, on a site that is opened as files; nothing else may be asked for."""
     from playwright.sync_api import sync_playwright
 
     asked: list[str] = []
@@ -168,7 +176,9 @@ def searched(page_file: Path, word: str) -> int:
             page.click(".md-search__input")
             page.keyboard.type(word)
             page.wait_for_selector(".md-search-result__item", timeout=600_000)
-            found = page.locator(".md-search-result__item").count()
+            page.wait_for_timeout(500)
+            links = page.locator(".md-search-result__item > a, .md-search-result__item article > a")
+            found = [one.get_attribute("href") or "" for one in links.all()]
         finally:
             chromium.close()
     assert not [url for url in asked if not url.startswith(("file:", "data:", "blob:"))]

@@ -263,7 +263,7 @@ class StudyPage:
         if left.noise_origin != "unknown":
             beside.append(f"noise {number(left.noise_size)} {unit}")
         if page_state.required_um and left.unit == "µm":
-            beside.append(f"needed {page_state.required_um:g} {unit}")
+            beside.append(f"target {page_state.required_um:g} {unit}")
         self._numbers.text = (
             f'<span style="font-size:34px;line-height:1"><b id="error-now">{number(last.error.rms)}</b> {unit}</span>'
             f" RMS {last.error.in_words} is how far the model is off at poses that it was not fitted to;"

@@ -43,9 +43,9 @@ from .page import StudyPage
 from .workbench import Progress, Workbench
 
 _LINKS = (
-    ("calibration.toml", "Export the calibration (TOML)"),
-    ("report.html", "Export the report (HTML)"),
-    ("study.zip", "Export the study (ZIP)"),
+    ("calibration.toml", "the calibration (TOML)"),
+    ("report.html", "the report (HTML)"),
+    ("study.zip", "the study (ZIP)"),
 )
 _FOLLOW_MS = 1000
 
@@ -77,7 +77,8 @@ class PageServer:
     ) -> None:
         self.bench = bench
         token = secrets.token_urlsafe(12)
-        links = "".join(f'<a href="/{token}/{name}" download>{text}</a> &nbsp; ' for name, text in _LINKS)
+        each = "".join(f'&nbsp; <a href="/{token}/{name}" download>{text}</a> ' for name, text in _LINKS)
+        links = f"<details><summary>Export …</summary>{each}</details>"
         application = Application(FunctionHandler(lambda document: _make(document, bench, links, command, follow)))
         shared = {"bench": bench, "command": command}
         # Other machines call this one by names that it does not know, and Bokeh knows no IPv6; there the path that
@@ -242,7 +243,7 @@ class _Download(RequestHandler):
         self.finish(content)
 
     def _report(self, study: Study, step: Progress) -> bytes:
-        found = study.diagnose(step=step)
+        found = self.bench.page_state.diagnosis or study.diagnose(step=step)
         sources = [SourceFile.of(path) for path in self.bench.sources if path.exists()]
         names = [one.name for one in sources]
         given = shlex.join(names[:2]) if len(names) > 1 else FILES

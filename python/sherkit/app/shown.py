@@ -327,8 +327,8 @@ class Fall(_Folding):
         path = current_path(page_state.history)
         folded = len(page_state.history) - len(path)
         self.unfold.visible = bool(folded)
-        count = f"{folded} step{'s' if folded > 1 else ''}"
-        self.unfold.label = f"Fold the {count} taken back" if self._all else f"Show {count} taken back"
+        # that one step was taken back are two in the history: how many, nobody asks
+        self.unfold.label = "Fold what was taken back" if self._all else "Show what was taken back"
         chosen = [s for k, s in enumerate(page_state.history) if self._all or k in path]
         steps = [ErrorOfStep.of(s, _short(s.action)) for s in chosen]
         left = page_state.now

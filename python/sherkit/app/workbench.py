@@ -10,6 +10,7 @@ import copy
 import getpass
 import itertools
 import json
+import shlex
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -134,6 +135,14 @@ class Workbench:
 
     # -- work --------------------------------------------------------------------------------------------
 
+    def _say_if_it_changed(self, found: Diagnosis) -> None:
+        """Of joined runs that one model does not explain: who asks what has changed between them."""
+        runs = [one for one in self.sources[1:] if one.suffix.lower() != ".py"]
+        if len(runs) > 1 and found.verdict in ("partly explained", "unexplained"):
+            files = shlex.join(map(str, (self.sources[0], *runs)))
+            told = f"one model does not explain these runs together; what has changed is said by: sherkit compare {files}"
+            self._say("warning", Said(told, FILES))
+
     def ask(self, what: str, work: Callable[[Study, Progress], T]) -> Future[T]:
         """Runs ``work`` on the study when its turn comes; errors go to the caller, not to the listeners."""
         return self._worker.submit(lambda: work(self._study, self._step(what)))
@@ -166,6 +175,7 @@ class Workbench:
                 drawings = self._drawings(found, step)
                 self.page_state = replace(self.page_state, diagnosis=found, without=without, drawings=drawings)
                 self._say("moment", self.page_state)
+                self._say_if_it_changed(found)
                 self.page_state = replace(self.page_state, space=self._space(step))
                 self._say("space", self.page_state)
             except BaseException as error:

@@ -277,7 +277,7 @@ def print_accuracy(calibration: Calibration) -> None:
     needed = required_um(calibration.robot)
     unit, factor = in_small_units(unit_in(calibration.coordinates[0]))
     made = table(
-        f"Predicted accuracy{f' (needed: {needed:g} µm)' if needed else ''}",
+        f"Predicted accuracy{f' (target: {needed:g} µm)' if needed else ''}",
         "at",
         *(name.rpartition("_")[0] + ", " + name.rpartition("_")[2] for name in calibration.coordinates),
         f"accuracy, {unit}",

@@ -90,9 +90,9 @@ def _say(found: Comparison, *files: Path) -> None:
             moved.add_row(one.name, one.by, str(one.since + 1))
         out.print(moved)
     for run, stand in found.stand.items():
-        moved = ", ".join(f"{name.rpartition('_')[0]} {sized(value, unit_in(name))}" for name, value in stand.items())
+        turned = ", ".join(f"{name.rpartition('_')[0]} {sized(value, unit_in(name))}" for name, value in stand.items())
         which, _, source = run.partition(": ")
-        output.say(f"the sensor of run {which} ({source}) stands elsewhere than that of the first: {moved}")
+        output.say(f"the sensor of run {which} ({source}) stands elsewhere than that of the first: {turned}")
     for run, count in found.aside.items():
         if count:
             output.say(f"{count} rows of run {run} stand apart from all others and were left out")

@@ -219,7 +219,7 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int
         made.add_layout(
             Span(location=state.required, dimension="width", line_color=INK, line_width=2, line_dash="dashed")
         )
-        _say(made, state.required, f"needed: {state.required:g} {state.unit}")
+        _say(made, state.required, f"target: {state.required:g} {state.unit}")
     if state.noise:
         made.add_layout(Span(location=state.noise, dimension="width", line_color=INK, line_dash="dotted"))
         _say(made, state.noise, "noise")
