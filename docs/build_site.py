@@ -24,7 +24,13 @@ PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "CODE_OF
          "benchmarks/README.md", "rust/c/README.md")  # fmt: skip
 #: What nobody looks for, and pages that come before others that hold the same words.
 UNSEARCHED = ("CHANGELOG.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "LICENSE")
-FIRST = {"docs/howto_effect.md": 6, "docs/start.md": 12, "docs/verdict.md": 4, "docs/howto_c.md": 6, "docs/questions.md": 2}
+FIRST = {
+    "docs/howto_effect.md": 6,
+    "docs/start.md": 12,
+    "docs/verdict.md": 4,
+    "docs/howto_c.md": 6,
+    "docs/questions.md": 2,
+}
 WORKER = "site_worker.js"
 _FETCHED_WORKER = re.compile(r"https://[\w.]+/iframe-worker/shim")
 #: Attributes by which a browser fetches by itself; a link is followed by a person.
@@ -50,7 +56,10 @@ def lay_out(source: Path) -> None:
     shutil.copytree(
         HERE / "docs", source / "docs", ignore=shutil.ignore_patterns("__pycache__", "*.py", "*.js", "notebooks")
     )
-    for page, how in {**dict.fromkeys(UNSEARCHED, "exclude: true"), **{p: f"boost: {n}" for p, n in FIRST.items()}}.items():
+    for page, how in {
+        **dict.fromkeys(UNSEARCHED, "exclude: true"),
+        **{p: f"boost: {n}" for p, n in FIRST.items()},
+    }.items():
         text = (source / page).read_text(encoding="utf-8")
         (source / page).write_text(f"---\nsearch:\n  {how}\n---\n\n{text}", encoding="utf-8")
     shutil.copytree(HERE / "examples", source / "examples", ignore=shutil.ignore_patterns("__pycache__"))

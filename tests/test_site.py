@@ -20,7 +20,8 @@ from sherkit.report.page import browser
 from test_docs import HERE, MACHINE, blocks, command, commands, run_python, sherkit, text_of
 
 #: Pages whose blocks run in order in the folder that the demo leaves.
-PAGES = ("docs/start.md", "docs/howto_data.md", "docs/howto_repeats.md", "docs/howto_ties.md", "docs/howto_plan.md", "docs/howto_effect.md",
+PAGES = ("docs/start.md", "docs/howto_data.md", "docs/howto_repeats.md", "docs/howto_ties.md", "docs/howto_plan.md",
+         "docs/howto_effect.md",
          "docs/howto_adaptive.md", "docs/history.md", "docs/other_programs.md", "docs/howto_package.md")  # fmt: skip
 #: Pages that show nothing to run.
 WORDS = ("docs/verdict.md", "docs/glossary.md", "docs/questions.md", "docs/dependencies.md", "docs/reference.md",
@@ -159,7 +160,12 @@ def test_the_site_is_built_and_every_link_leads_somewhere(tmp_path: Path) -> Non
 
 
 #: What a person types, and the page that it has to lead to first.
-FOUND = {"add an effect": "howto_effect.html", "undecided": "verdict.html", "install": "start.html", "C header": "howto_c.html"}
+FOUND = {
+    "add an effect": "howto_effect.html",
+    "undecided": "verdict.html",
+    "install": "start.html",
+    "C header": "howto_c.html",
+}
 
 
 def searched(page_file: Path, word: str) -> list[str]:

@@ -140,7 +140,9 @@ class Workbench:
         runs = [one for one in self.sources[1:] if one.suffix.lower() != ".py"]
         if len(runs) > 1 and found.verdict in ("partly explained", "unexplained"):
             files = shlex.join(map(str, (self.sources[0], *runs)))
-            told = f"one model does not explain these runs together; what has changed is said by: sherkit compare {files}"
+            told = (
+                f"one model does not explain these runs together; what has changed is said by: sherkit compare {files}"
+            )
             self._say("warning", Said(told, FILES))
 
     def ask(self, what: str, work: Callable[[Study, Progress], T]) -> Future[T]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base.answer import AFTER, BEFORE, NOISE, TARGET, Answer, Bar, ToDo
 from ..base.figures import finite, in_names
-from ..base.names import CALIBRATED, state_with
+from ..base.names import state_with
 from ..base.notebook import Shown
 from ..base.types import Ints
 from ..fit.error import ErrorSize
@@ -253,11 +253,13 @@ class StepReport:
 
     effect: str | None
     error: ErrorSize
+    #: Effects that were in the model before any was looked for.
+    inside: tuple[str, ...] = ()
 
     @property
     def state(self) -> str:
-        """What the model is called then."""
-        return state_with([] if self.effect is None else [self.effect])
+        """What the model is called then: as what was there already, or by what is new."""
+        return state_with(self.inside if self.effect is None else [self.effect])
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,7 +382,7 @@ class Diagnosis(Shown):
     def _bars(self) -> tuple[Bar, ...]:
         """The error before and after, the noise where it is known, and what is needed."""
         needed = required_um(getattr(self.fit.model, "robot", None))
-        out = [Bar(BEFORE, CALIBRATED, float(self.steps[0].error.rms))]
+        out = [Bar(BEFORE, self.steps[0].state, float(self.steps[0].error.rms))]
         if len(self.steps) > 1:
             out.append(Bar(AFTER, state_with(self.effects), float(self.error.rms)))
         if self.noise_origin != "unknown":

@@ -30,6 +30,8 @@ from .outliers import sentences
 from .sensor_pose import pose_in_words
 from .template import indistinguishable, sentence
 
+#: An effect of one's own is worth another look where it leaves no more than this part of the error.
+_LOWERS = 0.9
 _AGAIN = f"sherkit diagnose {FILES} MORE"
 _TEMPLATE = f"sherkit diagnose {FILES} --template my_effects.py"
 _ORIGIN = {
@@ -313,6 +315,8 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "add it", f"sherkit {into or f'calibrate {FILES} {named} -o calibrated.toml'}"
     elif _is_of_instrument(d):
         yield "take the mean of both (two faces, two heads), or record in a column which of them read each row", ""
+    elif (own := _own_that_helps(d)) is not None:
+        yield f"add {own}, then look again", f"sherkit diagnose {FILES} --effect {own}"
     elif d.signature is not None:
         yield "write a template of an effect with the shape of what is left", _TEMPLATE
         yield "or repeat the run in another order and at another temperature: what moves with them is named by them", ""
@@ -325,6 +329,14 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "repeat some poses, or add sigma columns: only then can it be said whether the model is good enough", ""
     else:
         yield "nothing; go on with the model as it is", ""
+
+
+def _own_that_helps(d: Diagnosis) -> str | None:
+    """The user's own effect that by itself lowers the error most, where one lowers it clearly."""
+    known = {*d.base.model.known_effects, *d.base.model.held, *(e.name for e in d.fit.model.effects)}
+    own = [one for one in d.candidates if one.effect not in known]
+    best = min(own, key=lambda one: one.held_out_rms, default=None)
+    return best.effect if best is not None and best.held_out_rms < _LOWERS * d.error.rms else None
 
 
 def _failing(d: Diagnosis) -> Iterator[tuple[str, str]]:

@@ -89,7 +89,8 @@ def searched(
 ) -> Named:
     """Asks the evidence of these rows what is missing, and names what may be named. Nothing is looked for where there
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
-    first = StepReport(None, error_of(run, sigma, repeated_folds))
+    inside = tuple(e.name for e in run.model.effects if e.name not in run.model.within)
+    first = StepReport(None, error_of(run, sigma, repeated_folds), inside)
     step("evidence")
     base = base_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma), effects)
     sets = Sets(base.family, base, step)

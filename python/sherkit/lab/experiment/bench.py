@@ -200,8 +200,8 @@ class Bench:
         if not on_way.any():
             shown = [", ".join(f"{q:.3f}" for q in place) for place in (at, ends[0, 0])]
             raise motion.not_referenced(
-                f"its axes stand at {shown[0]} {motion.unit} by their encoders; they were last at {shown[1]}, and this "
-                "is not on the way from there to the next step either"
+                f"its axes stand at {shown[0]} {motion.unit} by their encoders, expected {shown[1]} or the way from "
+                "there to the next step"
             )
         return found.mark
 
