@@ -79,7 +79,8 @@ def estimate_picture(state: EstimateOverTime, headline: str = "") -> Picture[Est
         )  # fmt: skip
     line = made.line("t", "estimate", source=sources["run"], color=ADDED, line_width=2.5, legend_label="estimate")
     made.add_tools(hover([line], ("time", "@t{0.00} s"), ("estimate", f"@estimate{{0.000}} {state.unit}")))
-    legend(made)
+    made.legend.orientation = "horizontal"
+    legend(made, "above")
     # what blows up where the force is small must not squeeze the rest
     made.y_range.start, made.y_range.end = _window(state)
     figures = [made]

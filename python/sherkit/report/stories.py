@@ -5,7 +5,6 @@ a run of the flexible tool.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from bokeh.models import DataRange1d, Whisker
 from ..adaptive import Adaptive
 from ..base.answer import Answer
 from ..base.figures import in_people_units, number
+from ..base.names import brief
 from ..changes import Comparison, History
 from ..changes.joined import Joined
 from ..diagnosis import Diagnosis
@@ -30,6 +30,8 @@ from .scene import Scene
 from .style import COLOURS, MUTED, figure, legend, padded, quantity
 
 _HEIGHT, _WIDE = 260, 460
+#: Letters of a name in a legend: more do not lie on a phone.
+_CALLED = 36
 #: Coordinates along which errors are drawn, poses among which the one is looked for where a change shows most.
 _ALONG, _POSES = 3, 40
 #: A change that moves less than this, mm, is not drawn.
@@ -142,13 +144,15 @@ def course(found: History) -> Picture[History]:
         _line(made, sources[name], COLOURS[(k + 1) % len(COLOURS)])
         made.add_layout(Whisker(base="date", lower="low", upper="high", source=sources[name], level="annotation"))
         made.yaxis.axis_label = _unit(found, name)[0]
-        made.title.text = "; ".join(str(replace(one, or_else=())) for one in found.changes if one.name == name)
+        made.title.text = name
         figures.append(made)
     root = stacked("course", figures, sizing_mode="stretch_width")
     return Picture("course", root, sources, _course, note="Bars are two standard deviations.")
 
 
 def _line(made: Any, source: Any, colour: str) -> None:
+    # dates lie on one another on a phone
+    made.xaxis.major_label_orientation = 0.5
     made.line("date", "value", source=source, color=MUTED)
     made.scatter("date", "value", source=source, color=colour, size=9)
 
@@ -210,9 +214,11 @@ def _evidence(loop: Adaptive) -> Any:
         names = frozenset(name for name, _ in keys)
         values = [max((v for other, v in one.sets if frozenset(n for n, _ in other) == names), default=np.nan) / _TEN
                   for one in looks]  # fmt: skip
-        made.line(readings, values, color=COLOURS[k], line_width=2, legend_label=" & ".join(sorted(names)))
+        made.line(
+            readings, values, color=COLOURS[k], line_width=2, legend_label=brief(" & ".join(sorted(names)), _CALLED)
+        )
         made.scatter(readings, values, color=COLOURS[k], size=6)
-    legend(made)
+    legend(made, "below")
     return made
 
 
@@ -233,7 +239,7 @@ def _error_lines(loop: Adaptive) -> Any:
     if loop.done and loop.accuracy_um is not None:
         made.scatter(readings[-1:], [loop.accuracy_um], color=COLOURS[1], size=10, marker="diamond",
                      legend_label="anywhere, promised by a calibration")  # fmt: skip
-    legend(made)
+    legend(made, "below")
     return made
 
 
@@ -251,7 +257,7 @@ def _places(loop: Adaptive) -> Any:
             made.scatter(placed[x][at], placed[y][at], size=7, color=COLOURS[k % len(COLOURS)], alpha=0.8,
                          legend_label=kind)  # fmt: skip
     made.xaxis.axis_label, made.yaxis.axis_label = quantity(x), quantity(y)
-    legend(made)
+    legend(made, "below")
     return made
 
 

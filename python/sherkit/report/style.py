@@ -59,13 +59,13 @@ def hover(renderers: list[Any], *lines: tuple[str, str]) -> HoverTool:
 
 
 def legend(made: Any, place: str = "right") -> None:
-    """A readable legend outside the data; a click hides a series."""
+    """A readable legend outside the data; a click hides a series. Below it leaves a narrow screen to the data."""
     for one in made.legend:
         one.label_text_font_size = FONT_SIZE
         one.label_text_font = FONT
         one.click_policy = "hide"
         one.border_line_color = None
-        one.margin = 16
+        one.margin = 16 if place == "right" else 4
         one.background_fill_alpha = 0.0
         made.add_layout(one, place)
 
