@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
 import sherkit as sk
+from changed_worlds import DeltaPair
 from sherkit import save_robot
 from sherkit.app.workbench import Workbench
 from sherkit.cli.demo import EXAMPLE
@@ -197,3 +199,24 @@ def test_a_run_that_was_rewritten_is_refused(files: tuple[Path, Path], bench: Wo
     error = errors[0]
     assert "no longer those that were read before" in error or "was given before" in error
     assert len(bench.page_state.history) == 1
+
+
+def test_joined_runs_of_a_changed_machine_are_sent_to_compare(tmp_path: Path) -> None:
+    """Catches a machine that changed between two runs, called one that no effect explains, without who asks what has
+    changed."""
+    world = DeltaPair(3, ("base_angle_2",), 60.0, stationed=False)
+    save_robot(world.robot, tmp_path / "robot.toml")
+    for name, run in zip(("run.csv", "later.csv"), world.runs, strict=True):
+        pl.DataFrame(run).write_csv(tmp_path / name)
+    bench = Workbench.open(tmp_path / "robot.toml", tmp_path / "run.csv", tmp_path / "study")
+    try:
+        told = heard(bench)
+        bench.add_measurements("later.csv", (tmp_path / "later.csv").read_bytes())
+        settled(bench)
+        found = bench.page_state.diagnosis
+        assert found is not None
+        said = [value.text for kind, value in told if kind == "warning"]
+        assert any("sherkit compare " in one for one in said) == (found.verdict in ("partly explained", "unexplained"))
+        assert found.verdict in ("partly explained", "unexplained"), found.headline
+    finally:
+        bench.close()
