@@ -25,7 +25,7 @@ from running import command
 from second_machines import MACHINES, apart, foreign, run_of, stand_of
 from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
-from sherkit.errors import FitError, RobotError
+from sherkit.errors import FitError, RobotError, SherkitError
 from sherkit.model.effect import load_effects
 from sherkit.model.sensor_pose import SPACE
 from sherkit.robots.machine import load_machine
@@ -487,3 +487,54 @@ def test_the_names_of_a_file_are_given_to_the_machine(tmp_path: Path) -> None:
     assert fit.by_name["squareness"] == pytest.approx(2e-3, abs=2e-5)
     with pytest.raises(sk.SherkitError, match="columns: expected names"):
         sk.Machine(forward, **about, name="wrong", columns=3)
+
+
+@sk.effect(at="body", parameters={"sag": ("mm", 0.5)})
+def _own_sag(rows: Any, p: Any) -> Any:
+    """The beam hangs lower in the middle, as a wave along its first joint."""
+    return p.sag * np.outer(np.cos(3.0 * rows.joints[:, 0]), [0.0, 0.0, 1.0])
+
+
+def test_an_effect_of_ones_own_is_deployed_where_the_machine_is_numpy(tmp_path: Path) -> None:
+    """Catches an effect that is identified and left out of the loop, an inverse that does not know it, a derivative of
+    another function, and a file that comes back without it or runs code."""
+
+    def forward(q: Any, p: Any) -> Any:
+        reach = 200.0 + p.length + q[:, 1]
+        return np.stack([reach * np.cos(q[:, 0]), reach * np.sin(q[:, 0]), q[:, 2]], axis=1)
+
+    with apart():
+        machine = sk.Machine(
+            forward,
+            joints={"turn_rad": (-1.0, 1.0), "slide_mm": (0.0, 100.0), "lift_mm": (0.0, 80.0)},
+            readings=("x_mm", "y_mm", "z_mm"), parameters={"length": ("mm", 1.0)}, name="swing", sensor_pose="held",
+        )  # fmt: skip
+        rng = np.random.default_rng(3)
+        q = rng.uniform([-1.0, 0.0, 0.0], [1.0, 100.0, 80.0], (120, 3))
+
+        def true(q: Floats) -> Floats:
+            seen = forward(q, SimpleNamespace(length=0.4))
+            return np.asarray(seen + 0.8 * np.outer(np.cos(3.0 * q[:, 0]), [0.0, 0.0, 1.0]))
+
+        read = true(q) + rng.normal(0.0, 0.003, q.shape)
+        columns = dict(
+            zip(("turn_rad", "slide_mm", "lift_mm", "x_mm", "y_mm", "z_mm"), np.hstack([q, read]).T, strict=True)
+        )
+        made = sk.calibrate(machine, columns, effects=[_own_sag], correction="none").calibration
+        assert made.whole.left_out == ()
+        at = rng.uniform([-0.9, 10.0, 10.0], [0.9, 90.0, 70.0], (20, 3))
+        np.testing.assert_allclose(made.forward_batch(at).values, true(at), atol=0.01)
+        # sent where it is told to, it stands there
+        asked = true(at)
+        np.testing.assert_allclose(true(made.inverse_batch(asked).values), asked, atol=0.01)
+        by_joints = made.jacobian(at[0])
+        step = np.array([1e-4, 0.0, 0.0])
+        difference = (true((at[0] + step)[None]) - true((at[0] - step)[None]))[0] / 2e-4
+        np.testing.assert_allclose(np.asarray(by_joints)[:, 0], difference, rtol=1e-3, atol=0.5)
+        made.save(tmp_path / "swing.toml")
+        again = sk.load_calibration(tmp_path / "swing.toml")
+        np.testing.assert_allclose(again.forward_batch(at).values, made.forward_batch(at).values, atol=1e-9)
+        text = (tmp_path / "swing.toml").read_text(encoding="utf-8").replace("_own_sag", "nobody_s")
+        (tmp_path / "other.toml").write_text(text, encoding="utf-8")
+        with pytest.raises(SherkitError, match="run the file of 'nobody_s' first"):
+            sk.load_calibration(tmp_path / "other.toml")

@@ -5,6 +5,7 @@ where it stands in one.
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -385,6 +386,15 @@ _SIZES = {"mm": 0.1, "um": 100.0, "µm": 100.0, "rad": 0.01, "deg": 0.5, "": 0.0
 
 
 # -- A user's effects from a Python file ---------------------------------------------------------------------------
+
+
+def own_effect(name: str) -> Effect | None:
+    """The user's effect of this name that stands at the top of a module of this process; nothing is run to find it."""
+    for module in list(sys.modules.values()):
+        for value in list(vars(module).values()) if isinstance(module, ModuleType) else ():
+            if isinstance(value, Effect) and value.function is not None and value.name == name:
+                return value
+    return None
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:

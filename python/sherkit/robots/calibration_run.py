@@ -184,7 +184,7 @@ class CalibrationRun:
         return out
 
     @property
-    def _own(self) -> list[Effect]:
+    def own(self) -> list[Effect]:
         """The user's effects in the model."""
         return [effect for effect in self.fit.model.effects if effect.function is not None]
 
@@ -192,14 +192,14 @@ class CalibrationRun:
         """What the user's effects add to the prediction (n, m)."""
         fit = self.fit
         deployed = fit.model
-        for effect in self._own:
+        for effect in self.own:
             deployed = deployed.without_effect(effect.name)
         core = deployed.predict(fit.data, fit.values[: len(deployed.parameters)])
         return np.where(fit.data.taken, fit.predicted - core, 0.0)
 
     def deployed(self, residuals: Floats) -> Floats:
         """Residuals (n, m) as they are where a user's effects do not run: what those explain comes back."""
-        own = self._own
+        own = self.own
         if not own:
             return residuals
         without, layout = self._left_out(), self.fit.data.layout

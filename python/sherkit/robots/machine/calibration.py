@@ -9,11 +9,13 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ...base.types import Bools, Floats
-from ...data.columns import bare, unit_in
+from ...data import Measurements
+from ...data.columns import TEMPERATURE, TIME, bare, unit_in
 from ...data.lagged import DRAWN_C
 from ...data.toml import Table
 from ...errors import NotConverged, OutOfReach
-from ...model.chain import Block
+from ...model.chain import Block, ChainModel
+from ...model.effect import Effect, own_effect
 from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
@@ -27,6 +29,38 @@ from .function import settled, starts
 _OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned", "thermal_shift")
 
 
+#: What an effect of the owner's own may ask of a loop: the moment and the room.
+_KNOWN_IN_A_LOOP = {TIME, TEMPERATURE}
+#: Step of a central difference, as a part of a joint's range.
+_STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class OwnEffects:
+    """Effects in NumPy at their values, in the order of the ``model`` that has them: a machine that is NumPy itself
+    runs them in its loop as well. ``values`` (p,) are of all of the model's parameters, without those of the
+    instrument."""
+
+    model: ChainModel
+    values: Floats
+
+    def readings(self, joints: Floats, now: list[float]) -> Floats:
+        """What is read (n, m) at these joints (n, k), at rest at this moment."""
+        moment = {TIME: np.full(len(joints), now[0]), TEMPERATURE: np.full(len(joints), now[1])}
+        rows = Measurements.planned(joints, self.model.layouts[0], "deployed", **moment)
+        made: Floats = self.model.predict(rows, self.values)[:, : rows.coordinates]
+        return made
+
+    def by_joints(self, joints: Floats, now: list[float], box: Floats) -> Floats:
+        """Derivatives of the readings by the joints (n, m, k)."""
+        out = []
+        for k, step in enumerate(_STEP * np.maximum(np.ptp(box, axis=1), 1e-3)):
+            off = np.zeros(joints.shape[1])
+            off[k] = step
+            out.append((self.readings(joints + off, now) - self.readings(joints - off, now)) / (2.0 * step))
+        return np.stack(out, axis=2)
+
+
 @dataclass(frozen=True, eq=False)
 class MachineCalibrated:
     """The model of a control loop: the chain at ``values``, within the ``box`` (k, 2) of its joints. Its readings are
@@ -37,6 +71,7 @@ class MachineCalibrated:
     values: Floats
     box: Floats
     seen_from: tuple[Floats, Floats] | None = None
+    own: OwnEffects | None = None
 
     def block(self, joints: Floats, now: list[float]) -> Block:
         """Rows that all have the covariates of this moment, at rest."""
@@ -47,7 +82,10 @@ class MachineCalibrated:
         """Readings (n, m), their derivatives by the joints (n, m, k), and which rows could be computed."""
         block = self.block(joints, now)
         values, reached = self.chain.predict(self.values, block)
-        by_joints = self.chain.derivatives(self.values, block, [])[1]
+        if self.own is None:
+            by_joints = self.chain.derivatives(self.values, block, [])[1]
+        else:
+            values, by_joints = self.own.readings(joints, now), self.own.by_joints(joints, now, self.box)
         if self.seen_from is not None:
             turn, shift = self.seen_from
             values, by_joints = (values - shift) @ turn, turn.T @ by_joints
@@ -75,6 +113,8 @@ class MachineCalibrated:
             readings = readings @ turn.T + shift
 
         def shown(joints: Floats) -> Floats:
+            if self.own is not None:
+                return self.own.readings(joints, now)
             return self.chain.predict(self.values, self.block(joints, now))[0]
 
         def forward(joints: Floats) -> tuple[Floats, Floats]:
@@ -99,17 +139,23 @@ class MachineCalibration(Calibration):
     robot: Described
     whole: Part
     box: tuple[tuple[float, ...], ...]
+    #: Effects of the owner's own that run in the loop, each with its values.
+    own: tuple[tuple[Effect, tuple[float, ...]], ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Its class is made again with the machine."""
-        return _again, (self.robot, self.whole, self.box)
+        return _again, (self.robot, self.whole, self.box, self.own)
 
     @classmethod
     def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
         """From a run; there is no local one."""
         del local
-        fit, held_out = whole.fit, whole.deployed(whole.held_out)
+        fit = whole.fit
         data = fit.data
+        # one that asks for more than a loop knows leaves all of them out: they were identified together
+        runs = all(set(effect.needs) <= _KNOWN_IN_A_LOOP for effect in whole.own)
+        held_out = whole.held_out if runs else whole.deployed(whole.held_out)
+        own = [(one, tuple(fit.values[fit.model.owns(one)].tolist())) for one in whole.own] if runs else []
         use = data.taken.all(axis=1) & ~data.outlier
         went = data.joints[~data.outlier]
         low, high = went.min(axis=0), went.max(axis=0)
@@ -117,7 +163,8 @@ class MachineCalibration(Calibration):
             low, high = np.minimum(low, fit.model.robot.box[:, 0]), np.maximum(high, fit.model.robot.box[:, 1])
         left, scatter = whole.left(lambda missed: missed[use], held_out)
         part = Part.identified(fit, len(cls.coordinates))
-        made = cls(fit.model.robot, part, tuple(zip(low.tolist(), high.tolist(), strict=True)))
+        part = replace(part, left_out=()) if runs else part
+        made = cls(fit.model.robot, part, tuple(zip(low.tolist(), high.tolist(), strict=True)), tuple(own))
         return replace(made, whole=part.leaving(left, scatter, made._rows(went)[0]))
 
     @property
@@ -131,7 +178,22 @@ class MachineCalibration(Calibration):
         names = [p.name.partition(".")[0] for p in self.model.core_parameters]
         ours = np.array([name not in _OF_INSTRUMENT for name in names])
         values = np.where(ours, self.model.full(self.whole.values), 0.0)
-        return MachineCalibrated(self.model.core, values, np.array(self.box))
+        return MachineCalibrated(self.model.core, values, np.array(self.box), own=self._own_effects)
+
+    @property
+    def _own_effects(self) -> OwnEffects | None:
+        """The effects of the owner's own, beside the model of the loop."""
+        if not self.own:
+            return None
+        model: ChainModel = self.model
+        for effect, _ in self.own:
+            model = model.adopting(effect)
+        ours = [p.name.partition(".")[0] not in _OF_INSTRUMENT for p in self.model.parameters]
+        values = np.zeros(len(model.parameters))
+        values[: len(ours)] = np.where(ours, self.whole.values, 0.0)
+        for effect, numbers in self.own:
+            values[model.owns(effect)] = numbers
+        return OwnEffects(model, values)
 
     @cached_property
     def _core_elsewhere(self) -> MachineCalibrated:
@@ -175,13 +237,22 @@ class MachineCalibration(Calibration):
         return Planes(x, y, (names[0], names[1] if len(low) > 1 else ""), ("middle of the run",), grid, inside)
 
     def _settings(self) -> dict[str, Any]:
-        return {"box": [list(one) for one in self.box]}
+        own = [{"effect": effect.name, "values": list(values)} for effect, values in self.own]
+        return {"box": [list(one) for one in self.box], **({"own": own} if own else {})}
 
     @classmethod
     def _settings_from(cls, table: Table) -> dict[str, Any]:
-        return {"box": table.rows("box", 2)}
+        own = []
+        for one in table.tables("own"):
+            name = one.words("effect")
+            effect = own_effect(name)
+            if effect is None:
+                raise table.fail("own", f"an effect that this program knows: run the file of '{name}' first "
+                                        f"(sk.load_effects)")  # fmt: skip
+            own.append((effect, tuple(one.numbers("values", len(effect.parameters)))))
+        return {"box": table.rows("box", 2), "own": tuple(own)}
 
 
-def _again(robot: Any, whole: Part, box: tuple[tuple[float, ...], ...]) -> MachineCalibration:
-    made: MachineCalibration = robot.brings.calibration(robot, whole, box)
+def _again(robot: Any, *given: Any) -> MachineCalibration:
+    made: MachineCalibration = robot.brings.calibration(robot, *given)
     return made
