@@ -88,7 +88,11 @@ class Verification(Shown):
     def headline(self) -> str:
         """The verdict in one line."""
         seen, promised = self.error["seen"], self.error["promised"]
-        told = "" if seen is None or promised is None else f": {seen:.3g} {self.unit} are seen, {promised:.3g} promised"
+        told = (
+            ""
+            if seen is None or promised is None
+            else f": {seen:.3g} {self.unit} RMS are seen, {promised:.3g} promised"
+        )
         moved = "; ".join(map(str, self.parameters))
         return f"{self.verdict}{told}{f'; {moved}' if moved else ''}{f'; {self.silent}' if self.silent else ''}"
 
@@ -109,6 +113,9 @@ class Verification(Shown):
     def answer(self) -> Answer:
         """What it says for whoever reads nothing else."""
         told = [*self.sees, *told_ties(self.indistinguishable)]
+        if self.unit == "µm" and (promised := self.error["promised"]) is not None:
+            within = number(promised * float(np.sqrt(scipy.stats.chi2.ppf(_SHARE, 3) / 3)))
+            told.append(f"The promise is the accuracy that calibrate says: within {within} µm in 95 of 100 cases")
         told.append(f"These poses would have shown, at its plausible size: {listed(self.would_show, 12) or 'nothing'}")
         if self.would_not:
             told.append(f"And would not have shown: {listed(self.would_not, 12)}")
