@@ -127,7 +127,7 @@ class Adaptive(Held):
         end = self.conclusion
         named = ", ".join(end.effects)
         out = [f"{end.verdict}{f': {named}' if named else ''}"]
-        out += [f"{' or '.join(tie)}: these readings cannot tell" for tie in end.indistinguishable]
+        out += [f"these readings cannot tell {' from '.join(tie)}" for tie in end.indistinguishable]
         if end.accuracy_um is not None:
             needed = "" if self.required_um is None else f" ({self.required_um:g} µm needed)"
             out.append(

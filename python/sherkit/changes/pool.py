@@ -164,7 +164,7 @@ def left_out(silent: Mapping[str, object]) -> list[str]:
 
 def told_ties(ties: Sequence[Sequence[str]]) -> list[str]:
     """What these runs cannot tell apart."""
-    return [f"{' or '.join(tie)}: these runs cannot tell." for tie in ties]
+    return [f"these runs cannot tell {' from '.join(tie)}" for tie in ties]
 
 
 def sees_of(smallest: float | None, unit: str) -> str:

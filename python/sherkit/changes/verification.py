@@ -91,7 +91,7 @@ class Verification(Shown):
         told = (
             ""
             if seen is None or promised is None
-            else f": {seen:.3g} {self.unit} RMS are seen, {promised:.3g} promised"
+            else f": {seen:.3g} {self.unit} RMS seen, {promised:.3g} promised"
         )
         moved = "; ".join(map(str, self.parameters))
         return f"{self.verdict}{told}{f'; {moved}' if moved else ''}{f'; {self.silent}' if self.silent else ''}"
