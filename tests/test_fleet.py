@@ -215,7 +215,7 @@ def test_the_odd_one_is_named_and_the_others_are_not() -> None:
     values[7, 4] = 40.0
     found = fleet_of(values).stands_out
     assert [(one.run, one.name) for one in found] == [("m7", "p4")]
-    assert "m7: p4 is 40, the fleet's median" in str(found[0])
+    assert "m7: p4 is 40 mm, the fleet's median" in str(found[0])
     two = values.copy()
     two[3, 1] = -60.0
     assert {(one.run, one.name) for one in fleet_of(two).stands_out} == {("m7", "p4"), ("m3", "p1")}
