@@ -212,7 +212,7 @@ def test_a_controller_that_cannot_say_is_held_to_where_it_has_to_stand(tmp_path)
             if moves:
                 assert run(plan, bench, file) == "complete"
             else:
-                with pytest.raises(NotReferenced, match="not on the way"):
+                with pytest.raises(NotReferenced, match="or the way from there"):
                     run(plan, bench, file)
                 assert bench.motion.moves == 0
 
