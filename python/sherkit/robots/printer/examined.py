@@ -190,6 +190,12 @@ class Examined:
                 "this plate nor a known fault of the machine makes."
             )
         if not self.suspects:
+            told = self.diagnosis
+            named = told.indistinguishable[0] if told.indistinguishable else told.effects
+            if named and not self.unknown:
+                # who asks diagnose about the same file hears these names
+                called = ", or ".join(_CALLED.get(one, one) for one in named)
+                out.append(f"What is left, {_mm(self.after_mm)}, may be {called}: too little of it to act on.")
             if not out:
                 out.append("Nothing that this probing could show: what is left looks like the scatter of the probe.")
             return out
