@@ -40,6 +40,10 @@ class Answer:
     bars: tuple[Bar, ...] = ()
     unit: str = ""
 
+    def __str__(self) -> str:
+        told = (self.headline, *self.sure, *(step.sentence for step in self.to_do))
+        return "\n".join([self.verdict, *(f"  {as_sentence(one)}" for one in told if one)])
+
 
 def as_sentence(text: str) -> str:
     """With a capital and a point; a name of the program that comes first, as ``rail_lean``, stays as it is."""

@@ -149,9 +149,7 @@ class Comparison(Shown):
         return sees_of(self.smallest_found, self.unit)
 
     def __repr__(self) -> str:
-        lines = [self.headline, *(f"  {one}" for one in told_ties(self.indistinguishable))]
-        lines.append(f"  before {_told(self.error['before'])}, after {_told(self.error['after'])} {self.unit}")
-        return "\n".join([*lines, *([f"  {self.sees}"] if self.sees else []), f"  {self.advice}"])
+        return str(self.answer)
 
     def to_json(self) -> dict[str, Any]:
         """For programs: the keys that the documents name."""
@@ -173,10 +171,6 @@ class Comparison(Shown):
             "silent": self.silent,
             "left_out": self.aside,
         }
-
-
-def _told(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.4g}"
 
 
 @as_annotated

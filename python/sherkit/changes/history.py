@@ -151,7 +151,7 @@ class History(Shown):
         return sees_of(self.smallest_found, self.unit)
 
     def __repr__(self) -> str:
-        return "\n".join([self.headline, *(f"  {one}" for one in self.changes)])
+        return str(self.answer)
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""

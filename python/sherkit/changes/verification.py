@@ -88,11 +88,7 @@ class Verification(Shown):
     def headline(self) -> str:
         """The verdict in one line."""
         seen, promised = self.error["seen"], self.error["promised"]
-        told = (
-            ""
-            if seen is None or promised is None
-            else f": {seen:.3g} {self.unit} RMS seen, {promised:.3g} promised"
-        )
+        told = "" if seen is None or promised is None else f": {seen:.3g} {self.unit} RMS seen, {promised:.3g} promised"
         moved = "; ".join(map(str, self.parameters))
         return f"{self.verdict}{told}{f'; {moved}' if moved else ''}{f'; {self.silent}' if self.silent else ''}"
 
@@ -126,7 +122,7 @@ class Verification(Shown):
         )  # fmt: skip
 
     def __repr__(self) -> str:
-        return "\n".join([self.headline, *(f"  {one}" for one in (*self.sees, self.advice))])
+        return str(self.answer)
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
