@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .base import linalg
-from .base.arguments import Seed, as_annotated
+from .base.arguments import NotNegative, Seed, as_annotated
 from .base.names import listed
 from .base.types import Floats
 from .data import Measurements
@@ -60,7 +60,7 @@ def calibrate(
     free: Sequence[str] = (),
     effects: Sequence[str | Effect] = (),
     loss: str = "linear",
-    priors: bool | float | None = None,
+    priors: bool | NotNegative | None = None,
     linear: bool = False,
     correction: str = "auto",
     with_outliers: bool = False,

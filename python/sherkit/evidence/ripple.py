@@ -152,7 +152,16 @@ def wave_takes(base: Base, columns: Floats) -> float:
 
 
 def _pairs(run: Run, effect: Effect, given: Mapping[str, float]) -> Family:
-    """Sine and cosine of each joint by itself, at each period that is tried."""
+    """Sine and cosine of each joint by itself, at each period that is tried: made once of the rows of a run, as its
+    first fit sees them, which tells any other where to look."""
+    key = ("gears", effect.name, tuple(given.items()))
+    if key not in run.kept:
+        run.kept[key] = _every_pair(run, effect, given)
+    out: Family = run.kept[key]
+    return out
+
+
+def _every_pair(run: Run, effect: Effect, given: Mapping[str, float]) -> Family:
     made, view = Maker(run, Visits.of(run)), run.view
     for name in view.waving:
         values = view.inputs[name]

@@ -19,7 +19,7 @@ import polars as pl
 import scipy
 
 from ..base import linalg
-from ..base.arguments import Count, Seed, as_annotated
+from ..base.arguments import Count, NotNegative, Seed, as_annotated
 from ..base.notebook import Shown
 from ..base.types import Floats, Ints
 from ..data import Measurements
@@ -34,7 +34,7 @@ from ..model.robot_file import RobotLike, load_robot, run_for
 from .error import ErrorSize, held_out_error, of_residuals
 from .folds import blocks_of
 from .least_squares import LOSSES, LeastSquares, reached, scale, spread
-from .minimum import NEAR, beginning, noise_ratio, over_the_wall
+from .minimum import NEAR, ROUGHLY, beginning, noise_ratio, over_the_wall
 from .regions import Elsewhere, errors_elsewhere
 from .set_up import held, set_up_mistakes
 from .strength import part_of, scaled_sizes
@@ -256,7 +256,7 @@ def identify(
     free: Sequence[str] = (),
     effects: Sequence[str | Effect] = (),
     loss: str = "linear",
-    priors: bool | float | None = None,
+    priors: bool | NotNegative | None = None,
     linear: bool = False,
     start: Sequence[float] | Floats | None = None,
     noise: Noise | None = None,
@@ -353,12 +353,11 @@ def _fitted(
     known = priors or any(p.known for p in model.parameters)
     try:
         values = beginning(model, data, weights) if start is None else model.starting_at(start)
-        if known and noise.origin == "unknown":
-            weights = weights / max(
-                noise_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear), 1e-12
-            )
         # what begins at another fit is near its minimum, or has none
-        most = _EVALUATIONS if start is None else NEAR
+        most, roughly = (_EVALUATIONS, _EVALUATIONS) if start is None else (NEAR, ROUGHLY)
+        if known and noise.origin == "unknown":
+            ratio, near = noise_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear, most=roughly)
+            weights, values = weights / max(ratio, 1e-12), values if linear else near
         solver, ended = problem.solve(weights, values, priors=priors, linear=linear, max_evaluations=most)
         result = solver.result()
         if not reached(ended, result):
@@ -446,7 +445,7 @@ def hold_out(
     folds: Count = 5,
     seed: Seed = 0,
     loss: str = "linear",
-    priors: bool | float | None = None,
+    priors: bool | NotNegative | None = None,
     start: Floats | None = None,
 ) -> HeldOut:
     """Refits without each block in turn and predicts it. ``loss`` and ``priors`` are those of
