@@ -90,10 +90,14 @@ class Field:
     asked: dict[str, np.ndarray]
     inside: np.ndarray
 
-    def run(self) -> sk.Measurements:
-        """As sherkit reads it."""
-        columns = dict(zip(self.arm.robot().layout.joints, self.joints.T, strict=True))
-        return sk.from_frame(pl.DataFrame(columns | dict(zip(("x_mm", "y_mm", "z_mm"), self.read.T, strict=True))))
+    def run(self, *, declared: bool = False) -> sk.Measurements:
+        """As sherkit reads it; with the tracker's noise ``declared``, as its data sheet has it."""
+        layout = self.arm.robot().layout
+        columns = dict(zip(layout.joints, self.joints.T, strict=True))
+        columns |= dict(zip(("x_mm", "y_mm", "z_mm"), self.read.T, strict=True))
+        if declared:
+            columns |= dict.fromkeys(layout.sigmas[:3], np.full(len(self.read), self.arm.noise_mm))
+        return sk.from_frame(pl.DataFrame(columns))
 
 
 def _tips(joints: np.ndarray, shifts: np.ndarray, axes: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -115,6 +119,9 @@ def field(seed: int, *, sizes: float | None = None, rows: int = ROWS, bare: bool
     by = STATED if sizes is None else tuple(sizes * one for one in SIZES)
     off = (by[0] * rng.normal(size=(6, 3)), by[1] * rng.normal(size=(6, 3)), by[2] * rng.normal(size=6),
            by[3] * rng.normal(size=3))  # fmt: skip
+    # the base is that of the first joint: nothing of that is off in it, nor how high the second stands along its axis
+    # and to where its axis points about that
+    off[0][0], off[1][0], off[2][0], off[0][1, 2], off[1][1, 0] = 0.0, 0.0, 0.0, 0.0, 0.0
     noise = float(rng.uniform(0.01, 0.05))
     reach = float(np.abs(shifts).sum()) / 2.0
     # at full reach gears ripple by up to a tenth of a millimetre, and a weight bends shoulder and elbow by up to half
