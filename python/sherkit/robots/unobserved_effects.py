@@ -145,8 +145,8 @@ class LinearFit:
         """Variance of a reading over its weight: one where the noise is known."""
         if self.fit.noise.origin != "unknown":
             return 1.0
-        free = np.count_nonzero(self._weights) - len(self.fit.values)
-        return float(np.square(self._left).sum()) / max(free, 1)
+        free = max(int(np.count_nonzero(self._weights)) - len(self.fit.values), 1)
+        return float(np.square(self._left).sum()) / free
 
     @cached_property
     def _residual(self) -> Floats:
