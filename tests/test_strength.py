@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from field_worlds import Field, best_frame, field
+from field_counts import WORSE, WORSE_INSIDE, counted
+from field_worlds import REGIONS, Field, best_frame, field
 from sherkit.fit.regions import frame_of
 from sherkit.fit.strength import drawn_by, part_of, scaled_sizes
 from sherkit.model.kinds import model_of
@@ -79,19 +80,15 @@ def test_where_readings_decide_nothing_changes() -> None:
 
 
 def ratios(world: Field, priors: bool | None = None) -> dict[str, float]:
-    """Of each other region how far off a fit is there beside the drawing, and inside beside plain least squares."""
+    """Of each other region how far off a fit is there beside the drawing."""
     run = world.run()
     fit = sk.identify(world.arm.robot(), run, priors=priors)
-    plain = sk.identify(world.arm.robot(), run, priors=False)
 
     def off(of: sk.Fit, joints: np.ndarray) -> float:
         there = replace(run.select(np.zeros(len(joints), dtype=np.int64)), joints=joints)
         return best_frame(of.model.predict(there, of.values)[:, :3], world.arm.seen(joints))
 
-    out = {name: off(fit, q) / best_frame(world.arm.drawn(q), world.arm.seen(q)) for name, q in world.asked.items()}
-    # inside as it is read
-    inside = [np.hypot(off(one, world.inside), np.sqrt(3.0) * world.arm.noise_mm) for one in (fit, plain)]
-    return out | {"inside": inside[0] / inside[1]}
+    return {name: off(fit, q) / best_frame(world.arm.drawn(q), world.arm.seen(q)) for name, q in world.asked.items()}
 
 
 def test_an_arm_is_no_worse_elsewhere_than_its_drawing() -> None:
@@ -103,12 +100,16 @@ def test_an_arm_is_no_worse_elsewhere_than_its_drawing() -> None:
 
 
 @pytest.mark.slow
-def test_arms_are_no_worse_elsewhere_than_their_drawings() -> None:
-    """Catches a strength that another sort of arm does not bear: of 40 arms with three other regions each 2 % at most
-    are above 1.02 times their drawing, a median below 0.6; inside, as a tracker reads it, none is above 1.05 times
-    plain least squares."""
-    every = [ratios(field(seed, sizes=(None, 0.1, 0.3, 1.0)[seed % 4])) for seed in range(2000, 2040)]
-    away = np.array([[one[name] for name in ("near", "far", "above")] for one in every])
-    assert (away > 1.02).mean() <= 0.02
+def test_arms_in_the_field_are_counted() -> None:
+    """Catches a strength that another sort of arm does not bear, and an accuracy that holds at home alone: of 40 arms
+    with three other regions each 3 % at most are above 1.02 times their drawing, where that is right by luck; their
+    median is below 0.6; inside, as a tracker reads it, none is above 1.05 times plain least squares; and of places in
+    each frame, and of moves, at least 93 of 100 are within what is said, inside and outside (fixed seeds)."""
+    found = counted(40, 2000)
+    away = np.concatenate([*found.away.values()])
+    assert (away > WORSE).mean() <= 0.03
     assert np.median(away) < 0.6
-    assert max(one["inside"] for one in every) < 1.05
+    assert max(found.inside) < WORSE_INSIDE
+    for frame in ("sensor", "base", "moves"):
+        assert found.cover(frame, "inside")[0] >= 0.93
+        assert found.cover(frame, *REGIONS)[0] >= 0.93
