@@ -97,6 +97,8 @@ def test_an_arm_is_no_worse_elsewhere_than_its_drawing() -> None:
     world = field(1007, sizes=0.1)
     assert max(ratios(world, priors=True).values()) > 1.5
     assert max(ratios(world).values()) < 1.02
+    fit = sk.identify(world.arm.robot(), world.run())
+    assert f"linear, with {fit.priors:.2g} of the plausible sizes as knowledge" in str(fit)
 
 
 @pytest.mark.slow
