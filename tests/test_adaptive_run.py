@@ -45,7 +45,7 @@ def test_it_stops_by_itself_and_goes_on_after_a_kill(folder: Path) -> None:
     do not say why they were driven."""
     whole = said(folder, "-o", "whole.sqlite")
     assert "explained: rail_lean" in whole
-    assert re.search(r"\d+ readings: undecided; evidence that something is missing 1e", whole)
+    assert re.search(r"\d+ readings: undecided; the odds that something is missing are ", whole)
     process = subprocess.Popen([*COMMAND, *UNTIL], cwd=folder, stdout=subprocess.PIPE, text=True)
     before = []
     while len(before) < 15:

@@ -153,7 +153,7 @@ def test_no_ripple_of_metres_where_joints_stand_at_its_multiples(pitch_mm: float
     fit = found.whole.fit
     mine = ["encoder_cyclic" in p.name for p in fit.parameters]
     ripple, std = np.abs(fit.values[mine]), fit.std_from_readings[mine]
-    told = any(re.search(r"encoder_cyclic.*where 0\.005 is usual", str(one.message)) for one in said)
+    told = any(re.search(r"encoder_cyclic.*where 0\.005 mm is usual", str(one.message)) for one in said)
     assert told == bool((ripple - 2 * std).max() > 5 * 0.005)
     assert fit.converged
     assert ripple.max() < 1.0

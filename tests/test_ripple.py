@@ -12,7 +12,7 @@ import pytest
 import gear_worlds
 import sherkit as sk
 from gear_worlds import TURN, asked, is_right, robot_of, run_of
-from sherkit.errors import EffectError
+from sherkit.errors import ArgumentError, EffectError
 from sherkit.model.kinds import model_of
 
 EACH = (TURN / 51, TURN / 80, TURN / 121, TURN / 160, TURN / 40.5, TURN / 202)
@@ -78,6 +78,23 @@ def test_periods_are_deployed_and_read_again(tmp_path: Path) -> None:
     assert not np.allclose(one.forward(joints), done.forward(joints), rtol=0, atol=1e-3)
     study.save(tmp_path / "study")
     assert sk.Study.load(tmp_path / "study").model.period_rad == periods
+
+
+def test_a_person_says_a_period_for_each_joint() -> None:
+    """Catches a list that is refused or searched for all the same, and one of another length that is spread over the
+    joints."""
+    made = gear_worlds.world(0, 4)
+    study = sk.Study(robot_of(), run_of(made))
+    study.add("encoder_cyclic", period_rad=[*EACH])
+    assert study.model.period_rad == EACH
+    study.undo()
+    study.add("encoder_cyclic", period_rad=EACH[0])
+    assert study.model.period_rad == EACH[0]
+    study.undo()
+    with pytest.raises(EffectError, match="6, one for each joint; found 2"):
+        study.add("encoder_cyclic", period_rad=[0.1, 0.2])
+    with pytest.raises(ArgumentError, match="period_rad: expected a finite number"):
+        study.add("encoder_cyclic", period_rad=[0.1, -0.2])
 
 
 @pytest.mark.slow

@@ -316,5 +316,5 @@ def test_a_robot_far_from_its_drawing_is_said_in_the_first_line() -> None:
     right, found = (sk.diagnose(one, data) for one in (robot, wrong))
     assert right.verdict == found.verdict == "adequate"
     assert "is usual" not in right.headline
-    assert "mm where 2 is usual" in found.headline
+    assert "mm where 2 mm is usual" in found.headline
     assert "is the robot file that of this robot?" in found.headline

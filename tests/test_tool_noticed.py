@@ -113,7 +113,7 @@ def test_the_depth_is_called_once() -> None:
     e = estimate(tool, run)
     told = trust(e, known(e))
     assert told.verdict in ("trusted", "too careful")
-    assert "What to do:" in told.sentence
+    assert told.answer.to_do[0].sentence == told.to_do
     sure = estimate(replace(tool, gains=(np.array(tool.gains) * [[[1.02]], [[1.0]]]).tolist()), run)
     assert trust(sure, known(sure)).verdict == "overconfident"
     without = estimate(tool, replace(run, depth_mm=None))

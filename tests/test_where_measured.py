@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 from scipy.optimize import linprog
 
 import sherkit as sk
+from field_worlds import field
 from sherkit.model.kinds import known_kinds
 from sherkit.robots.delta import VirtualDelta, paper_local
 from sherkit.robots.moves import MIDDLE
 from sherkit.robots.poses_hull import beyond, outermost
 from sherkit.robots.serial import SerialCalibration, VirtualSerial
+from sherkit.robots.unobserved_effects import Search
 from strategies import EXAMPLE
 
 PLAIN = {"noise_um": 50.0, "yield_mrad": 0.0, "play_mrad": 0.0, "ring_mrad": 0.0}
@@ -120,3 +123,26 @@ def test_a_deltas_corner_is_outside_though_its_box_holds_it() -> None:
     made = sk.calibrate(EXAMPLE, VirtualDelta(EXAMPLE, {"rod_length_1": 0.1}, noise_mm=0.005).measure(strip, seed=1))
     asked = np.array([[0.0, 0.0, 0.0], [9.0, -9.0, 0.0]])
     assert made.calibration.measured_batch(asked, frame="base").tolist() == [True, False]
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_a_fit_takes_of_an_effect_what_its_drawing_leaves_it(declared: bool) -> None:
+    """Catches an effect that a fit is said to take as if no drawing held it: of an arm that was measured in one small
+    part it would then be 50 mm off elsewhere. What is said to be taken is what a fit to readings with the effect
+    does."""
+    world = field(2, sizes=0.1)
+    result = sk.calibrate(world.arm.robot(), world.run(declared=declared))
+    fit, made = result.whole.fit, result.calibration
+    assert fit.priors
+    effect = fit.model.known_effects["joint_scale"]
+    one = Search(result.whole, made.whole, made.asked(made.whole)).told(effect, None)[1]
+    wider = fit.model.with_effect(effect)
+    size = 2e-4 * np.ones(len(effect.parameters))
+    values = np.insert(fit.values, wider.owns(effect).start, size)
+    moved = wider.predict(fit.data, values) - fit.predicted
+    there = replace(fit.data, readings=fit.data.readings + np.nan_to_num(moved))
+    again = sk.identify(fit.model, there, priors=fit.priors, noise=fit.noise, start=fit.values)
+    std = np.sqrt(np.diag(fit.covariance))
+    took, said = (again.values - fit.values) / std, one.absorbed @ size / std
+    assert np.abs(said).max() > 0.5
+    assert np.abs(took - said).max() < 0.05 * np.abs(said).max()

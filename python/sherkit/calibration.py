@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .base import linalg
-from .base.arguments import Seed, as_annotated
+from .base.arguments import NotNegative, Seed, as_annotated
 from .base.names import listed
 from .base.types import Floats
 from .data import Measurements
@@ -60,7 +60,7 @@ def calibrate(
     free: Sequence[str] = (),
     effects: Sequence[str | Effect] = (),
     loss: str = "linear",
-    priors: bool | None = None,
+    priors: bool | NotNegative | None = None,
     linear: bool = False,
     correction: str = "auto",
     with_outliers: bool = False,
@@ -125,7 +125,7 @@ def calibrate(
         if with_outliers:
             outliers = (warn_of_outliers if loss == "linear" else gross_errors)(fit, own)
         step(f"holding out blocks of the {name} run")
-        held = hold_out(fit.model, data, seed=seed, loss=loss)
+        held = hold_out(fit.model, data, seed=seed, loss=loss, priors=fit.priors or priors)
         corrected = None
         if correction != "none" and made.may_correct(fit):
             step(f"correcting what the {name} run leaves")

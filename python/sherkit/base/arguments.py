@@ -59,7 +59,7 @@ Seed = Annotated[int, AtLeast(0)]
 Count = Annotated[int, Above(0, 1e9)]
 #: How often a true statement may be refused.
 Level = Annotated[float, Above(0.0, 1.0)]
-#: A time that may be none.
+#: A time, or a part, that may be none.
 NotNegative = Annotated[float, AtLeast(0)]
 #: A length, a time, a deviation.
 Positive = Annotated[float, Above(0.0)]

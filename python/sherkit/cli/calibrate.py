@@ -53,7 +53,7 @@ NOT_CONVERGED = 3
     "--priors/--no-priors",
     default=None,
     help="Take the drawing, with plausible sizes, as one more measurement: always, or never. Left out: where the "
-    "readings alone would leave something less sure than the drawing does.",
+    "readings alone would leave something less sure than the drawing does, as closely as they find that it holds.",
 )
 @click.option("--linear", is_flag=True, help="The paper's single linear step instead of the nonlinear minimum.")
 @click.option("--correction", type=click.Choice(CORRECTIONS), default="auto", show_default=True)
@@ -239,7 +239,7 @@ def account(e: CalibrationRun, title: str) -> None:
     if fit.elsewhere is None:
         out.print("  too few poses to leave out whole regions: how far it is off away from them is not known")
     elif said := fit.elsewhere.sentence(fit.error):
-        out.print(f"  {said} {TO_DO[fit.priors]}")
+        out.print(f"  {said} {TO_DO[fit.priors > 0.0]}")
     if fit.crowded:
         out.print(f"  {fit.crowded}")
     if fit.badly_observed:

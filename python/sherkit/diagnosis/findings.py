@@ -109,7 +109,7 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
     if d.elsewhere is not None and (said := d.elsewhere.sentence(d.error)):
         sizes = {"error": d.elsewhere.error.rms, "drawing": d.elsewhere.drawing.rms}
         numbers = {f"{name}_{end}": float(value) for name, value in sizes.items()}
-        yield Finding(WRONG, "elsewhere", said, numbers, to_do=TO_DO[d.fit.priors])
+        yield Finding(WRONG, "elsewhere", said, numbers, to_do=TO_DO[d.fit.priors > 0.0])
     yield Finding(WRONG, "verdict", d.headline)
 
 

@@ -111,7 +111,7 @@ class Linearised:
         """Stretches of rows."""
         return blocks(len(self))
 
-    @property
+    @cached_property
     def waving(self) -> tuple[str, ...]:
         """Inputs along which waves of one period are looked for: those in the unit of the period that an effect has,
         where some are in another."""

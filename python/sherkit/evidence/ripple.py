@@ -89,16 +89,15 @@ def ripple_of(base: Base, effect: Effect, *, alone: bool = False) -> Ripple | No
     """
     run, view = base.family.run, base.family.run.view
     given = {name: period for name, period in run.of.model.given_periods.items() if name in view.waving}
-    family = _pairs(run, effect, given)
+    families = _pairs(run, effect, given)
     spans = {name: float(np.ptp(view.inputs[name])) for name in view.waving}
-    if not len(family):
+    if not families:
         return None
-    plain = base.asked(family)
+    plain = base.asked(next(iter(families.values())))
     if not alone:
         plain = _beside_all(plain, effect)
-    joint = np.array([view.waving.index(block.pattern or "") for block in family.blocks])
-    tried = np.bincount(joint, minlength=len(view.waving))
-    by_chance = 2.0 * np.log(np.maximum(tried, 1)) + CLEARLY
+    asked = {name: plain.asked(family) for name, family in families.items()}
+    by_chance = {name: 2.0 * np.log(len(family)) + CLEARLY for name, family in families.items()}
     found: dict[str, tuple[float, float]] = {}
 
     def again(which: Sequence[str]) -> bool:
@@ -106,23 +105,21 @@ def ripple_of(base: Base, effect: Effect, *, alone: bool = False) -> Ripple | No
         before = dict(found)
         for name in which:
             found.pop(name, None)
-            others, k = _beside(plain, found), view.waving.index(name)
-            near = _setting(family, int(np.argmax(np.where(joint == k, others.gains[0], -np.inf))))
+            others = _beside(asked[name], found)
+            near = _setting(families[name], int(np.argmax(others.gains[0])))
             frequency, std, takes = _peak(others, effect, name, 1.0 / near, is_given=name in given)
-            if takes > by_chance[k] * _noise(others, takes):
+            if takes > by_chance[name] * _noise(others, takes):
                 found[name] = frequency, std
         return before.keys() != found.keys() or any(
             abs(before[name][0] - at) * spans[name] > _MOVED for name, (at, _) in found.items()
         )
 
-    while len(found) < len(view.waving):
-        now = _beside(plain, found)
-        worth = now.gains[0] / _noise(now) - by_chance[joint]
-        worth[np.isin(joint, [view.waving.index(name) for name in found])] = -np.inf
-        best = int(np.argmax(worth))
-        if not worth[best] > 0:
+    while len(found) < len(families):
+        now = {name: _beside(one, found) for name, one in asked.items() if name not in found}
+        worth = {name: one.gains[0].max() / _noise(one) - by_chance[name] for name, one in now.items()}
+        name = max(worth, key=worth.__getitem__)
+        if not worth[name] > 0:
             break
-        name = view.waving[joint[best]]
         again([name])
         if name not in found:
             break
@@ -131,9 +128,10 @@ def ripple_of(base: Base, effect: Effect, *, alone: bool = False) -> Ripple | No
             break
     if not found:
         return None
-    which = [view.waving.index(name) for name in found]
-    ways = float(np.log(tried[which]).sum() + np.log(comb(len(view.waving), len(which)) * len(view.waving)))
-    return Ripple(effect, view.waving, found, given, ways, float(by_chance[which].sum()), spans)
+    choices = comb(len(view.waving), len(found)) * len(view.waving)
+    ways = float(sum(np.log(len(families[name])) for name in found) + np.log(choices))
+    chance = float(sum(by_chance[name] for name in found))
+    return Ripple(effect, view.waving, found, given, ways, chance, spans)
 
 
 def wave_takes(base: Base, columns: Floats) -> float:
@@ -151,19 +149,29 @@ def wave_takes(base: Base, columns: Floats) -> float:
     return float(((directions[:, seen].T @ (over.T @ base.residual)) ** 2 / left[seen]).sum())
 
 
-def _pairs(run: Run, effect: Effect, given: Mapping[str, float]) -> Family:
-    """Sine and cosine of each joint by itself, at each period that is tried."""
+def _pairs(run: Run, effect: Effect, given: Mapping[str, float]) -> Mapping[str, Family]:
+    """Sine and cosine of each joint by itself, at each period that is tried: made once of the rows of a run, as its
+    first fit sees them, which tells any other where to look."""
+    key = ("gears", effect.name, tuple(given.items()))
+    if key not in run.kept:
+        each = ((name, _pairs_of(run, effect, name, given.get(name))) for name in run.view.waving)
+        run.kept[key] = {name: family for name, family in each if family is not None and len(family)}
+    out: Mapping[str, Family] = run.kept[key]
+    return out
+
+
+def _pairs_of(run: Run, effect: Effect, name: str, given: float | None) -> Family | None:
+    """Those of one joint; None of one that stands still."""
     made, view = Maker(run, Visits.of(run)), run.view
-    for name in view.waving:
-        values = view.inputs[name]
-        reach = float(np.ptp(values))
-        counts = np.array([reach / given[name]]) if name in given else waves_of_gear(values, view.axes)
-        if not reach > 0 or not len(counts):
-            continue
-        part = made.part(made.table(TURN * values / reach, counts), view.patterns[name][:, :, None])
-        for k, count in enumerate(counts.tolist()):
-            pair = np.array([k, len(counts) + k])
-            made.add("effect", (), [(part, pair)], effect=effect, setting=reach / count, pattern=name)
+    values = view.inputs[name]
+    reach = float(np.ptp(values))
+    counts = waves_of_gear(values, view.axes) if given is None else np.array([reach / given])
+    if not reach > 0 or not len(counts):
+        return None
+    part = made.part(made.table(TURN * values / reach, counts), view.patterns[name][:, :, None])
+    for k, count in enumerate(counts.tolist()):
+        pair = np.array([k, len(counts) + k])
+        made.add("effect", (), [(part, pair)], effect=effect, setting=reach / count, pattern=name)
     parts, blocks = made.done()
     out = Family(run, made=(Columns(run, made.visits, parts), blocks))
     out.least = np.full(len(out), SEEN)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -39,6 +39,8 @@ class Run:
     view: Linearised
     white: Whitening
     shared: float = 1.0
+    #: What was made of these rows for any fit of them, by what it is for.
+    kept: dict[object, Any] = field(default_factory=dict)
 
     @classmethod
     def plain(cls, fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Run:
@@ -91,12 +93,12 @@ class Run:
         sigma[list(self.of.axes)] *= loud
         fit = self.of.on(np.arange(len(self.of.data)), sigma)
         view = fit.linearised(self.rows, effects, sigma[list(fit.axes)])
-        return replace(self, of=fit, sigma=sigma, view=view)
+        return replace(self, of=fit, sigma=sigma, view=view, kept={})
 
     def seen_by(self, fit: FittedRun) -> Run:
         """The same rows with the same noise as another fit of them sees them."""
         view = fit.linearised(self.rows, (), self.sigma[list(fit.axes)])
-        return Run(fit, self.rows, self.sigma, view, self.white, self.shared)
+        return Run(fit, self.rows, self.sigma, view, self.white, self.shared, self.kept)
 
 
 def run_of(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Run:

@@ -112,8 +112,12 @@ class Fitted(Protocol):
         """The noise of each reading."""
 
     @property
-    def priors(self) -> bool:
-        """Whether all plausible sizes are known."""
+    def priors(self) -> float:
+        """The part of the plausible sizes within which the drawing counts as known; 0 where it does not."""
+
+    @property
+    def sizes(self) -> Floats:
+        """Plausible sizes (p,), of the drawing that part of them."""
 
     @property
     def predicted(self) -> Floats:
@@ -195,10 +199,10 @@ def held_out_error(
 def known_of(fit: Fitted) -> Floats | None:
     """What is known of how far the parameters are off their fitted values, as :class:`~.folds.Folds` has it; None where
     nothing is."""
-    known = np.array([p.known or fit.priors for p in fit.model.parameters], dtype=bool)
+    known = np.array([p.known or fit.priors > 0.0 for p in fit.model.parameters], dtype=bool)
     if not known.any():
         return None
-    precision = np.where(known, 1.0, 0.0) / np.square([p.size for p in fit.model.parameters])
+    precision = np.where(known, 1.0, 0.0) / np.square(fit.sizes)
     return np.stack([precision, -precision * fit.values])
 
 

@@ -19,7 +19,7 @@ import polars as pl
 import scipy
 
 from ..base import linalg
-from ..base.arguments import Count, Seed, as_annotated
+from ..base.arguments import Count, NotNegative, Seed, as_annotated
 from ..base.notebook import Shown
 from ..base.types import Floats, Ints
 from ..data import Measurements
@@ -35,10 +35,11 @@ from ..model.robot_file import RobotLike, load_robot, run_for
 from .error import ErrorSize, held_out_error, of_residuals
 from .folds import blocks_of
 from .least_squares import LOSSES, LeastSquares, reached, scale, spread
-from .minimum import NEAR, beginning, noise_ratio, over_the_wall
+from .minimum import NEAR, ROUGHLY, beginning, noise_ratio, over_the_wall
 from .regions import Elsewhere, errors_elsewhere
 from .repeats import noise_beside, repeatability_of
 from .set_up import held, set_up_mistakes
+from .strength import part_of, scaled_sizes
 from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
@@ -47,6 +48,8 @@ _ROBUST_ROUNDS = 30
 _EVALUATIONS = 100
 #: Chance by which readings contradict a drawing that is right.
 _CONTRADICTED = 1e-3
+#: A part of the plausible sizes from which on they count as they are.
+_AS_PLAUSIBLE = 0.9
 #: It has settled when no value moves by more than this part of its plausible size; and it may still move by this part
 #: of its deviation when the rounds are over.
 _SETTLED = 1e-7
@@ -126,7 +129,8 @@ class Fit(Identified, Shown):
     data: Measurements
     noise: Noise
     loss: str
-    priors: bool
+    #: The part of the plausible sizes within which the drawing counts as known; 0 where it does not.
+    priors: float
     #: Whether the drawing counts for the regions alone: with an effect more in the model it may not need to.
     for_regions: bool = False
 
@@ -178,13 +182,22 @@ class Fit(Identified, Shown):
         return residuals(self.model, self.data, self.model.start(self.data))
 
     @cached_property
+    def sizes(self) -> Floats:
+        """Plausible sizes (p,); where the drawing counts, as closely as it does."""
+        return scaled_sizes(self.model, self.priors or 1.0)
+
+    @cached_property
     def supported(self) -> int:
         """How many combinations of parameters the readings tell better than plausible sizes do.
 
         Along the others noise moves the values further than they can plausibly be: such a fit is nearer to its own rows
         and further from new ones than one with fewer parameters, or with ``priors``.
         """
-        size = np.array([p.size for p in self.parameters])
+        return self.supported_by(self.priors or 1.0)
+
+    def supported_by(self, part: float) -> int:
+        """The same where the drawing holds within a part of the plausible sizes."""
+        size = scaled_sizes(self.model, part)
         told = linalg.eigvalsh(self.covariance / np.outer(size, size))
         # with priors a combination that both tell alike has half the variance of either
         return self.rank - int(np.count_nonzero(told > (0.5 if self.priors else 1.0)))
@@ -251,7 +264,7 @@ def identify(
     free: Sequence[str] = (),
     effects: Sequence[str | Effect] = (),
     loss: str = "linear",
-    priors: bool | None = None,
+    priors: bool | NotNegative | None = None,
     linear: bool = False,
     start: Sequence[float] | Floats | None = None,
     noise: Noise | None = None,
@@ -261,9 +274,11 @@ def identify(
     Robot and run may be given by their files, the run as a frame too.
     ``free`` names them (default: those of the kind of robot). ``effects`` are identified besides: names of the
     catalogue, or the user's own. ``loss`` is ``linear``, ``huber``, ``cauchy`` or ``tukey``.
-    ``priors`` takes the drawing, with the plausible sizes as deviations, as one more measurement. Left out, that is so
-    where the readings alone would leave combinations of parameters less sure than the drawing does, reach no minimum,
-    or are worse than the drawing in a region that is left out. ``linear`` takes the paper's single step of Eq. 11.
+    ``priors`` takes the drawing, with the plausible sizes as deviations, as one more measurement; a number above zero
+    takes that part of these sizes, where it is the drawing that they are of. Left out, the drawing counts where the
+    readings alone would leave combinations of parameters less sure than the drawing does, reach no minimum, or are
+    worse than the drawing in a region that is left out; as closely as the moves of all parameters say that it holds
+    (:mod:`.strength`). ``linear`` takes the paper's single step of Eq. 11.
     ``noise`` overrides what
     :func:`~sherkit.data.noise.noise_of` finds.
 
@@ -284,25 +299,45 @@ def identify(
     noise = noise or noise_of(data)
     if not data.used.any():
         raise FitError(f"{data.source}: every row is marked as an outlier; nothing is left to fit")
-    fit = _fitted(model, data, noise, start, loss=loss, priors=bool(priors), linear=linear)
+    fit = _fitted(model, data, noise, start, loss=loss, part=float(priors or 0.0), linear=linear)
     if not told and (beside := noise_beside(fit)) is not None:
-        noise = beside
         near = fit.values if fit.converged else start
-        fit = _fitted(model, data, noise, near, loss=loss, priors=bool(priors), linear=linear)
-    decided = fit.converged and fit.supported == fit.rank
-    if priors is None and not linear and not (decided and not _worse(fit, start)):
-        # what readings do not decide the drawing does, unless they contradict it; those that never change cannot: the
-        # smaller a robot is, the better it fits them
-        drawn = _fitted(model, data, noise, start, loss=loss, priors=True, linear=False)
-        if not fit.converged or held(data) or not _contradict(fit, drawn):
-            fit = replace(drawn, for_regions=decided)
-    return fit
+        fit = _fitted(model, data, beside, near, loss=loss, part=float(priors or 0.0), linear=linear)
+    return fit if priors is not None or linear else _with_drawing(fit, start)
 
 
-def _worse(fit: Fit, start: object) -> bool:
-    """Whether a fit is worse than the drawing in a region that it did not see; what begins at another fit was asked
-    there."""
-    return start is None and fit.elsewhere is not None and fit.elsewhere.is_worse
+def _with_drawing(fit: Fit, start: Sequence[float] | Floats | None) -> Fit:
+    """What readings do not decide the drawing does, unless they contradict it; those that never change cannot: the
+    smaller a robot is, the better it fits them. What begins at another fit was asked there how closely it holds."""
+    if not fit.converged or fit.supported < fit.rank:
+        drawn = _drawn(fit, 1.0, start)
+        kept = fit.converged and not held(fit.data) and _contradict(fit, drawn)
+        return fit if kept else _as_it_holds(drawn)
+    part = part_of(fit) if start is None and fit.loss == "linear" else 1.0
+    if start is not None or _holds_alone(fit, part):
+        return fit
+    drawn = _drawn(fit, part, fit.values)
+    return fit if not held(fit.data) and _contradict(fit, drawn) else replace(drawn, for_regions=True)
+
+
+def _holds_alone(fit: Fit, part: float) -> bool:
+    """Whether readings are enough without a drawing that holds within a part of the plausible sizes: they leave no
+    combination of parameters less sure than that does, and no region that the fit did not see is worse with it."""
+    if fit.supported_by(part) < fit.rank:
+        return False
+    return fit.elsewhere is None or not fit.elsewhere.is_worse
+
+
+def _drawn(fit: Fit, part: float, start: Sequence[float] | Floats | None) -> Fit:
+    """The same with the drawing, known within a part of the plausible sizes."""
+    return _fitted(fit.model, fit.data, fit.noise, start, loss=fit.loss, part=part, linear=False)
+
+
+def _as_it_holds(drawn: Fit) -> Fit:
+    """A fit with a drawing that counts within plausible sizes, with it as closely as the readings find that it holds:
+    no less, where they alone decide nothing."""
+    part = part_of(drawn) if drawn.loss == "linear" else 1.0
+    return drawn if part > _AS_PLAUSIBLE else _drawn(drawn, part, drawn.values)
 
 
 def _contradict(plain: Fit, drawn: Fit) -> bool:
@@ -321,20 +356,20 @@ def _fitted(
     start: Sequence[float] | Floats | None,
     *,
     loss: str,
-    priors: bool,
+    part: float,
     linear: bool,
 ) -> Fit:
-    weights = np.where(data.used, 1.0 / noise.sigma, 0.0)
-    problem = LeastSquares(model, data)
+    """With the drawing known within a ``part`` of the plausible sizes; 0 where it does not count."""
+    weights, priors = np.where(data.used, 1.0 / noise.sigma, 0.0), part > 0.0
+    problem = LeastSquares(model, data, scaled_sizes(model, part or 1.0))
     known = priors or any(p.known for p in model.parameters)
     try:
         values = beginning(model, data, weights) if start is None else model.starting_at(start)
-        if known and noise.origin == "unknown":
-            weights = weights / max(
-                noise_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear), 1e-12
-            )
         # what begins at another fit is near its minimum, or has none
-        most = _EVALUATIONS if start is None else NEAR
+        most, roughly = (_EVALUATIONS, _EVALUATIONS) if start is None else (NEAR, ROUGHLY)
+        if known and noise.origin == "unknown":
+            ratio, near = noise_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear, most=roughly)
+            weights, values = weights / max(ratio, 1e-12), values if linear else near
         solver, ended = problem.solve(weights, values, priors=priors, linear=linear, max_evaluations=most)
         result = solver.result()
         if not reached(ended, result):
@@ -390,7 +425,7 @@ def _fitted(
         scale=overall,
         noise=noise,
         loss=loss,
-        priors=priors,
+        priors=part,
         converged=at_minimum,
         evaluations=evaluations,
     )
@@ -422,9 +457,11 @@ def hold_out(
     folds: Count = 5,
     seed: Seed = 0,
     loss: str = "linear",
+    priors: bool | NotNegative | None = None,
     start: Floats | None = None,
 ) -> HeldOut:
-    """Refits without each block in turn and predicts it. Raises as :func:`~sherkit.fit.identify.identify`.
+    """Refits without each block in turn and predicts it. ``loss`` and ``priors`` are those of
+    :func:`~sherkit.fit.identify.identify`, as is what is raised.
 
     ``start`` (p,), the fit of all rows where it is known, is so near that two looks at the rows are enough.
     """
@@ -436,8 +473,8 @@ def hold_out(
         inside = block == fold
         if inside.all():
             # one pose alone cannot be held out: what is left is the fit's own residual
-            out[inside] = residuals(model, data, identify(model, data, loss=loss, start=start).values)
+            out[inside] = residuals(model, data, identify(model, data, loss=loss, priors=priors, start=start).values)
             break
-        fit = identify(model, data.select(~inside), loss=loss, start=start)
+        fit = identify(model, data.select(~inside), loss=loss, priors=priors, start=start)
         out[inside] = residuals(model, data.select(inside), fit.values)
     return HeldOut(out, block)

@@ -15,6 +15,8 @@ from .least_squares import LeastSquares, reached, scale
 
 #: Evaluations of a fit that begins at the minimum of another: it is near its own, or has none.
 NEAR = 25
+#: Evaluations after which noise is told to a tenth there.
+ROUGHLY = 6
 #: Rounds in which noise settles, at most; it has settled where it falls to no less than this part.
 _ROUNDS, _NEARLY_SETTLED = 30, 0.9
 
@@ -33,21 +35,22 @@ def beginning(model: ModelWithEffects, data: Measurements, weights: Floats) -> F
 
 
 def noise_ratio(
-    problem: LeastSquares, weights: Floats, values: Floats, *, loss: str, priors: bool, linear: bool
-) -> float:
-    """By how much the noise is larger than was assumed, where only residuals tell it: a prior is weighed against it."""
+    problem: LeastSquares, weights: Floats, values: Floats, *, loss: str, priors: bool, linear: bool, most: int
+) -> tuple[float, Floats]:
+    """By how much the noise is larger than was assumed, where only residuals tell it: a prior is weighed against it;
+    and where a fit with it begins. ``most`` evaluations are allowed in each round."""
     if not priors:
         loose, _ = problem.solve(weights, values, linear=linear)
-        return max(scale(problem.residuals(loose.trial), weights, loose.result()["rank"], loss), 1e-12)
+        return max(scale(problem.residuals(loose.trial), weights, loose.result()["rank"], loss), 1e-12), values
     # from the drawing down: without it a fit may leave nothing, as where constant distances make a robot shrink
     ratio = max(scale(problem.residuals(values), weights, 0, loss), 1e-12)
     for _ in range(_ROUNDS):
-        solver, _ = problem.solve(weights / ratio, values, priors=True)
+        solver, _ = problem.solve(weights / ratio, values, priors=True, max_evaluations=most)
         values, before = solver.trial, ratio
         ratio = max(scale(problem.residuals(values), weights, solver.result()["rank"], loss), 1e-12)
         if ratio > _NEARLY_SETTLED * before:
             break
-    return ratio
+    return ratio, values
 
 
 def over_the_wall(

@@ -111,7 +111,7 @@ def regions_of(data: Measurements, rows: Ints) -> Ints | None:
     return _halved(joints[:, moved] / spread[moved], _HALVINGS)[pose.ravel()]
 
 
-def _some(data: Measurements, rows: Ints) -> Ints:
+def some_of(data: Measurements, rows: Ints) -> Ints:
     """These rows; of many as many poses, evenly among all, as tell the same."""
     pose = np.unique(data.standing[rows], return_inverse=True)[1].ravel()
     if len(rows) <= _MOST:
@@ -154,7 +154,7 @@ def errors_elsewhere(fit: Fitted) -> Elsewhere | None:
     joint that moved."""
     model, data = fit.model, fit.data
     used = data.used & np.isfinite(fit.residuals)
-    rows = _some(data, np.flatnonzero(used.any(axis=1)))
+    rows = some_of(data, np.flatnonzero(used.any(axis=1)))
     region = regions_of(data, rows) if len(rows) else None
     if region is None:
         return None

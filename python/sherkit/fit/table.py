@@ -138,7 +138,7 @@ def table_of(fit: Any) -> str:
     about = [
         ("fit", f"{len(fit.parameters)} parameters to {len(fit.data)} rows of {fit.data.source}"),
         ("effects", effects or "none"),
-        ("loss", fit.loss + (", with plausible sizes as knowledge" if fit.priors else "")),
+        ("loss", fit.loss + _knowledge(fit.priors)),
         ("error", str(fit.error)),
         ("fitted", f"{errors} {layout.unit} RMS"),
         ("noise", f"{origin[fit.noise.origin]}; reduced χ² {fit.scale**2:.3g}"
@@ -171,6 +171,13 @@ def table_of(fit: Any) -> str:
         for line in lines
     ]
     return "\n".join([*head, "", *body, *_correlated(fit)])
+
+
+def _knowledge(part: float) -> str:
+    """What a fit takes for known of the drawing, within a part of the plausible sizes."""
+    if not part:
+        return ""
+    return f", with {'' if part == 1.0 else f'{part:.2g} of the '}plausible sizes as knowledge"
 
 
 def _nominal(model: Any) -> dict[str, float]:

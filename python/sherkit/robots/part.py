@@ -7,9 +7,10 @@ that is not in it moves the readings by E e and the place by h(x) e, so that the
     a(x) e,  a(x) = h(x) - g(x) J⁺ E - b(x) B⁺ (I - J J⁺) E,
 
 with the derivatives J at the poses and g at x by the identified parameters, and the functions B and b of a smooth
-correction. What is known of e is its plausible size and what the readings say (Rasmussen and Williams, *Gaussian
-Processes for Machine Learning*, 2.1). The second moment of a(x) e, less what the same e leaves at the poses, where the
-held-out residuals hold it already, is what the poses could not show.
+correction; where the drawing counts as a measurement, J has its rows and E is zero in them. What is known of e is its
+plausible size and what the readings say (Rasmussen and Williams, *Gaussian Processes for Machine Learning*, 2.1). The
+second moment of a(x) e, less what the same e leaves at the poses, where the held-out residuals hold it already, is what
+the poses could not show.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ import scipy
 
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
+from ..fit.error import known_of
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect
@@ -125,19 +126,33 @@ class LinearFit:
 
     @cached_property
     def _moved(self) -> tuple[Floats, Floats]:
-        """An orthonormal basis (N, s) of what the identified values move, and their change (p, s) along it."""
-        size = np.array([p.size for p in self.fit.parameters])
+        """A basis (N, s) of what the identified values move, and their change (p, s) along it: what they take of
+        something is its part along the basis. Orthonormal, but where the drawing is a measurement: then with its rows,
+        which are none of any effect."""
+        size, known = self.fit.sizes, known_of(self.fit)
         whole = (self._by_values * self._weights[:, :, None] * size).reshape(-1, len(size))
-        left, singular, right = linalg.svd(whole, full_matrices=False)
+        rows = whole if known is None else np.concatenate([whole, np.diag(size * np.sqrt(known[0] * self._noise))])
+        left, singular, right = linalg.svd(rows, full_matrices=False)
         use = singular > _UNOBSERVED * singular[0]
-        return left[:, use], size[:, None] * (right[use].T / singular[use])
+        return left[: len(whole), use], size[:, None] * (right[use].T / singular[use])
+
+    @cached_property
+    def _left(self) -> Floats:
+        return (np.where(self.fit.data.used, np.nan_to_num(self.fit.residuals), 0.0)[self.rows] * self._weights).ravel()
+
+    @property
+    def _noise(self) -> float:
+        """Variance of a reading over its weight: one where the noise is known."""
+        if self.fit.noise.origin != "unknown":
+            return 1.0
+        free = max(int(np.count_nonzero(self._weights)) - len(self.fit.values), 1)
+        return float(np.square(self._left).sum()) / free
 
     @cached_property
     def _residual(self) -> Floats:
         """What the fit leaves (N,), over the noise, before any correction."""
-        r = (np.where(self.fit.data.used, np.nan_to_num(self.fit.residuals), 0.0)[self.rows] * self._weights).ravel()
         basis = self._moved[0]
-        return r - basis @ (basis.T @ r)
+        return self._left if known_of(self.fit) is not None else self._left - basis @ (basis.T @ self._left)
 
     @cached_property
     def _cells(self) -> Ints:

@@ -57,8 +57,9 @@ class WhereMeasured(Deployed):
 
     def grown(self, part: Part, far: Floats) -> Floats:
         """By what factor (n,) the covariance of what a part leaves grows so ``far`` (n,) outside the poses: there it is
-        at least what regions show that were left out whole, and farther out it grows as a straight line would."""
-        return np.where(far > 0.0, part.elsewhere * (1.0 + far), 1.0) ** 2
+        at least what regions show that were left out whole, and farther out it grows with the distance, as that of
+        differences does of what has no scale of its own (a linear variogram: Matheron, Economic Geology 1963)."""
+        return np.where(far > 0.0, part.elsewhere**2 * (1.0 + far), 1.0)
 
     def part_at(self, coordinates: Floats) -> Part:
         """The part that rules at ``coordinates`` (k,)."""

@@ -183,16 +183,17 @@ class Study(Shown):
         self,
         effect: str | Effect,
         *,
-        period_mm: Positive | None = None,
-        period_rad: Positive | None = None,
+        period_mm: Positive | Sequence[Positive] | None = None,
+        period_rad: Positive | Sequence[Positive] | None = None,
         slip_time_s: float | None = None,
         lag_s: NotNegative | None = None,
     ) -> StudyStep:
         """Adds an effect by name, or a user's own, and refits.
 
         The time of a slip, the period of a cyclic error and the lag of a stand are searched for where they are not
-        given; the period that the model has stays unless another is clearly better. Raises
-        :class:`~sherkit.errors.EffectError` for an unknown or doubled effect, or one whose columns the rows lack.
+        given; the period that the model has stays unless another is clearly better. A period is one number, or one for
+        each joint. Raises :class:`~sherkit.errors.EffectError` for an unknown or doubled effect, one whose columns the
+        rows lack, and as many periods as there are no joints.
         """
         if isinstance(effect, Effect):
             self._register(effect)
@@ -206,7 +207,8 @@ class Study(Shown):
         if missing:
             raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
         given = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad, "lag_s": lag_s}
-        at: Setting | None = given.get(chosen.search or "")
+        wanted = given.get(chosen.search or "")
+        at: Setting | None = tuple(wanted) if isinstance(wanted, Sequence) else wanted
         if at is None:
             at = setting_for(self.fit, chosen)
         action = chosen.name if chosen.frees else f"+ {chosen.name}"
