@@ -65,7 +65,8 @@ def estimate(
         from ..report.estimate import depth_over_time, estimate_picture
         from ..report.page import save_picture
 
-        save_picture(estimate_picture(depth_over_time(result), trust(result, truths).sentence), picture)
+        said, page = trust(result, truths).sentences, picture.suffix.lower() == ".html"
+        save_picture(estimate_picture(depth_over_time(result), said, page=page), picture)
     if as_json:
         output.print_json(_json(result, judged, truths))
         return

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
-from bokeh.models import Span
+from bokeh.models import Div, Span
 from numpy.typing import NDArray
 
 from ..base.types import Floats
@@ -65,8 +66,13 @@ def _innovations(e: Estimate) -> Floats:
     return np.where(degrees > 0.5, total / np.maximum(degrees, 1.0), np.nan)
 
 
-def estimate_picture(state: EstimateOverTime, headline: str = "") -> Picture[EstimateOverTime]:
-    """The estimate with its 95 % band, the other lines, and the force on the same axis of time, below a headline."""
+def estimate_picture(
+    state: EstimateOverTime, said: Sequence[str] = (), *, page: bool = False
+) -> Picture[EstimateOverTime]:
+    """The estimate with its 95 % band, the other lines, and the force on the same axis of time, below what is said.
+
+    On a page all of it is said, in lines as wide as the page; else the first sentence, as a title.
+    """
     sources = sources_of(_tables(state))
     made = figure(height=_HEIGHT, sizing_mode="stretch_width")
     made.yaxis.axis_label = f"{state.name}, {state.unit}"
@@ -103,9 +109,16 @@ def estimate_picture(state: EstimateOverTime, headline: str = "") -> Picture[Est
     if state.innovation is not None:
         below += " Innovations squared, over their variance, are 1 on average where the filter's noise is right."
     note = f"The band holds the truth in 95 of 100 steps.{below}{few}"
-    if headline:
-        figures[0].title.text = headline
-    return Picture("estimate", stacked("estimate", figures, sizing_mode="stretch_width"), sources, _tables, note=note)
+    heading = None
+    if said and page:
+        first, *rest = map(escape, said)
+        below = "".join(f"<p style='margin:8px'>{x}</p>" for x in rest)
+        text = f"<h1 style='font-size:17px;margin:8px'>{first}</h1>{below}"
+        heading = Div(text=text, sizing_mode="stretch_width")
+    elif said:
+        figures[0].title.text = said[0]
+    root = stacked("estimate", figures, heading=heading, sizing_mode="stretch_width")
+    return Picture("estimate", root, sources, _tables, note=note)
 
 
 def _window(state: EstimateOverTime) -> tuple[float, float]:
