@@ -197,8 +197,12 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
         button(page, "+ rail_lean").click()
         button(page, "✓ rail_lean").wait_for()
         wait_for(page, "numbers", f"{study.history[-1].error.rms:.2f}")
-        # the pictures come after the answer
+        # the pictures come after the answer, one table after the other
         page.wait_for_function("Math.abs(Bokeh.documents[0].get_model_by_name('after_0').data.ex[0]) < 20")
+        for _ in range(100):
+            if np.allclose(arrows(page), expected_arrows(study.fit), atol=0.02):
+                break
+            page.wait_for_timeout(100)
         np.testing.assert_allclose(arrows(page), expected_arrows(study.fit), atol=0.02)
         page.wait_for_function("Bokeh.documents[0].get_model_by_name('steps').data.action.length == 2")
         steps = source(page, "steps")

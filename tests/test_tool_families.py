@@ -10,9 +10,8 @@ from second_tool.wide_families import FAMILIES, Family, creeping, sticking
 from tool_families import EXPERIMENTS, judged
 
 SHORT_S = 10.0
-#: At the tip it is the robot's own rows that are wrong.
-_ROBOT = "robot late"
-_LAGS = tuple(name for name in FAMILIES if name.startswith("lags"))
+#: What is seen late or little of at the tip.
+_HARD = ("lags 4 %", "goes along", "robot late")
 
 
 def test_fibres_that_lag_come_to_what_they_should() -> None:
@@ -48,14 +47,14 @@ def test_a_touch_at_the_tip_bends_all_three_sections() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FAMILIES)
 def test_the_filter_is_never_worse_than_the_papers(name: str) -> None:
-    """Catches a family in which depth or tip fall behind the paper's filter, or a sound grating is left out;
-    seeds 0, 1."""
+    """Catches a family in which depth or tip fall behind the paper's filter, a deviation that is too small, or a sound
+    grating that is left out; seeds 0, 1."""
     for seed in range(2):
         for experiment in EXPERIMENTS:
             j = judged(name, seed, experiment)
             depth, tip = j.ratios
-            assert depth < (1.05 if name != "lags 4 %" else 1.5), j
-            assert tip < (1.15 if name == _ROBOT else 1.05 if name not in _LAGS else 2.0), j
-            assert j.lost < (0.01 if name != "lags 4 %" else 0.1), j
-            if name not in _LAGS:
-                assert j.ours.depth_covered > 0.75, j
+            assert depth < (1.05 if name != "lags 4 %" else 1.2), j
+            assert tip < 1.05, j
+            assert j.lost < 0.01, j
+            assert j.ours.depth_covered > 0.85, j
+            assert j.ours.tip_covered > (0.85 if name not in _HARD else 0.7), j

@@ -54,7 +54,9 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
     for name in ("exact_rod_pivot", "late_100"):
         told = measured(CONDITIONS[name], 3, seconds=40.0)
         for signal in ("depth", "tip"):
-            assert 0.88 < told[signal].coverage < 0.995, (name, signal, told[signal])
+            # a calibration without an error: what fibres may lag and the tip may touch is doubted all the same
+            assert told[signal].coverage > 0.88, (name, signal, told[signal])
+            assert told[signal].nees > 0.2, (name, signal, told[signal])
         assert told["depth"].mean_error_mm < 0.12
 
 
@@ -165,13 +167,14 @@ def run_truth(seed: int) -> NDArray[np.float64]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HONEST)
 def test_every_row_of_the_table_is_covered(name: str) -> None:
-    """Catches a condition in which the 95 % interval of the depth holds 93 % or fewer, or nearly all: 24 runs.
+    """Catches a condition in which the 95 % interval of the depth holds 93 % or fewer, or is far too wide: 24 runs.
 
-    These worlds have no friction and no tissue that hardens, for which the filter allows: it is a little too careful
-    here (0.98 to 0.99), as it is a little too sure where there are (0.92, `wide_honesty.py`).
+    These worlds have no friction, no tissue that hardens, nothing at the tip and fibres that never lag; for all of it
+    the filter allows: it is too careful here (twice the error), and is not where there are (`wide_honesty.py`).
     """
     told = measured(CONDITIONS[name], 24)
-    assert 0.93 <= told["depth"].coverage <= 0.995, told["depth"]
+    assert told["depth"].coverage >= 0.93, told["depth"]
+    assert told["depth"].nees > 0.18, told["depth"]
     # along the shaft the tip is known better than the micrometre that the judge allows: two of three freedoms are left
     assert 0.93 <= told["tip"].coverage <= 0.99, told["tip"]
 

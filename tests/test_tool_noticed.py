@@ -13,14 +13,17 @@ import tomli_w
 
 from second_tool import CONDITIONS, write_csv
 from second_tool.wide import Wide
+from second_tool.wide_families import FAMILIES
 from sherkit.errors import SherkitWarning
 from sherkit.robots.tool.calibration import ToolCalibration, calibrate_tool, read_loads
 from sherkit.robots.tool.exchanged import exchanged
-from sherkit.robots.tool.filters import estimate
+from sherkit.robots.tool.filters import Estimate, estimate
 from sherkit.robots.tool.known import known
 from sherkit.robots.tool.tool import load_tool
 from sherkit.robots.tool.trust import trust
 from tool_honesty import run_of, tool_of
+from wide_honesty import run_of as wide_run_of
+from wide_honesty import tool_of as wide_tool_of
 
 Table = dict[str, np.ndarray]
 
@@ -118,3 +121,37 @@ def test_the_depth_is_called_once() -> None:
     assert trust(sure, known(sure)).verdict == "overconfident"
     without = estimate(tool, replace(run, depth_mm=None))
     assert "no truth is in this run" in trust(without, known(without)).sentence
+
+
+def test_a_robot_that_is_late_is_said_and_led_on() -> None:
+    """Catches a lateness of the wrong sign or size, one of a robot that is not late, and a tip that stays behind."""
+    for seed in (60, 61):
+        world, sound = FAMILIES["robot late"](seed), Wide(seed)
+        true_s = float(world._rng("late").uniform(0.02, 0.08))
+        for w, late in ((world, true_s), (sound, 0.0)):
+            truth = w.run("vessels", seconds=60.0)
+            e = estimate(wide_tool_of(w), wide_run_of(truth))
+            assert 0.3 * late - 0.004 < e.late_s[-1] < 1.4 * late + 0.004, (seed, late)
+            said = [s for s in trust(e, known(e)).noticed if "later than the gratings" in s]
+            assert bool(said) == (late > 0.0)
+            if late:
+                off = [np.linalg.norm(x[6000:] - truth.tip_mm[6000:], axis=1).mean() for x in
+                       (e.tip.value, e.tip.value - led_on(e))]  # fmt: skip
+                assert off[0] < 0.85 * off[1]
+
+
+def led_on(e: Estimate) -> np.ndarray:
+    """How far the tip was led on, by a speed over 30 ms."""
+    speed = np.zeros((len(e.run), 3))
+    step = np.diff(e.run.position_mm, axis=0) / np.diff(e.run.time_s)[:, None]
+    for i in range(1, len(speed)):
+        speed[i] = speed[i - 1] + (step[i - 1] - speed[i - 1]) * (0.005 / 0.035)
+    return np.asarray(speed * e.late_s.clip(0.0)[:, None])
+
+
+def test_a_bend_that_comes_at_once_is_no_exchange_of_peaks() -> None:
+    """Catches two peaks that pass each other in a bend of one row, taken for exchanged: the depth was off by 8 mm."""
+    world = FAMILIES["softer outwards"](901)
+    truth = world.run("vessels", seconds=60.0)
+    e = estimate(wide_tool_of(world), wide_run_of(truth))
+    assert not e.faulty.any()

@@ -421,7 +421,7 @@ def _fitted(
         unobserved_covariance=beyond,
         rank=result["rank"],
         singular_values=result["singular_values"],
-        unobserved_basis=result["unobserved"],
+        unobserved_basis=_in_plausible_sizes(result["unobserved"], model, part),
         scale=overall,
         noise=noise,
         loss=loss,
@@ -429,6 +429,15 @@ def _fitted(
         converged=at_minimum,
         evaluations=evaluations,
     )
+
+
+def _in_plausible_sizes(basis: Floats, model: ModelWithEffects, part: float) -> Floats:
+    """Directions (m, p) in sizes of which the drawing's are a part, in plausible sizes."""
+    if not len(basis) or part in (0.0, 1.0):
+        return basis
+    plain = np.array([p.size for p in model.parameters])
+    turned, _ = linalg.qr((basis * scaled_sizes(model, part) / plain).T)
+    return np.asarray(turned.T)
 
 
 def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:

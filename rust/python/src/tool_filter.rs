@@ -28,10 +28,10 @@ trait Stepped: Copy + Send {
     fn fared(&self) -> (&Counts, &Consistency);
     /// Pace of the hole along the shaft (mm²/s) and across ((mm/s)²), and what was learnt: clearance (mm), give (mm/mN), the
     /// gratings' turn (rad), how much deeper they are (mm), moments of no force (4, mN·mm), whether the hole goes with the
-    /// shaft (0 or 1), and how much fibres lag, over the bend.
+    /// shaft (0 or 1), how much fibres lag, over the bend, and by how much the robot is later than they are (s).
     fn inner(&self) -> [f64; INNER];
 }
-const INNER: usize = 12;
+const INNER: usize = 13;
 
 impl Stepped for CoreTool {
     fn advance(&mut self, time_s: f64, pose: &Rigid, reading: Option<(f64, &Shifts)>) -> Status {
@@ -50,7 +50,21 @@ impl Stepped for CoreTool {
         let [c, g, t, m, a, b, d, e] = self.learnt();
         let along = f64::from(u8::from(self.goes_along()));
         let (drift, pace) = (self.per_second_mm2(), self.pace());
-        [drift, pace, c, g, t, m, a, b, d, e, along, self.lags()]
+        [
+            drift,
+            pace,
+            c,
+            g,
+            t,
+            m,
+            a,
+            b,
+            d,
+            e,
+            along,
+            self.lags(),
+            self.late_s(),
+        ]
     }
 }
 
@@ -226,7 +240,7 @@ macro_rules! filter_class {
 
             /// As many steps as there are times `(n,)`, at poses `(n, 12)`, with wavelengths `(n, 9)` of stamps `(n,)`
             /// where `present` `(n,)`. By name: `state` (depth, tip) `(n, 4)`, `covariance` `(n, 4, 4)`, `force_mn`
-            /// `(n, 2)`, `inner` `(n, 12)`, and `(n,)` `arc_mm`, `force_variance`, `misfit`, `nis`, `degrees`, `faulty`
+            /// `(n, 2)`, `inner` `(n, 13)`, and `(n,)` `arc_mm`, `force_variance`, `misfit`, `nis`, `degrees`, `faulty`
             /// (a bit for each grating), `status`.
             fn run<'py>(
                 &mut self,

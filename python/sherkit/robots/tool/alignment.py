@@ -139,6 +139,8 @@ def _restricted(j: Floats, e: Floats, smooth: Floats) -> tuple[float, float]:
 # -- Streams in time -------------------------------------------------------------------------------------------------
 
 _LEAST = 8
+#: Delays between the best of the first grid and its neighbours.
+_FINER = 9
 #: No interrogator is later, s, and a delay less well known is none.
 _LONGEST_FIBRES_S = 0.28
 _WORST_DELAY_S = 0.02
@@ -271,9 +273,15 @@ def fibre_delay(tool: FlexibleTool, run: ToolRun, *, longest_s: float = _LONGEST
     grid = np.arange(0.0, longest_s + 1e-9, 0.01)
     squares = np.array([left(d) for d in grid])
     best = int(np.argmin(squares))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = scipy.optimize.minimize_scalar(left, bounds=(low, high), method="bounded", options={"xatol": 1e-4})
-    delay, least = float(found.x), float(found.fun)
+    # what is left over jumps a little where a reading changes sides: the lowest of a finer grid, and a parabola there
+    near = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], _FINER)
+    finer = np.array([left(d) for d in near])
+    lowest = int(np.clip(np.argmin(finer), 1, _FINER - 2))
+    before, at, after = finer[lowest - 1 : lowest + 2]
+    bend = before + after - 2.0 * at
+    off = 0.5 * (before - after) / bend if bend > 0 else 0.0
+    delay = float(near[lowest] + np.clip(off, -1.0, 1.0) * (near[1] - near[0]))
+    least = left(delay)
     # over a step on which the forces differ by more than they are known
     step = 2.0 * float(grid[1] - grid[0])
     sides = [left(max(delay + s, 0.0)) for s in (-step, step)]

@@ -166,7 +166,8 @@ class Estimate(Shown):
     ``hole`` (n, 4) what was learnt: its clearance (mm), what it gives way (mm/mN), the gratings' turn (rad), and by how
     much they count all depths deeper (mm). ``goes_along`` (n,) says from where on depths told of the bench's zero what
     no zero can be: the hole goes with the shaft, or the robot's rows are late. ``lags`` (n,) is by how much fibres were
-    seen to lag behind their bends, over the bend.
+    seen to lag behind their bends, over the bend. ``late_s`` (n,) is by how much the robot's rows were seen to be later
+    than the gratings, mostly to a third; where it is positive the tip has been led on by it.
     """
 
     tool: FlexibleTool
@@ -182,6 +183,7 @@ class Estimate(Shown):
     hole: Floats
     goes_along: Bools
     lags: Floats
+    late_s: Floats
 
     def __repr__(self) -> str:
         depth = self.depth.value[:, 0]
@@ -289,7 +291,7 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     inner = told["inner"]
     return Estimate(
         tool, run, measured, told["misfit"], depth, tip, together, told["faulty"], told["arc_mm"], paper, inner[:, 2:6],
-        inner[:, 10] > 0.0, inner[:, 11],
+        inner[:, 10] > 0.0, inner[:, 11], inner[:, 12],
     )  # fmt: skip
 
 

@@ -13,6 +13,8 @@ from .known import Knowledge
 
 #: Without a truth: a mean of squared innovations over their variances beyond which deviations are too small.
 _TOO_FAR = 1.5
+#: Clocks that differ by less say nothing that is worth a sentence, s.
+_LATE_S = 0.008
 #: Fibres that lag by less say nothing that is worth a sentence, over the bend.
 _LAGS = 0.004
 
@@ -64,6 +66,16 @@ def _noticed(e: Estimate) -> list[str]:
         out.append(
             f"From {since:.1f} s on depths would put the bench's zero where no bench has it: the hole goes with the "
             "shaft, or the robot's rows are late. The zero is learnt no more, and the deviation is larger"
+        )
+    late_s = float(e.late_s[-1])
+    if abs(late_s) > _LATE_S:
+        ms = 1e3 * abs(late_s)
+        out.append(
+            f"The robot's rows are about {ms:.0f} ms later than the gratings: the tip is led on by as much, and its "
+            "deviation is larger. Give both one clock"
+            if late_s > 0.0
+            else f"The gratings are about {ms:.0f} ms later than the robot's rows, or lag as if they were: `sherkit "
+            "tool` finds the delay of the fibres, which the tool file holds ([gratings] delay_s)"
         )
     lags = float(np.median(e.lags))
     if lags > _LAGS:

@@ -4,7 +4,7 @@
 //! tenth of a second the edge is compared with where the motion alone has it: that tells clearance, give and turn, and what
 //! is left is its pace.
 
-use super::start::{Then, ToolFilter};
+use super::start::{Edge, Then, ToolFilter};
 use super::state::{CLEARANCE, DEEPER, GIVES, L, N, State, TURN};
 use crate::numbers::math::sqrt;
 use nalgebra::{Vector2, Vector3};
@@ -12,6 +12,12 @@ use nalgebra::{Vector2, Vector3};
 /// The pace is taken over this time, and remembered for the other, s.
 const OVER_S: f64 = 0.1;
 const KEPT_S: f64 = 5.0;
+/// How long the robot's lateness is looked at, s, and deviations beyond which it is none by chance.
+const LATE_S: f64 = 30.0;
+const COMPARED_S: f64 = 0.5;
+const FEW: f64 = 5.5;
+const WORST_S: f64 = 0.03;
+const BEYOND: f64 = 2.5;
 /// A square of what is left over its variance above which a window says nothing of the hole.
 const FITS: f64 = 16.0;
 /// What a hole gives way for a force changes by this share with the force.
@@ -19,10 +25,47 @@ const HARDENS: f64 = 0.1;
 /// Deviation of a force that nobody has read, mN.
 const UNREAD_MN: f64 = 100.0;
 
+impl Edge {
+    /// By how much the robot is late, s, and the variance of that, s²; nothing before that is known at all.
+    pub(super) fn late(&self) -> (f64, f64) {
+        let [with, own, square, n] = self.late;
+        let variance = square / (n * own);
+        // false for NaN
+        if n > FEW && variance < WORST_S * WORST_S {
+            (with / own, variance)
+        } else {
+            (0.0, 0.0)
+        }
+    }
+
+    /// Strays over half a second beside how the motion of the hole aside changed in it: tremor is over by then.
+    #[inline]
+    fn strays(&mut self, strayed: &Vector2<f64>, sideways: &Vector2<f64>, time_s: f64) {
+        let (since_s, sum, before) = self.strays.unwrap_or((time_s, Vector2::zeros(), *sideways));
+        let sum = if since_s < time_s { sum + strayed } else { sum };
+        self.strays = Some((since_s, sum, before));
+        if time_s - since_s < COMPARED_S {
+            return;
+        }
+        self.strays = Some((time_s, Vector2::zeros(), *sideways));
+        let faster = sideways - before;
+        let keeps = (1.0 - (time_s - since_s) / LATE_S).max(0.0);
+        let more = [
+            sum.dot(&faster),
+            faster.norm_squared(),
+            0.5 * sum.norm_squared(),
+            1.0,
+        ];
+        for (of, more) in self.late.iter_mut().zip(more) {
+            *of = *of * keeps + more;
+        }
+    }
+}
+
 impl ToolFilter {
     /// A force was felt whose components have this variance, where shaft and hole give way so much (mm/mN).
     #[inline]
-    pub(super) fn edge(&mut self, noise: f64, gives: f64) {
+    pub(super) fn edge(&mut self, noise: f64, gives: f64, tells: bool) {
         let s = &self.state;
         let (x, size) = (&s.x, s.size);
         let now = Then {
@@ -34,6 +77,7 @@ impl ToolFilter {
             way: s.way,
             noise,
             gives: gives - x[GIVES],
+            tells,
         };
         if let Some(then) = self.edge.since {
             if now.time_s - then.time_s < OVER_S {
@@ -46,6 +90,7 @@ impl ToolFilter {
 
     #[inline(never)]
     fn compare_edges(&mut self, then: &Then, now: &Then) {
+        let tells = then.tells && now.tells;
         let (e, s) = (&mut self.edge, &mut self.state);
         let (x, elapsed) = (s.x, now.time_s - then.time_s);
         let quarter = |v: &Vector2<f64>| Vector2::new(-v.y, v.x);
@@ -71,6 +116,11 @@ impl ToolFilter {
         if !(square.is_finite() && s.surely_inside()) {
             return;
         }
+        if tells {
+            e.strays(&strayed, &s.sideways, now.time_s);
+        } else {
+            e.strays = None;
+        }
         // tissue hardens: what it gives for more force is not quite what it gave for less
         let hard = HARDENS * x[GIVES] * (now.size - then.size);
         for (on, noise) in [now.way, quarter(&now.way)].iter().zip(by_noise) {
@@ -88,13 +138,29 @@ impl ToolFilter {
             for k in 0..N {
                 innovation -= h[k] * (s.x[k] - x[k]);
             }
-            if innovation * innovation < FITS * seen.total {
+            if tells && innovation * innovation < FITS * seen.total {
                 s.take(&seen, innovation);
             }
+        }
+        // where little force is felt its noise is all that moves the edge
+        if !tells {
+            return;
         }
         e.known_s = (e.known_s + elapsed).min(KEPT_S);
         e.mean += (square / (elapsed * elapsed) - e.mean) * (elapsed / e.known_s).min(1.0);
         e.mean = e.mean.max(0.0);
+    }
+
+    /// By how much the robot's rows are later than the gratings, s, where that is not by chance: a robot that is late has not
+    /// yet gone where the shaft leans, in proportion to its speed.
+    #[must_use]
+    pub fn late_s(&self) -> f64 {
+        let (late, variance) = self.edge.late();
+        if late * late > BEYOND * BEYOND * variance {
+            late
+        } else {
+            0.0
+        }
     }
 
     /// Variance of a component of the force of a state that was carried on from the last one, mN².

@@ -6,7 +6,7 @@
 //! leads (Page's cumulative sum, *Biometrika* 41, 1954).
 
 use super::moments::{Moments, Shifts, of_section};
-use super::offsets::APART_NM;
+use super::offsets::{APART_NM, UNLIKE};
 use super::reading::Said;
 use super::slips::Slips;
 use super::start::{Believed, GRATINGS, HYPOTHESES, ToolFilter, Watch};
@@ -22,6 +22,8 @@ const REPEATS: u8 = 3;
 /// Peaks that move by more at once than this may have changed places, nm; within this time, s.
 const MOVED_NM: f64 = 0.08;
 const AT_ONCE_S: f64 = 0.1;
+/// How long noise is watched, s.
+const WATCHED_S: f64 = 5.0;
 /// A square over its variance that fails, the most that one counts, and what one that does not counts for a hypothesis
 /// that lets it stand (Occam); up to which it is in order.
 pub(super) const FAILS: f64 = 36.0;
@@ -31,9 +33,6 @@ const IN_ORDER: f64 = 12.0;
 /// What bends may leave in the means, over the bend, beside what the calibration says; what a force at the tip makes, nm.
 const LEAVES: f64 = 0.008;
 const TIP_NM: f64 = 0.01;
-/// How far warmth goes at once, nm, and as much again within this time, s.
-const WARMS_NM: f64 = 0.005;
-const WARMS_S: f64 = 0.1;
 /// Evidence from which a hypothesis is held, and by how much it must lead; readings in a row over which it does; for how
 /// much more a set of more gratings must do better; what is left of the evidence after a reading in order.
 const HELD: f64 = 80.0;
@@ -102,7 +101,11 @@ impl Watch {
                         continue;
                     }
                     let changed = (peaks[a] - self.last[b]).abs() + (peaks[b] - self.last[a]).abs();
-                    if changed < 0.1 * (moved[a] + moved[b]) {
+                    // a bend that comes at once moves the others as well
+                    let alone =
+                        |k: usize| k == a || k == b || !(moved[k] > 0.25 * moved[a].min(moved[b]));
+                    let swapped = changed < 0.1 * (moved[a] + moved[b]);
+                    if swapped && (0..GRATINGS).all(alone) {
                         self.places.swap(a, b);
                         peaks.swap(a, b);
                         (moved[a], moved[b]) = (0.0, 0.0);
@@ -127,6 +130,11 @@ impl Watch {
                 0
             };
             still |= Set::from(self.repeats[k] >= REPEATS) << k;
+        }
+        // the difference of two that a bend moves least, from reading to reading
+        let jump = (peaks[7] - self.last[7]) - (peaks[8] - self.last[8]);
+        if jump.abs() < MOVED_NM && jump != 0.0 {
+            self.jitter += (0.25 * jump * jump - self.jitter) * (elapsed_s / WATCHED_S).min(0.1);
         }
         self.last = peaks;
         // where all stand still it is the world, or a source that gives each reading several times
@@ -163,24 +171,21 @@ impl ToolFilter {
     }
 
     /// Squares of the comparisons over their variances: means of I and II, of III and both, two bends of III, none where a
-    /// grating of them is left out; and warmth now and a moment ago.
+    /// grating of them is left out.
     #[inline]
-    fn compared(&self, shifts: &Shifts, m: &Moments, b: Believed) -> [f64; 5] {
-        let (d, g, mut told) = (&self.trusted.doubt, &self.gratings, [f64::NAN; 5]);
+    fn compared(&self, shifts: &Shifts, m: &Moments, b: Believed) -> [f64; 4] {
+        let (d, g, mut told) = (&self.trusted.doubt, &self.gratings, [f64::NAN; 4]);
         let tells = |i: usize| of_section(b.bad, i) == 0 && b.warm & (1 << i) == 0;
         let [one, two, _] = m.means_nm;
         let warm = 0.5 * (one + two) * d.unlike;
         let own =
             (g.noise + d.reference_nm * d.reference_nm + APART_NM * APART_NM + warm * warm) / 3.0;
-        let share = d.mean * d.mean + LEAVES * LEAVES + self.offsets.lag;
+        let share = d.mean * d.mean + LEAVES * LEAVES + UNLIKE * self.offsets.lag;
         let bends = g.bends(m);
         let by_bend = [0, 1].map(|i| share * self.offsets.bent[i].max(bends[i]));
         if tells(0) && tells(1) {
             told[0] = (one - two) * (one - two) / (2.0 * own + by_bend[0] + by_bend[1]);
         }
-        let step = 0.5 * (one + two) - self.offsets.warm.unwrap_or(f64::NAN);
-        let may = WARMS_NM * (1.0 + self.watch.elapsed_s / WARMS_S);
-        told[4] = step * step / (own + may * may + 0.25 * (by_bend[0] + by_bend[1]));
         if !(self.state.x[L] > DEEP_MM) {
             return told;
         }
@@ -222,10 +227,6 @@ impl ToolFilter {
             .filter(|x| !x.is_nan())
             .map(|x| counts(*x))
             .sum();
-        if m.whole[0] && m.whole[1] {
-            score += counts(said.misfit);
-        }
-        score += said.off.map_or(0.0, |_| counts(said.far()));
         let jump = self.jump(here, said);
         score += if jump.is_finite() {
             jump.min(MOST)
@@ -266,7 +267,7 @@ impl ToolFilter {
         if !open {
             self.unsettle(&m, elapsed);
             if m.whole[0] && m.whole[1] && !self.tip.on {
-                self.rest(&m);
+                self.rest(&m, &shifts[2]);
             }
         }
         if told.iter().any(|x| *x > IN_ORDER) || self.watch.held.bad != 0 {
@@ -295,14 +296,11 @@ impl ToolFilter {
             }
         }
         let far = said.far() > FAILS;
-        // moments that point apart more than these fibres do
-        let wild = said.misfit > FAILS * (1.0 + self.offsets.crossing() / self.gratings.noise);
-        if open || far || wild {
+        if open || far {
             self.watch.refused = self.watch.refused.saturating_add(1);
             if self.watch.refused <= if open { PATIENCE } else { PATIENCE_ALONE } {
                 return Status::GATED;
             }
-            self.offsets.warm = None;
             if let (Some((mm, seen)), true) = (said.off, far) {
                 for k in 0..4 {
                     let own = &mut self.state.p[OFFSETS + k][OFFSETS + k];
@@ -311,8 +309,7 @@ impl ToolFilter {
                 self.state.forget(L, mm * mm + seen.total);
                 said = self.say(&self.state, &m);
             }
-        }
-        if !(open || far || wild) {
+        } else {
             self.watch.refused = 0;
         }
         self.take(&said)

@@ -136,7 +136,7 @@ impl ToolFilter {
         self.state.learnt < BENCH
     }
 
-    /// How much fibres lag behind their bends, over the bend.
+    /// How much fibres lag behind their bends, over the bend: what all of them have in common.
     #[must_use]
     pub fn lags(&self) -> f64 {
         sqrt(self.offsets.lag)

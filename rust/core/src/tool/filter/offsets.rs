@@ -2,52 +2,54 @@
 //!
 //! A quarter of a second in which moments are small and stand still tells them: what leans on a hand trembles. How far they
 //! stand from where an earlier rest had them says how references creep; in proportion to the bends before, how fibres lag,
-//! and so does what bends leave in the means of the sections beyond what the bench knows of it. Between rests they may be as
-//! far off as that.
+//! and so do moments that point apart while the shaft is bent. What lags is considered: all fibres alike put the force off,
+//! each by itself the depth.
 
 use super::moments::Moments;
 use super::start::{Offsets, ToolFilter};
 use super::state::{N, OFFSETS};
+use crate::numbers::math::sqrt;
+use crate::tool::sensing::FIBRES;
+use nalgebra::Vector2;
 
 /// Readings of a rest that are taken as one; by how much more than noise they may vary, and the noise their mean counts
 /// with, over one reading's.
 const COMPARED: f64 = 50.0;
 const STILL: f64 = 1.4;
 const NOISE: f64 = 0.2;
-/// Beyond these a moment is none of a rest: as a fibre's shift, squared, nm², over noise and over what fibres lag, squared.
+/// Beyond these a moment is none of a rest: as a fibre's shift, squared, nm², and over noise and what fibres lag, squared;
+/// what they may lag before anything was seen of it, over the bend, squared.
 const RESTS_NM2: f64 = 2e-6;
 const RESTS_NOISE: f64 = 9.0;
-const RESTS: f64 = 25.0;
+pub(super) const MAY_LAG: f64 = 1e-5;
 /// Rests are compared that lie further apart than this, s; deviations beyond which a change is no noise; what is left of a
 /// change after another.
 const APART_S: f64 = 1.5;
 const BEYOND: f64 = 2.5;
 const KEEPS: f64 = 0.9;
 /// How long a bend is remembered, and over which time what it left is, s.
-const BENT_S: f64 = 10.0;
+const BENT_S: f64 = 20.0;
 const LAGS_S: f64 = 1.0;
 const WARMS_S: f64 = 0.25;
-const MEANS_S: f64 = 5.0;
-/// By how much more a lag shows along a force than across it, squared, and within which time it is believed, s.
-const ALONG: f64 = 3.0;
+/// Square of how much fibres lag over what shows of it across their force (three that scatter by a third show a fifth of it
+/// or so), and within which time it is believed, s.
+const ALONG: f64 = 20.0;
 const WITHIN_S: f64 = 5.0;
 /// What noise makes of that by chance, over its variance; and how much more counts at most.
 const CHANCE: f64 = 1.25;
 const WILD: f64 = 16.0;
+/// Noise that is so much larger than what changes from reading to reading, squared, is not white.
+const WHITE: f64 = 4.0;
+/// How much of a lag, squared, is a section's own along a force: three times what shows across it.
+pub(super) const UNLIKE: f64 = 1.0 / 7.0;
 /// The least and the largest lag over the bend, squared; a bend that tells of it, squared, nm²; how far the warmth of two
 /// gratings differs, nm.
 const LEAST: f64 = 4e-8;
 const MOST: f64 = 1e-2;
-const WARMER: f64 = 2e-3;
 const TELLS_NM2: f64 = 0.01;
 pub(super) const APART_NM: f64 = 1e-3;
 
 impl Offsets {
-    /// Variance of a grating by which moments pointed apart of late, beyond noise, nm².
-    pub(super) fn crossing(&self) -> f64 {
-        self.crosses.max(0.0)
-    }
-
     /// What two moments say across their force, over what noise lets them: fibres that lag tell no one way.
     #[inline]
     pub(super) fn crossed(&mut self, misfit: f64, noise: f64, elapsed_s: f64) {
@@ -64,11 +66,27 @@ impl Offsets {
 }
 
 impl ToolFilter {
-    /// Variance of a component of a section's moment by what its fibres lag, (mN·mm)².
+    /// Variance of a component of a section's moment by what its fibres lag unlike those of the other, (mN·mm)².
     #[inline]
     pub(super) fn lagging(&self, section: usize) -> f64 {
         let o = &self.offsets;
-        (o.lag - LEAST).max(0.0) * o.bent[section] * self.gratings.per_nm[section]
+        let lags = UNLIKE * (o.lag - LEAST).max(0.0) * o.bent[section];
+        (lags + self.slow_noise()) * self.gratings.per_nm[section]
+    }
+
+    /// Variance of a component of a force, mN², that counts moments so, by what all fibres lag alike.
+    #[inline]
+    pub(super) fn lagging_force(&self, by_moments: [f64; 2], least: f64) -> f64 {
+        let (o, per_nm) = (&self.offsets, self.gratings.per_nm);
+        let (lag, slow) = ((o.lag - LEAST).max(least), self.slow_noise());
+        let of = |i: usize| by_moments[i] * sqrt((lag * o.bent[i] + slow) * per_nm[i]);
+        (of(0) + of(1)) * (of(0) + of(1))
+    }
+
+    /// Of a grating's variance, nm²: what the bench saw as noise, and is none from one reading to the next.
+    #[inline]
+    fn slow_noise(&self) -> f64 {
+        (self.gratings.noise - WHITE * self.watch.jitter).max(0.0)
     }
 
     /// A reading's bends and warmth: the moments of no force are known less by what these bring.
@@ -80,26 +98,18 @@ impl ToolFilter {
         for i in 0..2 {
             o.bent[i] = (o.bent[i] * keeps).max(bends[i].min(64.0));
         }
-        let both = o.bent[0] + o.bent[1];
         let [one, two, _] = m.means_nm;
-        if m.whole[0] && m.whole[1] && both > TELLS_NM2 {
-            let apart = (one - two) * (one - two);
-            let known = (g.noise + APART_NM * APART_NM) * (2.0 / 3.0) + d.mean * d.mean * both;
-            let told = 3.0 * (apart - known) / both;
-            // more is a section that is warmer
-            let told = if told < WARMER { told } else { 0.0 };
-            o.in_means =
-                (o.in_means + (told - o.in_means) * (elapsed_s / MEANS_S).min(1.0)).max(0.0);
-        }
-        o.lag = o.in_means.max(o.at_rest).max(o.across).max(LEAST);
+        o.lag = o.across.max(o.at_rest).max(LEAST);
         let (told, before) = (0.5 * (one + two), o.warm.unwrap_or(0.5 * (one + two)));
         let warm = before + (told - before) * (elapsed_s / WARMS_S).min(1.0);
         o.warm = Some(warm);
         let waited = o.at_s.map_or(0.0, |at| self.state.time_s - at);
         let warmer = (warm - o.warm_at_rest) * d.warmth;
+        o.crept = 0.0;
         for i in 0..2 {
             let crept = o.moved[i] * (waited * waited / o.waited[i].max(1e-9)).min(1.0);
-            let most = (crept + warmer * warmer + o.lag * o.bent[i]) * g.per_nm[i];
+            o.crept = o.crept.max(crept);
+            let most = (crept + warmer * warmer + UNLIKE * o.lag * o.bent[i]) * g.per_nm[i];
             for k in [OFFSETS + 2 * i, OFFSETS + 2 * i + 1] {
                 let own = &mut self.state.p[k][k];
                 *own += (most - *own).max(0.0) * (elapsed_s / LAGS_S).min(1.0);
@@ -109,24 +119,28 @@ impl ToolFilter {
 
     /// A reading of a whole tool: where moments are small and stand still, nothing touches.
     #[inline]
-    pub(super) fn rest(&mut self, m: &Moments) {
+    pub(super) fn rest(&mut self, m: &Moments, third: &[f64; FIBRES]) {
         let (s, o, g) = (&mut self.state, &mut self.offsets, &self.gratings);
         let variance = g.per_nm.map(|v| v * g.noise);
         o.count += 1.0;
         for k in 0..4 {
             let felt = m.m[k / 2][k % 2] + s.x[OFFSETS + k];
             let most = g.per_nm[k / 2]
-                * (RESTS_NM2 + RESTS_NOISE * g.noise + RESTS * o.lag * o.bent[k / 2]);
+                * (RESTS_NM2 + RESTS_NOISE * (g.noise + o.lag.max(MAY_LAG) * o.bent[k / 2]));
             if !(felt * felt < most) {
                 (o.sums, o.squares, o.count) = ([0.0; 4], 0.0, 0.0);
+                o.third = Vector2::zeros();
                 return;
             }
             o.sums[k] += felt;
             o.squares += felt * felt / variance[k / 2];
         }
+        o.third += g.of_third(third);
         if o.count < COMPARED {
             return;
         }
+        let third = o.third / COMPARED;
+        o.third = Vector2::zeros();
         let told = o.sums.map(|sum| sum / COMPARED);
         let mut within = o.squares / COMPARED;
         for k in 0..4 {
@@ -136,6 +150,7 @@ impl ToolFilter {
         if within > 4.0 * STILL {
             return;
         }
+        self.tip.zero = third;
         let before = s.p[OFFSETS][OFFSETS];
         for k in 0..4 {
             let mut h = [0.0; N];
@@ -164,14 +179,9 @@ impl ToolFilter {
                 } else {
                     0.0
                 };
-                if o.bent[i] > TELLS_NM2 {
-                    let lag = (moved / o.bent[i]).clamp(LEAST, MOST);
-                    o.at_rest = if lag > o.at_rest {
-                        lag
-                    } else {
-                        o.at_rest + 0.3 * (lag - o.at_rest)
-                    };
-                }
+                // what was up is down: a change is twice as far
+                let lag = (0.25 * moved / o.bent[i].max(TELLS_NM2)).clamp(0.0, MOST);
+                o.at_rest = lag.max(o.at_rest + 0.3 * (lag - o.at_rest));
             }
         }
         o.rest = told;

@@ -6,6 +6,7 @@
 //! and a section of which a grating is lost still counts.
 
 use super::moments::Moments;
+use super::offsets::{APART_NM, MAY_LAG};
 use super::start::{Drift, Felt, ToolFilter};
 use super::state::{BENCH, CLEARANCE, DEEPER, FRICTION, GIVES, L, N, OFFSETS, Row, Seen, State};
 use crate::numbers::math::sqrt;
@@ -22,19 +23,14 @@ const SLIDES_MM_S: f64 = 0.2;
 /// Readings over which an error that lasts is alike. Of a section that lost a grating: a moment is off by this times the
 /// share that the mean of a section is; unlike warmth, nm.
 const LASTS: f64 = 50.0;
-const LOST: f64 = 2.0;
-const UNLIKE_NM: f64 = 1.5e-3;
-/// Innovations that pull one way: over this time, s; the square that they have on average where nothing does, less than one
-/// for all that is considered and stays; how far the logarithm of the hole's drift follows; the largest square that counts,
-/// and that of another hole; the fastest over the slowest.
+/// Innovations that pull one way: over this time, s; how far the logarithm of the hole's drift follows; the largest
+/// product that counts, and the square of another hole; the fastest over the slowest.
 const OVER_S: f64 = 0.2;
-const QUIET: f64 = 0.76;
 const FOLLOWS: f64 = 0.1;
 const MOST: f64 = 16.0;
-const ANOTHER: f64 = 49.0;
 const FASTEST: f64 = 256.0;
 /// Deviations of the bench's zero beyond which it is no zero: the hole goes with the shaft, or the robot is late.
-const GUARD: f64 = 2.0;
+const GUARD: f64 = 1.5;
 
 /// What a reading says beside the expected state.
 #[derive(Clone, Copy, Debug)]
@@ -49,10 +45,12 @@ pub(super) struct Said {
     pub(super) noise: f64,
     pub(super) by_moments: [f64; 2],
     pub(super) by_depth: f64,
-    /// How far the depth is from the expected one, mm, where the hole is felt.
-    pub(super) off: Option<(f64, Seen)>,
-    /// What of its variance stands for errors that last, mm².
+    /// Variance of the depth by what lasts, mm².
     lasting: f64,
+    /// Whether there is a force at all.
+    leans: bool,
+    /// How far the depth is from the expected one, mm, where the force tells it.
+    pub(super) off: Option<(f64, Seen)>,
     /// Square of what the moments say across the force over its variance.
     pub(super) misfit: f64,
 }
@@ -120,15 +118,25 @@ impl ToolFilter {
             noise: 0.5 * v.trace(),
             by_moments: [weight(0), weight(1)],
             by_depth: 0.0,
-            off: None,
             lasting: 0.0,
+            leans: false,
+            off: None,
             misfit: 0.0,
         };
-        let of = |i: usize| {
-            s.p[OFFSETS + 2 * i][OFFSETS + 2 * i] * said.by_moments[i] * said.by_moments[i]
+        let (by, g) = (said.by_moments, &self.gratings);
+        let of = |i: usize, more: f64| {
+            (s.p[OFFSETS + 2 * i][OFFSETS + 2 * i] + more * g.per_nm[i]) * by[i] * by[i]
         };
-        let unsure = said.noise + of(0) + of(1) + if self.tip.on { self.tip.unsure() } else { 0.0 };
-        if size * size > DETECTED * DETECTED * unsure && said.noise > 0.0 {
+        let unsure = said.noise + if self.tip.on { self.tip.unsure() } else { 0.0 };
+        let squared = size * size / (DETECTED * DETECTED);
+        said.leans = squared > unsure + of(0, 0.0) + of(1, 0.0) && said.noise > 0.0;
+        // gratings that differ in warmth push nobody, nor do fibres that lag; and a force that acts at the tip pushes as from
+        // a hole there
+        let apart = APART_NM * APART_NM;
+        let lags = self.lagging_force(by, MAY_LAG);
+        let at_tip = (by[0] * near + by[1] * far) / DETECTED;
+        let hidden = self.tip.hidden() * at_tip * at_tip;
+        if said.leans && squared > unsure + of(0, apart) + of(1, apart) + lags + hidden {
             self.compare(s, &mut said, m, &c, &f, &v);
         }
         said
@@ -145,7 +153,6 @@ impl ToolFilter {
         f: &Vector2<f64>,
         v: &Matrix2<f64>,
     ) {
-        let [near, far] = self.trusted.calibration.distances_mm;
         let g = &self.gratings;
         if m.whole[0] && m.whole[1] {
             let contrast = m.m[0] * c[1] - m.m[1] * c[0];
@@ -181,16 +188,10 @@ impl ToolFilter {
         h[FRICTION] = DRAGS * drag * s.slide / sqrt(s.slide * s.slide + SLIDES_MM_S * SLIDES_MM_S);
         // what lasts: a section that lost a grating hangs on warmth from elsewhere, freed of bends as well as that is known;
         // fibres lag; and a force at the tip is known as well as section III tells it
-        let mut lasting = self.tip.unsure() * (said.depth / said.size) * (said.depth / said.size);
+        let mut lasting = self.tip.lasting() * (said.depth / said.size) * (said.depth / said.size);
         for i in 0..2 {
             let (x, y) = (h[OFFSETS + 2 * i], h[OFFSETS + 2 * i + 1]);
             lasting += (x * x + y * y) * self.lagging(i);
-            if !m.whole[i] {
-                let bend = said.size * c[i] / sqrt(g.per_nm[i]);
-                let share = LOST * (self.trusted.doubt.mean + UNLIKE_NM / bend.max(UNLIKE_NM));
-                let lever = c[0] * c[1] / (far - near);
-                lasting += share * share * lever * lever;
-            }
         }
         said.lasting = lasting;
         let noise = 1.0 / told + LASTS * lasting;
@@ -209,6 +210,7 @@ impl ToolFilter {
             if !s.take(seen, *mm) {
                 return Status::NOT_FINITE;
             }
+            s.lasting += seen.gain().clamp(0.0, 1.0) * (sqrt(said.lasting) - s.lasting);
             s.x[CLEARANCE] = s.x[CLEARANCE].max(0.0);
             s.x[GIVES] = s.x[GIVES].max(0.0);
             moved = s.x[L] + s.x[DEEPER] - before;
@@ -217,7 +219,7 @@ impl ToolFilter {
             let elapsed = self.felt.map_or(0.0, |f| s.time_s - f.time_s);
             self.offsets
                 .crossed(said.misfit, self.gratings.noise, elapsed);
-            self.drift(*mm, white, said.lasting);
+            self.drift(*mm, seen.total);
             self.guard();
         } else {
             status = status | Status::NO_FORCE;
@@ -236,44 +238,47 @@ impl ToolFilter {
             by_moments: said.by_moments,
             by_depth: said.by_depth,
         });
-        if said.off.is_some() {
-            (s.touched, s.free) = (true, false);
+        s.touched |= said.off.is_some();
+        s.free = !said.leans;
+        if said.leans && s.touched {
             let gives = s.gives(&self.shaft);
-            self.edge(said.noise, gives);
+            self.edge(said.noise, gives, said.off.is_some());
             let s = &mut self.state;
             s.aside = s.way * (s.x[CLEARANCE] + gives * s.size);
         } else {
-            s.free = true;
             let far = sqrt(s.aside.norm_squared());
             if far > s.x[CLEARANCE] {
                 s.aside *= s.x[CLEARANCE] / far;
             }
-            self.edge.since = None;
+            (self.edge.since, self.edge.strays) = (None, None);
         }
         status
     }
 
-    /// How fast the hole strays along the shaft: where the process noise is right, innovations are independent but for what
-    /// lasts, and their sum has the variance that it should (Mehra, *IEEE Trans. Automatic Control* 15, 1970).
+    /// How fast the hole strays along the shaft: where the process noise is right, innovations are independent, and the sum
+    /// of those of one moment has nothing to do with that of the next (Mehra, *IEEE Trans. Automatic Control* 15, 1970).
     #[inline]
-    fn drift(&mut self, innovation: f64, variance: f64, lasting: f64) {
+    fn drift(&mut self, innovation: f64, variance: f64) {
         let (d, slowest) = (&mut self.drift, self.trusted.per_second_mm2);
         d.sum += innovation / variance;
         d.weight += 1.0 / variance;
-        d.lasting += lasting / variance;
-        let square = d.sum * d.sum / (d.weight * (1.0 + d.lasting));
-        if square > ANOTHER {
-            self.state.p[L][L] += d.sum * d.sum / (d.weight * d.weight);
-        } else if self.state.time_s - d.since_s < OVER_S {
+        let now = d.sum / sqrt(d.weight);
+        if self.state.time_s - d.since_s < OVER_S {
             return;
-        } else if square.is_finite() {
-            let next = d.per_second * libm::exp(FOLLOWS * (square.min(MOST) - QUIET));
+        }
+        if now.is_finite() {
+            let alike = (now * d.before).clamp(-MOST, MOST);
+            let next = d.per_second * libm::exp(FOLLOWS * alike);
             d.per_second = next.min(slowest * FASTEST).max(slowest);
         }
-        *d = Drift::new(self.state.time_s, d.per_second);
+        *d = Drift {
+            before: if now.is_finite() { now } else { 0.0 },
+            ..Drift::new(self.state.time_s, d.per_second)
+        };
     }
 
-    /// The bench's zero is learnt from a hole that stays; beyond what a bench can be off it is no zero, and is considered.
+    /// The bench's zero is learnt from a hole that stays. Beyond what a bench can be off it is none, or a bad one: nobody
+    /// knows which, so it is considered from then on, as large as it came.
     #[inline]
     fn guard(&mut self) {
         let (s, own) = (
@@ -282,6 +287,7 @@ impl ToolFilter {
         );
         if s.learnt == BENCH && s.x[DEEPER] * s.x[DEEPER] > GUARD * GUARD * own && own > 0.0 {
             s.learnt = DEEPER;
+            let own = s.x[DEEPER] * s.x[DEEPER];
             s.x[L] += s.x[DEEPER];
             s.x[DEEPER] = 0.0;
             s.forget(L, own + 0.04);

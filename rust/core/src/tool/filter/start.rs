@@ -58,13 +58,14 @@ pub(super) struct Felt {
     pub(super) by_depth: f64,
 }
 
-/// Sums of innovations, of one, and of what lasts, over their variances; since when; the process noise to use, mm²/s.
+/// Sums of innovations and of one over their variances; since when; what the last sum was over its deviation; the process
+/// noise to use, mm²/s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Drift {
     pub(super) sum: f64,
     pub(super) weight: f64,
-    pub(super) lasting: f64,
     pub(super) since_s: f64,
+    pub(super) before: f64,
     pub(super) per_second: f64,
 }
 
@@ -75,16 +76,18 @@ pub(super) struct Offsets {
     pub(super) sums: [f64; 4],
     pub(super) squares: f64,
     pub(super) count: f64,
+    pub(super) third: Vector2<f64>,
     /// The last rest, and its time, s.
     pub(super) rest: [f64; 4],
     pub(super) at_s: Option<f64>,
     /// Squares of changes, nm², and of the times in which they came, s².
     pub(super) moved: [f64; 2],
     pub(super) waited: [f64; 2],
+    /// How far a reference may have crept since the last rest, nm².
+    pub(super) crept: f64,
     /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
     pub(super) bent: [f64; 2],
     pub(super) lag: f64,
-    pub(super) in_means: f64,
     pub(super) at_rest: f64,
     pub(super) across: f64,
     /// What moments say across their force beyond noise, nm², and the bends in which they do, nm².
@@ -101,6 +104,10 @@ pub(super) struct Edge {
     pub(super) mean: f64,
     pub(super) known_s: f64,
     pub(super) since: Option<Then>,
+    /// Strays since, and the hole's motion aside then, mm/s; sums by which the robot's rows are late: of strays by how that
+    /// motion changed, of its squares, of squares of strays, mm, and of ones.
+    pub(super) strays: Option<(f64, Vector2<f64>, Vector2<f64>)>,
+    pub(super) late: [f64; 4],
 }
 
 impl Default for Edge {
@@ -109,6 +116,8 @@ impl Default for Edge {
             mean: FIRST,
             known_s: GUESSED_S,
             since: None,
+            strays: None,
+            late: [0.0; 4],
         }
     }
 }
@@ -124,12 +133,15 @@ pub(super) struct Then {
     pub(super) way: Vector2<f64>,
     pub(super) noise: f64,
     pub(super) gives: f64,
+    /// Whether the force told a depth.
+    pub(super) tells: bool,
 }
 
-/// Force at the tip, tool frame, mN; the variance of a component by noise, and of its zero; what is told of none.
+/// Force at the tip, tool frame, mN; the moment of section III at rest, mN·mm; the variance of a component by noise, and of its zero; what is told of none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Tip {
     pub(super) force: Vector2<f64>,
+    pub(super) zero: Vector2<f64>,
     pub(super) variance: f64,
     pub(super) of_zero: f64,
     pub(super) tells: bool,
@@ -151,6 +163,8 @@ pub(super) struct Watch {
     pub(super) last: [f64; GRATINGS],
     pub(super) at_s: f64,
     pub(super) elapsed_s: f64,
+    /// Variance of a grating from reading to reading, nm².
+    pub(super) jitter: f64,
     pub(super) places: [usize; GRATINGS],
     pub(super) repeats: [u8; GRATINGS],
     /// Evidence for each hypothesis, the leader, and for how many readings it leads.
@@ -170,6 +184,7 @@ impl Default for Watch {
             last: [f64::NAN; GRATINGS],
             at_s: f64::NEG_INFINITY,
             elapsed_s: 0.0,
+            jitter: f64::INFINITY,
             places: core::array::from_fn(|k| k),
             repeats: [0; GRATINGS],
             sums: [0.0; HYPOTHESES],
@@ -234,7 +249,10 @@ impl ToolFilter {
             drift: Drift::new(time_s, trusted.per_second_mm2 * 4.0),
             edge: Edge::default(),
             tip: Tip::default(),
-            watch: Watch::default(),
+            watch: Watch {
+                jitter: gratings.noise,
+                ..Watch::default()
+            },
             slips: Slips::default(),
             used_s: f64::NEG_INFINITY,
             look: Look::default(),

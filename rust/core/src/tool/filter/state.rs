@@ -28,7 +28,9 @@ pub(super) const FRICTION: usize = 12;
 /// A number for each of the state.
 pub(super) type Row = [f64; N];
 
-/// How long a slide is looked at, s.
+/// How long the robot's speed is looked at, s.
+const SPEEDS_S: f64 = 0.03;
+/// How long others are, s.
 const SLIDES_S: f64 = 0.1;
 
 /// The state at the last stamp.
@@ -38,6 +40,8 @@ pub(super) struct State {
     pub(super) pose: Rigid,
     pub(super) x: Row,
     pub(super) p: [Row; N],
+    /// Deviation of `l` by errors of readings that last, mm: no averaging takes it.
+    pub(super) lasting: f64,
     /// How many of them measurements move; the rest is considered.
     pub(super) learnt: usize,
     /// Place of the hole aside of the unbent axis, tool's frame, mm; force across the shaft, mN, and its way.
@@ -54,8 +58,11 @@ pub(super) struct State {
     axis: Vector3<f64>,
     hole: Vector3<f64>,
     beyond: f64,
-    /// How fast the shaft slides in, mm/s.
+    /// How fast the shaft slides in, the hole goes aside of the tool, and the robot goes, mm/s, and squared, mm²/s².
     pub(super) slide: f64,
+    pub(super) speed: Vector3<f64>,
+    pub(super) speed2: f64,
+    pub(super) sideways: Vector2<f64>,
 }
 
 /// What goes with a number that is to be measured, and its variance.
@@ -63,6 +70,14 @@ pub(super) struct State {
 pub(super) struct Seen {
     with: Row,
     pub(super) total: f64,
+}
+
+impl Seen {
+    /// How much of the number `l` follows.
+    #[inline]
+    pub(super) fn gain(&self) -> f64 {
+        self.with[L] / self.total
+    }
 }
 
 impl State {
@@ -77,6 +92,7 @@ impl State {
             pose: *pose,
             x,
             p,
+            lasting: 0.0,
             learnt: BENCH,
             aside: Vector2::zeros(),
             size: 0.0,
@@ -89,6 +105,9 @@ impl State {
             hole: pose.translation - axis * x[L],
             beyond: 0.0,
             slide: 0.0,
+            speed: Vector3::zeros(),
+            speed2: 0.0,
+            sideways: Vector2::zeros(),
         }
     }
 
@@ -206,6 +225,10 @@ impl State {
         if elapsed > 0.0 {
             let share = elapsed / (elapsed + SLIDES_S);
             self.slide += ((-there.z - self.x[L]) / elapsed - self.slide) * share;
+            let gone = (pose.translation - self.pose.translation) / elapsed;
+            self.speed += (gone - self.speed) * (elapsed / (elapsed + SPEEDS_S));
+            self.speed2 += (gone.norm_squared() - self.speed2) * share;
+            self.sideways += ((there.xy() - self.aside) / elapsed - self.sideways) * share;
         }
         self.aside = there.xy();
         self.x[L] = -there.z;

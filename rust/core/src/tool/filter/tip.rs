@@ -13,8 +13,8 @@ pub(super) const DEEP_MM: f64 = 7.0;
 const CHANGES: f64 = 4.0;
 const MOST_MN: f64 = 40.0;
 /// How far a grating is off its zero, nm; squares of deviations from which on there is a force, and down to which.
-const ZERO_NM: f64 = 1.5e-4;
-const FELT: f64 = 28.0;
+const ZERO_NM: f64 = 2.8e-4;
+const FELT: f64 = 16.0;
 const GONE: f64 = 6.0;
 
 impl Tip {
@@ -32,16 +32,31 @@ impl Tip {
         left
     }
 
-    /// Variance of a component, mN².
+    /// Square of a force that is not felt yet, mN².
+    #[inline]
+    pub(super) fn hidden(&self) -> f64 {
+        if self.tells && !self.on {
+            FELT * (self.variance + self.of_zero)
+        } else {
+            0.0
+        }
+    }
+
+    /// Variance of a component, mN²; and what of it lasts.
     #[inline]
     pub(super) fn unsure(&self) -> f64 {
+        self.variance * f64::from(u8::from(self.tells)) + self.lasting()
+    }
+
+    #[inline]
+    pub(super) fn lasting(&self) -> f64 {
         let share = if self.on {
             SHARE * SHARE * self.force.norm_squared()
         } else {
             0.0
         };
         if self.tells {
-            self.variance + self.of_zero + share
+            self.of_zero + share
         } else {
             0.0
         }
@@ -54,13 +69,13 @@ impl ToolFilter {
     pub(super) fn feel_tip(&mut self, shifts: &Shifts, tells: bool, elapsed_s: f64) {
         let (t, g) = (&mut self.tip, &self.gratings);
         let per = 0.5 * (g.per_nm[0] + g.per_nm[1]) / (THIRD_MM * THIRD_MM);
-        let told = g.of_third(&shifts[2]) / THIRD_MM;
+        let told = (g.of_third(&shifts[2]) - t.zero) / THIRD_MM;
         let tells = tells && told.norm_squared() < MOST_MN * MOST_MN;
         if !(tells && t.tells) {
             (t.force, t.variance) = (Vector2::zeros(), CHANGES);
         }
         t.tells = tells;
-        t.of_zero = per * ZERO_NM * ZERO_NM;
+        t.of_zero = per * (ZERO_NM * ZERO_NM + self.offsets.crept);
         if tells {
             t.variance += CHANGES * elapsed_s;
             let gain = t.variance / (t.variance + per * g.noise);

@@ -2,12 +2,13 @@
 
 use super::start::ToolFilter;
 use super::state::{DEEPER, L, OFFSETS, State, TURN};
+use crate::numbers::math::sqrt;
 use crate::tool::rod::Bending;
 use crate::tool::status::Told;
 use nalgebra::{Matrix4, Vector2, Vector3, Vector4};
 
-/// By how much more all fibres of a section lag alike than each by itself, squared.
-const ALIKE: f64 = 4.0;
+/// By how much of its own square the way that a late robot has gone meanwhile may be off.
+const LATE: f64 = 0.6;
 
 impl ToolFilter {
     /// Depth and tip now, with what they know of each other: the state at the present, carried there where the last reading
@@ -24,6 +25,19 @@ impl ToolFilter {
         self.told_of(&s, self.strayed(&s))
     }
 
+    /// How far the robot has gone beyond what its rows say, mm, and the variance of a component of that, mm².
+    #[inline]
+    fn ahead(&self, s: &State) -> (Vector3<f64>, f64) {
+        let ((late, variance), told) = (self.edge.late(), self.late_s());
+        let square = if late > sqrt(variance) {
+            (if told > 0.0 { LATE } else { 1.0 }) * late * late + variance
+        } else {
+            told * told
+        };
+        // nobody reads what is to come: where gratings are ahead, the robot's rows are old
+        (s.speed * told.max(0.0), 0.5 * square * s.speed2)
+    }
+
     /// Of a state, with the variance of a component of its force that was not read.
     #[inline]
     fn told_of(&self, s: &State, stray: f64) -> Told {
@@ -36,15 +50,15 @@ impl ToolFilter {
         // variances of the force along and across itself, and how the depth goes with it
         let (mut along, mut across, mut depth) = (stray, stray, Vector2::zeros());
         if let Some(felt) = &self.felt {
-            along += felt.noise + felt.by_depth * felt.by_depth * s.p[L][L];
-            across += felt.noise;
+            let noise = felt.noise + self.lagging_force(felt.by_moments, 0.0);
+            along += noise + felt.by_depth * felt.by_depth * s.p[L][L];
+            across += noise;
             depth.x = felt.by_depth * s.p[L][L];
             for i in 0..2 {
                 // moments that nothing makes are taken off the force
                 let (w, o) = (felt.by_moments[i], OFFSETS + 2 * i);
                 let with = Vector2::new(s.p[L][o], s.p[L][o + 1]) * -w;
-                let own =
-                    0.5 * (s.p[o][o] + s.p[o + 1][o + 1]) * w * w + ALIKE * self.lagging(i) * w * w;
+                let own = 0.5 * (s.p[o][o] + s.p[o + 1][o + 1]) * w * w;
                 along += own + 2.0 * felt.by_depth * with.dot(&s.way);
                 across += own;
                 depth += Vector2::new(with.dot(&s.way), with.dot(&across_way));
@@ -65,8 +79,6 @@ impl ToolFilter {
             0.0
         };
         let shorter_by_depth = -size * size * third * (5.0 * clamp * (1.0 / 24.0) + 0.5 * arc);
-        // where the force is not known, neither is its square
-        let at_tip = third * clamp * (clamp * (1.0 / 15.0) + arc * 0.125);
         let turned = shape.across * shape.across * s.p[TURN][TURN];
         // depth and the tip along and across the force and up the shaft, by depth, force along and across it, and the beam
         let by_depth = Vector4::new(1.0, size * bend.by_depth, 0.0, -shorter_by_depth);
@@ -89,7 +101,12 @@ impl ToolFilter {
             spread += own(&Vector4::new(0.0, moved, 0.0, raised), 1.0);
         }
         spread[(2, 2)] += turned;
+        // where the force is not known, neither is its square
+        let at_tip = third * clamp * (clamp * (1.0 / 15.0) + arc * 0.125);
         spread[(3, 3)] += at_tip * at_tip * 8.0 * stray * stray;
+        // what lasts puts depth and force off in no fixed proportion
+        spread[(0, 0)] += s.lasting * s.lasting;
+        spread[(3, 3)] += shorter_by_depth * shorter_by_depth * s.lasting * s.lasting;
         if self.tip.on {
             let h = rod.beam.length_mm();
             let gives = h * h * h * per_stiffness / 3.0;
@@ -98,7 +115,8 @@ impl ToolFilter {
                 spread[(k, k)] += self.tip.unsure() * gives * gives;
             }
         }
-        let tip = s.pose.apply(&Vector3::new(bent.x, bent.y, -shape.short));
+        let (ahead, late) = self.ahead(s);
+        let tip = s.pose.apply(&Vector3::new(bent.x, bent.y, -shape.short)) + ahead;
         let axes = &s.pose.rotation;
         let mut to_base = Matrix4::identity();
         for i in 0..3 {
@@ -114,6 +132,9 @@ impl ToolFilter {
                 covariance[j][i] = covariance[i][j];
             }
             covariance[i][i] = covariance[i][i].max(0.0);
+        }
+        for k in 1..4 {
+            covariance[k][k] += late;
         }
         Told {
             time_s: s.time_s,
