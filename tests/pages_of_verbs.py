@@ -46,12 +46,11 @@ def _arm(folder: Path) -> str:
     return _by(folder, "diagnose arm.toml run.csv --report page.html")
 
 
-def _runs(folder: Path, *more: dict[str, float]) -> DeltaPair:
-    """A delta of which one foot was moved between two runs, and ``more`` runs of it."""
+def _runs(folder: Path) -> DeltaPair:
+    """A delta of which one foot was moved between two runs."""
     world = DeltaPair(3, ("base_angle_2",), 4.0)
     sk.save_robot(world.robot, folder / "robot.toml")
-    runs = [*world.runs, *(world.run_with(moved, 5 + k) for k, moved in enumerate(more))]
-    for k, run in enumerate(runs):
+    for k, run in enumerate(world.runs):
         pl.DataFrame(run).write_csv(folder / f"run_{k + 1}.csv")
     return world
 
@@ -62,7 +61,7 @@ def _compare(folder: Path) -> str:
 
 
 def _history(folder: Path) -> str:
-    world = _runs(folder, {}, {})
+    world = _runs(folder)
     moved = {"base_angle_2": world.true["base_angle_2"]}
     for k in (3, 4):
         pl.DataFrame(world.run_with(moved, 7 + k)).write_csv(folder / f"run_{k}.csv")

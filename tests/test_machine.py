@@ -500,7 +500,8 @@ def test_an_effect_of_ones_own_is_deployed_where_the_machine_is_numpy(tmp_path: 
     another function, and a file that comes back without it or runs code."""
 
     def forward(q: Any, p: Any) -> Any:
-        reach = 200.0 + p.length + q[:, 1]
+        # it goes no further than that
+        reach = np.where(q[:, 1] > 150.0, np.nan, 200.0 + p.length + q[:, 1])
         return np.stack([reach * np.cos(q[:, 0]), reach * np.sin(q[:, 0]), q[:, 2]], axis=1)
 
     with apart():
@@ -527,6 +528,9 @@ def test_an_effect_of_ones_own_is_deployed_where_the_machine_is_numpy(tmp_path: 
         # sent where it is told to, it stands there
         asked = true(at)
         np.testing.assert_allclose(true(made.inverse_batch(asked).values), asked, atol=0.01)
+        far = np.vstack([at[:1], [[0.0, 160.0, 10.0]], at[1:2]])
+        np.testing.assert_array_equal(made.forward_batch(far).reached, [True, False, True])
+        np.testing.assert_allclose(made.forward_batch(far).values[[0, 2]], true(at[:2]), atol=0.01)
         by_joints = made.jacobian(at[0])
         step = np.array([1e-4, 0.0, 0.0])
         difference = (true((at[0] + step)[None]) - true((at[0] - step)[None]))[0] / 2e-4

@@ -11,7 +11,6 @@ import errno
 import io
 import ipaddress
 import secrets
-import shlex
 import signal
 import socket
 import tempfile
@@ -34,10 +33,9 @@ from tornado.ioloop import IOLoop
 from tornado.routing import Router
 from tornado.web import OutputTransform, RequestHandler
 
-from ..base.answer import FILES
 from ..errors import SherkitError
 from ..report.document import Report, html
-from ..report.page import Made, SourceFile
+from ..report.page import Made
 from ..study import Study
 from .page import StudyPage
 from .workbench import Progress, Workbench
@@ -244,11 +242,8 @@ class _Download(RequestHandler):
 
     def _report(self, study: Study, step: Progress) -> bytes:
         found = self.bench.page_state.diagnosis or study.diagnose(step=step)
-        sources = [SourceFile.of(path) for path in self.bench.sources if path.exists()]
-        names = [one.name for one in sources]
-        given = shlex.join(names[:2]) if len(names) > 1 else FILES
-        about = ", ".join(Path(name).name for name in names) or Path(study.data.source).name
-        made = Made(about, self.command, sources, lambda line: line.replace(FILES, given))
+        paths = [path for path in self.bench.sources if path.exists()]
+        made = Made.of(paths, self.command, about="" if paths else Path(study.data.source).name)
         calibration = study.calibration() if study.deployable else None
         return html(Report(study, found, made, calibration)).encode("utf-8")
 

@@ -88,7 +88,7 @@ def show(answer: Answer, *files: Path, colour: str = "") -> None:
         if one:
             out.print(_under(as_sentence(one)))
     for step in answer.to_do:
-        out.print(_under(f"{as_sentence(step.sentence).rstrip('.')}:" if step.command else as_sentence(step.sentence)))
+        out.print(_under(f"{as_sentence(step.sentence).rstrip('.:')}:" if step.command else as_sentence(step.sentence)))
         if step.command:
             # a line of its own, which is copied as one however wide the screen is
             out.print(Text(f"     {completed(step.command, shlex.join(map(str, files)))}"), soft_wrap=True)
@@ -205,11 +205,10 @@ def require_view() -> None:
 
 def made_by(sources: Sequence[Path], files: Sequence[Path] = ()) -> Made:
     """How this command makes a page of ``sources``; ``files``, by default the first two, stand in what it proposes."""
-    from ..report.page import Made, SourceFile  # Bokeh takes a second to load
+    from ..report.page import Made  # Bokeh takes a second to load
 
     given = shlex.join(map(str, files or sources[:2]))
-    about = ", ".join(path.name for path in sources)
-    return Made(about, command_line(), [SourceFile.of(p) for p in sources], lambda line: completed(line, given))
+    return Made.of(sources, command_line(), lambda line: completed(line, given))
 
 
 def write_report(

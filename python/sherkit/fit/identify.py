@@ -39,7 +39,7 @@ from .minimum import NEAR, ROUGHLY, beginning, noise_ratio, over_the_wall
 from .regions import Elsewhere, errors_elsewhere
 from .repeats import noise_beside, repeatability_of
 from .set_up import held, set_up_mistakes
-from .strength import part_of, scaled_sizes
+from .strength import in_plausible_sizes, part_of, scaled_sizes
 from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
@@ -421,7 +421,7 @@ def _fitted(
         unobserved_covariance=beyond,
         rank=result["rank"],
         singular_values=result["singular_values"],
-        unobserved_basis=_in_plausible_sizes(result["unobserved"], model, part),
+        unobserved_basis=in_plausible_sizes(result["unobserved"], model, part),
         scale=overall,
         noise=noise,
         loss=loss,
@@ -429,15 +429,6 @@ def _fitted(
         converged=at_minimum,
         evaluations=evaluations,
     )
-
-
-def _in_plausible_sizes(basis: Floats, model: ModelWithEffects, part: float) -> Floats:
-    """Directions (m, p) in sizes of which the drawing's are a part, in plausible sizes."""
-    if not len(basis) or part in (0.0, 1.0):
-        return basis
-    plain = np.array([p.size for p in model.parameters])
-    turned, _ = linalg.qr((basis * scaled_sizes(model, part) / plain).T)
-    return np.asarray(turned.T)
 
 
 def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:

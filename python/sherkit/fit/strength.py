@@ -33,6 +33,14 @@ def scaled_sizes(model: ModelWithEffects, part: float) -> Floats:
     return np.where(drawn_by(model), part * size, size) if part != 1.0 else size
 
 
+def in_plausible_sizes(basis: Floats, model: ModelWithEffects, part: float) -> Floats:
+    """Directions (m, p), orthonormal in sizes of which the drawing's are a part, in plausible sizes."""
+    if not len(basis) or part in (0.0, 1.0):
+        return basis
+    turned, _ = linalg.qr((basis * scaled_sizes(model, part) / scaled_sizes(model, 1.0)).T)
+    return np.asarray(turned.T)
+
+
 def drawn_by(model: ModelWithEffects) -> Bools:
     """Which parameters (p,) a drawing states: none of an effect, of the instrument, or that somebody has measured."""
     drawn = np.array([not p.known for p in model.parameters], dtype=bool)

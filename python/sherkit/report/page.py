@@ -14,6 +14,7 @@ import html as escaping
 import platform
 import re
 import secrets
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -32,7 +33,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import sherkit._core as _core
 
-from ..base.answer import Answer, as_sentence
+from ..base.answer import FILES, Answer, as_sentence
 from ..base.figures import number
 from ..data.files import write_whole
 from ..errors import SherkitError
@@ -132,6 +133,20 @@ class Made:
     command: str = ""
     sources: Sequence[SourceFile] = ()
     given: Callable[[str], str] = _as_it_is
+
+    @classmethod
+    def of(
+        cls, paths: Sequence[Path], command: str, given: Callable[[str], str] | None = None, about: str = ""
+    ) -> Made:
+        """Of files, by their names; the first two of them stand in what is proposed unless ``given`` says otherwise."""
+        names = shlex.join(map(str, paths[:2])) if len(paths) > 1 else FILES
+        sources = [SourceFile.of(path) for path in paths]
+        return cls(
+            about or ", ".join(path.name for path in paths),
+            command,
+            sources,
+            given or (lambda line: line.replace(FILES, names)),
+        )
 
 
 @dataclass(frozen=True)

@@ -45,9 +45,12 @@ class OwnEffects:
     values: Floats
 
     def readings(self, joints: Floats, now: list[float]) -> Floats:
-        """What is read (n, m) at these joints (n, k), at rest at this moment."""
-        moment = {TIME: np.full(len(joints), now[0]), TEMPERATURE: np.full(len(joints), now[1])}
-        rows = Measurements.planned(joints, self.model.layouts[0], "deployed", **moment)
+        """What is read (n, m) at these joints (n, k), at rest at this moment, which is that of every row whatever the
+        one before it. Raises :class:`~sherkit.errors.FitError` for joints out of reach."""
+        layout = self.model.layouts[0]
+        moment = dict(zip((TIME, TEMPERATURE, *layout.directions), now, strict=False))
+        every = {name: np.full(len(joints), value) for name, value in moment.items()}
+        rows = Measurements.planned(joints, layout, "deployed", **every)
         made: Floats = self.model.predict(rows, self.values)[:, : rows.coordinates]
         return made
 
@@ -80,16 +83,21 @@ class MachineCalibrated:
 
     def forward_batch(self, joints: Floats, now: list[float]) -> tuple[Floats, Floats, Bools]:
         """Readings (n, m), their derivatives by the joints (n, m, k), and which rows could be computed."""
-        block = self.block(joints, now)
-        values, reached = self.chain.predict(self.values, block)
-        if self.own is None:
-            by_joints = self.chain.derivatives(self.values, block, [])[1]
-        else:
-            values, by_joints = self.own.readings(joints, now), self.own.by_joints(joints, now, self.box)
+        values, reached = self._shown(joints, now)
+        by_joints = self.chain.derivatives(self.values, self.block(joints, now), [])[1]
+        if self.own is not None and reached.any():
+            by_joints[reached] = self.own.by_joints(joints[reached], now, self.box)
         if self.seen_from is not None:
             turn, shift = self.seen_from
             values, by_joints = (values - shift) @ turn, turn.T @ by_joints
         return values, by_joints, reached
+
+    def _shown(self, joints: Floats, now: list[float]) -> tuple[Floats, Bools]:
+        """Readings (n, m) as the instrument sees them, and which rows could be computed."""
+        values, reached = self.chain.predict(self.values, self.block(joints, now))
+        if self.own is not None and reached.any():
+            values[reached] = self.own.readings(joints[reached], now)
+        return values, reached
 
     def forward(self, joints: Floats, now: list[float]) -> tuple[Floats, Floats]:
         """The same of one pose. Raises :class:`~sherkit.errors.OutOfReach`."""
@@ -113,9 +121,7 @@ class MachineCalibrated:
             readings = readings @ turn.T + shift
 
         def shown(joints: Floats) -> Floats:
-            if self.own is not None:
-                return self.own.readings(joints, now)
-            return self.chain.predict(self.values, self.block(joints, now))[0]
+            return self._shown(joints, now)[0]
 
         def forward(joints: Floats) -> tuple[Floats, Floats]:
             return replace(self, seen_from=None).forward_batch(joints, now)[:2]

@@ -124,21 +124,25 @@ class Examined:
             Bar(AFTER, "with the best numbers", self.after_mm),
         )
         # the verdict says which pattern it is
-        further = [one for one in wrong[1:] if "has a pattern: " not in one]
+        further = self._leaning() if self.suspects else wrong[1:]
         return Answer(
-            verdict, wrong[0], (*further, *self._sure()), tuple(self._steps()), bars, "mm"
+            verdict, wrong[0], (*further, *self._sure()), tuple(self._steps()) or (ToDo("Nothing."),), bars, "mm"
         )  # fmt: skip
 
     def _steps(self) -> Iterator[ToDo]:
         """What to do, with the commands that do it."""
-        lines = [one for one in self._do() if one.startswith(" ")]
-        for one in self._do():
-            if one.endswith("use that file."):
-                yield ToDo("write the better numbers into a new printer.cfg", f"sherkit printer {FILES} -o new.cfg")
-            elif one.endswith(":"):
-                yield ToDo(one[:-1], "\n".join(line.strip() for line in lines))
-            elif one not in lines:
-                yield ToDo(one)
+        if self.better_numbers and self.written:
+            yield ToDo(f"Use {self.written}: it has the better numbers.")
+        elif self.better_numbers and self.found.robot.firmware == "klipper":
+            yield ToDo("Write the better numbers into printer.cfg", f"sherkit printer {FILES} -o new.cfg")
+        elif self.better_numbers:
+            yield ToDo("Send these to the printer:", "\n".join(commands(self.found.robot, self.new.towers)))
+        if self.tied:
+            yield ToDo("Turn no screw yet: see below what tells them apart.")
+        for one in self.suspects if not self.tied else ():
+            yield from (ToDo(e.remedy) for e in one.effects)
+        if any(bed_shape.name in one.names for one in self.suspects):
+            yield ToDo("For printing meanwhile, let the firmware's mesh follow the plate.")
 
     @property
     def numbers(self) -> list[tuple[str, str, str]]:
@@ -202,10 +206,13 @@ class Examined:
         said = [" together with ".join(_CALLED.get(n, n) for n in one.names) for one in self.suspects]
         word = "Besides, what" if out else "What"
         begins = f"{word} the firmware's numbers cannot take away, {_mm(self.after_mm)}, has a pattern: "
-        if self.tied:
-            which = [f"If it is the towers: {w}" for one in self.suspects for w in self._which(one)]
-            return [*out, f"{begins}it is either {', or '.join(said)}.", *which]
-        return [*out, f"{begins}{said[0]}.", *self._which(self.suspects[0])]
+        which = f"it is either {', or '.join(said)}" if self.tied else said[0]
+        return [*out, f"{begins}{which}.", *self._leaning()]
+
+    def _leaning(self) -> list[str]:
+        """Which towers lean and where to, if it is these."""
+        doubt = "If it is the towers: " if self.tied else ""
+        return [f"{doubt}{told}" for one in self.suspects for told in self._which(one)]
 
     def _which(self, one: Suspect) -> list[str]:
         """The tower, the direction, how far at its top."""
@@ -245,24 +252,12 @@ class Examined:
 
     def _do(self) -> list[str]:
         out = []
-        if self.better_numbers:
-            if self.found.robot.firmware == "klipper":
-                out.append(
-                    f"Use {self.written}: it has the better numbers."
-                    if self.written
-                    else "Write the better numbers into printer.cfg: run this again with -o NEW.cfg, and use that file."
-                )
+        for step in self._steps():
+            # what a printer is sent is typed line by line
+            if step.command.startswith("sherkit "):
+                out.append(f"{step.sentence}: run this again with -o NEW.cfg, and use that file.")
             else:
-                out += [
-                    "Send these to the printer:",
-                    *(f"    {c}" for c in commands(self.found.robot, self.new.towers)),
-                ]
-        if self.tied:
-            out.append("Turn no screw yet: see below what tells them apart.")
-        for one in self.suspects if not self.tied else ():
-            out += [e.remedy for e in one.effects]
-        if any(bed_shape.name in one.names for one in self.suspects):
-            out.append("For printing meanwhile, let the firmware's mesh follow the plate.")
+                out += [step.sentence, *(f"    {line}" for line in step.command.splitlines())]
         return out or ["Nothing."]
 
     def _remains(self) -> list[str]:
