@@ -19,6 +19,7 @@ import tokenize
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import redirect_stdout, suppress
+from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
 from types import CodeType, FrameType
@@ -162,14 +163,63 @@ def circles_in_rust() -> int:
     return sum(len(circles({name: set(needs(one, crate)) for name, one in crate.items()})) for crate in crates)
 
 
-def table(title: str, rows: dict[str, tuple[int, int | None]]) -> None:
+@dataclass(frozen=True)
+class House:
+    """The product as a reader meets it, in the commit whose package stands at ``package``."""
+
+    files: int
+    core_lines: int
+    tokens: int
+    tests_tokens: int
+    functions: int
+    classes: int
+    names_twice: int
+    median_imported: int
+    most_imported: int
+
+    @classmethod
+    def of(cls, package: Path, tests: Path) -> House:
+        """Counted from the files."""
+        files = sorted(package.rglob("*.py"))
+        trees = [ast.parse(path.read_text("utf-8")) for path in files]
+        nodes = [node for tree in trees for node in ast.walk(tree)]
+        names = Counter(node.name for node in nodes if isinstance(node, ast.ClassDef))
+        names_in = sorted(map(imported, files))
+        core = [path for path in files if not path.relative_to(package).as_posix().startswith(BESIDE_THE_CORE)]
+        return cls(
+            len(files), sum(len(path.read_text("utf-8").splitlines()) for path in core), sum(map(tokens, files)),
+            sum(map(tokens, tests.rglob("*.py"))),
+            sum(isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) for node in nodes), sum(names.values()),
+            sum(count > 1 for count in names.values()), names_in[len(names_in) // 2], names_in[-1],
+        )  # fmt: skip
+
+    @classmethod
+    def at(cls, commit: str) -> House | None:
+        """That of another commit; None where this is no clone that has it."""
+        with tempfile.TemporaryDirectory() as folder:
+            packed = subprocess.run(
+                ["git", "archive", commit, "python/sherkit", "tests"], cwd=REPOSITORY, capture_output=True
+            )  # fmt: skip
+            if packed.returncode:
+                return None
+            subprocess.run(["tar", "-x", "-C", folder], input=packed.stdout, check=True)
+            return cls.of(Path(folder) / "python" / "sherkit", Path(folder) / "tests")
+
+
+#: Which commit the house is compared with, folders that the core works without, and what of each count would read well.
+BEFORE = "9636955"
+BESIDE_THE_CORE = ("robots/serial", "robots/printer", "robots/tool", "lab", "vision")
+AIMS = House(200, 25_000, 375_000, 0, 3_100, 350, 0, 6, 25)
+
+
+def table(title: str, rows: dict[str, tuple[int | None, ...]], *heads: str) -> None:
     """Prints counts beside what would read well."""
     drawn = Table(title=title, title_justify="left", show_edge=False)
     drawn.add_column("")
-    drawn.add_column("now", justify="right")
-    drawn.add_column("aim", justify="right")
-    for name, (now, aim) in rows.items():
-        drawn.add_row(name, f"{now:,}", "" if aim is None else f"{aim:,}")
+    for head in (*heads, "now", "aim"):
+        drawn.add_column(head, justify="right")
+    for name, counts in rows.items():
+        drawn.add_row(name, *("" if one is None else f"{one:,}" for one in counts))
     Console().print(drawn, "")
 
 
@@ -202,13 +252,28 @@ if __name__ == "__main__":
     rust = lines(REPOSITORY / "rust", ".rs")
     tests = lines(REPOSITORY / "tests", ".py")
     long = {path: n for path, n in (python | rust).items() if n > LONG}
+    now, before = House.of(PACKAGE, REPOSITORY / "tests"), House.at(BEFORE)
+    aims = replace(AIMS, tests_tokens=round(0.8 * before.tests_tokens) if before else 0)
+    said = {
+        "files": "Python files", "core_lines": f"lines of the core (without {', '.join(BESIDE_THE_CORE)})",
+        "tokens": "tokens, comments apart", "tests_tokens": "tokens of the tests", "functions": "functions",
+        "classes": "classes", "names_twice": "names of classes that stand twice or more",
+        "median_imported": "names of the house that a file imports, median", "most_imported": "and most",
+    }  # fmt: skip
     table(
-        "The house",
+        "The product",
         {
-            "Python files": (len(python), 230),
-            "lines of Python": (sum(python.values()), 43_000),
+            text: (getattr(before, name) if before else None, getattr(now, name), getattr(aims, name))
+            for name, text in said.items()
+        },
+        BEFORE,
+    )
+    table(
+        "Its files",
+        {
+            "lines of Python": (sum(python.values()), None),
             "lines of Rust": (sum(rust.values()), None),
-            "lines of tests": (sum(tests.values()), 28_000),
+            "lines of tests": (sum(tests.values()), None),
             f"files above {LONG} lines": (len(long), 0),
             f"functions of a complexity above {COMPLEX}": (complex_functions(), 20),
             "circles between files of Rust": (circles_in_rust(), 0),

@@ -138,7 +138,7 @@ ITEMS = [
          "For a tool with sensors of its own: the filter's estimate with its 95 % band, the sensor alone, the truth "
          "where it is known, and the force below; under the dotted line the sensor says little. The numbers are drawn "
          "at random, not measured.",
-         "from sherkit.report.estimate import EstimateOverTime, estimate_picture\n"
+         "from sherkit.robots.tool.pictures import EstimateOverTime, estimate_picture\n"
          'others = {"sensor alone": raw, "truth": truth}\n'
          'estimate_picture(EstimateOverTime(time, value, std, "depth", "mm", others, force, 2))',
          "tool"),

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from sherkit.base.names import listed
-from sherkit.cli.verbs import _GROUPS, cli
+from sherkit.cli.verbs import cli
 from sherkit.errors import SherkitError
 from sherkit.model.effect import Effect
 from sherkit.model.kinds import Kind, known_kinds
@@ -78,7 +78,7 @@ def _verbs() -> Iterator[str]:
     """Every verb with its help, in the groups of ``sherkit --help``."""
     yield from ("# All verbs and their options", "", "As `sherkit VERB --help` prints them.", "")
     top = click.Context(cli, info_name="sherkit")
-    for title, group in _GROUPS.items():
+    for title, group in cli.grouped.items():
         yield from (f"## {title}", "")
         for name in group:
             verb = cli.get_command(top, name)

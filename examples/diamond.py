@@ -20,8 +20,8 @@ from rich.console import Console
 from rich.table import Table
 
 import sherkit as sk
-from sherkit.robots.spherical.pictures import seen_run
 from sherkit.robots.spherical.poses import LINES, targets
+from sherkit.vision.spherical import pictures_of, seen_run
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def followed(
         joints = inverse(targets(top, radius_mm, line, PLACES))
         watched = sk.spherical.VirtualSpherical(hidden.robot, hidden.errors, camera=top)
         plan = {"time_s": np.arange(PLACES) * 1.0, "theta1_rad": joints[:, 0], "theta2_rad": joints[:, 1]}
-        pixels = seen_run(plan, watched.pictures(plan, seed=50 + number)).readings
+        pixels = seen_run(plan, pictures_of(watched, plan, seed=50 + number)).readings
         # the picture in mm, at the distance of the line's middle
         depth_mm = top.translation_mm[2] - radius_mm * np.cos(np.pi / 4)
         out[name] = sk.spherical.straightness(pixels * depth_mm / top.focal_px[0])
@@ -70,7 +70,7 @@ def main(per_side: int, save_in: Path | None) -> dict[str, Any]:
 
     hidden = sk.spherical.VirtualSpherical(robot, HIDDEN)
     plan = hidden.plan(sk.spherical.sphere_patch(robot, per_side), repeats=1)
-    data = seen_run(plan, hidden.pictures(plan, seed=3), save_in=save_in)
+    data = seen_run(plan, pictures_of(hidden, plan, seed=3), save_in=save_in)
     console.print(f"{len(plan['pose'])} pictures, the marker found in {len(data)} of them\n")
     fits = {"readings": sk.identify(robot, data), "joints": sk.spherical.identify_joints(robot, data)}
 

@@ -15,10 +15,10 @@ import pytest
 import sherkit as sk
 from running import command
 from sherkit.cli import main
-from sherkit.cli.lab import write_files
 from sherkit.errors import ExperimentError
 from sherkit.lab.experiment import AdaptiveRun, Plan, PlanStep, RunFile, export_run, load_experiment
 from sherkit.lab.laboratory import RunningLaboratory, load_laboratory
+from sherkit.lab.verbs.lab import write_files
 
 COMMAND = [sys.executable, "-c", "from sherkit.cli import main; main()", "measure", "adaptive.toml"]
 UNTIL = ["--until", "diagnosed"]

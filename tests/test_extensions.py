@@ -213,7 +213,7 @@ def test_a_robot_from_outside_is_one_like_the_others(installed: Path, tmp_path: 
         "effects --robot robot.toml", "schema robot",
     )  # fmt: skip
     assert "broken: its robot 'hexapod' (not_there:KIND) cannot be loaded (ModuleNotFoundError" in made
-    assert "broken: its robot 'delta' (xy_stage:KIND) is not used: sherkit.robots.delta:KIND has that name" in made
+    assert "broken: its robot 'delta' (xy_stage:KIND) is not used: sherkit's own robot has that name" in made
     assert "Verdict: explained: bow" in found
     assert "bow" in effects
     assert "travel_mm" in schema
@@ -319,8 +319,8 @@ def test_a_package_that_does_harm_takes_nothing_with_it(harmful: Path, tmp_path:
     for said in (
         "ends: its robot 'ends' (ends:KIND) cannot be loaded (SystemExit: 0)",
         "NOISE",
-        "a_thief: its robot 'delta' (sherkit.robots.spherical:KIND) is not used: sherkit.robots.delta:KIND has",
-        "a_thief: its robot 'serial' (a_thief:KIND) is not used: sherkit.robots.serial:KIND has that name",
+        "a_thief: its robot 'delta' (sherkit.robots.spherical:KIND) is not used: sherkit's own robot has",
+        "a_thief: its robot 'serial' (a_thief:KIND) is not used: sherkit's own robot has that name",
         "a_thief: its robot 'own' (a_thief:KIND) is not used: the Kind calls itself 'delta'",
         "prints: its robot 'prints' (prints:KIND) is not used: the Kind calls itself 'delta'",
         "a_thief: its robot 'bare' (a_thief:BARE) is not used (RobotError: the Kind 'bare': layouts: expected a tuple",

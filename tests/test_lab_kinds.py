@@ -41,7 +41,7 @@ print(json.dumps([m for m in sys.modules if m.startswith("sherkit.")]))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = json.loads(done.stdout)
-    assert {"sherkit.lab.experiment", "sherkit.cli.measure"} <= set(loaded)
+    assert {"sherkit.lab.experiment", "sherkit.lab.verbs.measure"} <= set(loaded)
     assert [m for m in loaded if "emulators" in m or "laboratory" in m] == []
 
 
@@ -209,7 +209,7 @@ def test_what_a_third_robot_lacks_is_one_sentence(tmp_path, planar):
 def test_commands_do_not_take_it_for_another(tmp_path, planar):
     """Catches a simulation of a delta's errors, and a noise in pixels, for a robot that has neither."""
     from sherkit.cli.effects import _run
-    from sherkit.cli.plan import _noise
+    from sherkit.lab.verbs.plan import _noise
 
     with pytest.raises(SherkitError, match="no poses 'whole'"):
         _run(tmp_path, Arm(), "whole", 1, "planes", 1.0, 0, {"pictures": None})

@@ -391,7 +391,7 @@ def drain(master, seconds):
 @pytest.mark.slow
 def test_the_demo_compensates_what_was_hidden(tmp_path):
     """Catches a demo that no longer finds the effect, or a calibration that does not help when it is driven with."""
-    from sherkit.cli.lab import lab_demo
+    from sherkit.lab.verbs.lab import lab_demo
 
     lab_demo(tmp_path, repeats=1, time_scale=400.0)
     missed = {}

@@ -18,15 +18,16 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from sherkit.cli import file_kinds, lab, main
+from sherkit.cli import file_kinds, main
 from sherkit.cli.demo import EXAMPLE
 from sherkit.cli.file_kinds import FileKind
 from sherkit.cli.paths import InputFile, OutputFile, OutputFolder
-from sherkit.cli.verbs import _VERBS, cli
+from sherkit.cli.verbs import cli
 from sherkit.data.files import write_whole
 from sherkit.errors import ExperimentError, SherkitError
 from sherkit.lab.experiment import RunFile, load_experiment, plan_of_poses, run_lock
 from sherkit.lab.kinds import write_ports
+from sherkit.lab.verbs import lab
 from sherkit.model.robot_file import save_robot
 from sherkit.report.card import card_page
 from sherkit.robots.c_header import calibration_header
@@ -45,15 +46,13 @@ def verbs() -> Iterator[tuple[tuple[str, ...], click.Command]]:
 
     def below(words: tuple[str, ...], command: click.Command) -> Iterator[tuple[tuple[str, ...], click.Command]]:
         if isinstance(command, click.Group):
-            for name in command.commands:
-                yield from below((*words, name), command.commands[name])
+            context = click.Context(command)
+            for name in command.list_commands(context):
+                yield from below((*words, name), command.get_command(context, name))
         else:
             yield words, command
 
-    for name in _VERBS:
-        command = cli.get_command(click.Context(cli), name)
-        assert command is not None
-        yield from below((name,), command)
+    yield from below((), cli)
 
 
 @dataclass(frozen=True)
@@ -107,11 +106,6 @@ def typed(case: Case, path: Callable[[click.Parameter], list[str]]) -> list[str]
     return [*case.words, *arguments, *options]
 
 
-def word_before(param: click.Parameter, path: str) -> list[str]:
-    """A path with the word that says what is made of it."""
-    return ["c", path] if param.name == "what" else [path]
-
-
 def refused(line: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     """The one sentence with which a line is refused."""
     capsys.readouterr()
@@ -131,7 +125,7 @@ def content_of(folder: Path) -> dict[str, bytes]:
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sherkit.cli.vision.require_vision", lambda: None)
+    monkeypatch.setattr("sherkit.vision.verbs.cameras.require_vision", lambda: None)
 
 
 LINKS: dict[str, Callable[[Path, Path], object]] = {
@@ -168,8 +162,8 @@ def test_no_verb_writes_over_what_it_reads(
         if param is case.output:
             return [str(spelt.parent if isinstance(output, OutputFolder) else spelt)]
         if param is case.read:
-            return word_before(param, str(real))
-        return word_before(param, str(tmp_path / f"{param.name}.toml"))
+            return [str(real)]
+        return [str(tmp_path / f"{param.name}.toml")]
 
     before = content_of(tmp_path)
     monkeypatch.setattr(case.command, "callback", lambda **_: pytest.fail("it works before it refuses"))
@@ -224,8 +218,8 @@ def test_what_is_no_file_is_not_read(
 
     def path(param: click.Parameter) -> list[str]:
         if param is read:
-            return word_before(param, str(odd))
-        return word_before(param, str(tmp_path / f"{param.name}.csv"))
+            return [str(odd)]
+        return [str(tmp_path / f"{param.name}.csv")]
 
     assert f"{odd}: is {made}, expected a file" in refused(typed(case, path), capsys)
 

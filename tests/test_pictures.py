@@ -28,7 +28,6 @@ from sherkit.fit.error import ErrorSize
 from sherkit.model.sensor_pose import ANYWHERE, HELD, SensorPose
 from sherkit.report import style
 from sherkit.report.candidates import atlas_of, candidates, signature_atlas
-from sherkit.report.estimate import EstimateOverTime, estimate_picture
 from sherkit.report.page import save_picture
 from sherkit.report.parameters import (
     NextPoses,
@@ -52,6 +51,7 @@ from sherkit.report.states import (
     error_history_of,
 )
 from sherkit.robots.delta.robot import paper_whole
+from sherkit.robots.tool.pictures import EstimateOverTime, estimate_picture
 from sherkit.study import StudyStep
 from strategies import EXAMPLE
 

@@ -23,12 +23,12 @@ from sherkit import save_robot
 from sherkit.base.answer import Answer
 from sherkit.base.figures import in_people_units, with_error
 from sherkit.model.effect import effects_by_name
-from sherkit.report.estimate import EstimateOverTime
 from sherkit.report.page import Made
 from sherkit.report.stories import write_estimate
 from sherkit.report.style import number
 from sherkit.robots.delta import CATALOGUE
 from sherkit.robots.delta.robot import grid
+from sherkit.robots.tool.pictures import EstimateOverTime
 from strategies import EXAMPLE
 
 HOSTILE = ("<script>alert(1)</script>", "</script><img src=x onerror=alert(2)>\"'")

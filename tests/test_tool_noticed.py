@@ -18,7 +18,7 @@ from sherkit.errors import SherkitWarning
 from sherkit.robots.tool.calibration import ToolCalibration, calibrate_tool, read_loads
 from sherkit.robots.tool.exchanged import exchanged
 from sherkit.robots.tool.filters import Estimate, estimate
-from sherkit.robots.tool.known import known
+from sherkit.robots.tool.knowledge import known
 from sherkit.robots.tool.tool import load_tool
 from sherkit.robots.tool.trust import trust
 from tool_honesty import run_of, tool_of

@@ -24,10 +24,10 @@ from sherkit.robots.spherical.virtual import PAPER_ERRORS
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: sherkit[vision]")
 
-from sherkit.robots.spherical.pictures import joined_by_time, marker_rows, seen_run  # noqa: E402
 from sherkit.vision.camera import Intrinsics, View, charuco_intrinsics, chessboard_intrinsics, draw_marker  # noqa: E402
 from sherkit.vision.marker import Seen, find_marker  # noqa: E402
 from sherkit.vision.pictures import CameraPicture, frames_of, picture_of  # noqa: E402
+from sherkit.vision.spherical import joined_by_time, marker_rows, pictures_of, seen_run  # noqa: E402
 
 CAMERA = Intrinsics((1100.0, 1080.0), (645.0, 318.0), (-0.12, 0.05, 0.001, -0.0008), (1280, 640))
 VIEW = View(CAMERA, (0.02, -0.03, 0.1), (5.0, -4.0, 446.2))
@@ -265,7 +265,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert isinstance(robot, Spherical)
     virtual = VirtualSpherical(robot, PAPER_ERRORS)
     plan = virtual.plan(sphere_patch(robot, 4), repeats=1)
-    seen_run(plan, virtual.pictures(plan), save_in=folder / "pictures").save(folder / "run.csv")
+    seen_run(plan, pictures_of(virtual, plan), save_in=folder / "pictures").save(folder / "run.csv")
     return folder
 
 
@@ -398,7 +398,7 @@ def test_a_video_is_joined_to_joints_by_time(tmp_path: Path) -> None:
     writer = cv2.VideoWriter(
         str(tmp_path / "run.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 50.0, (1280, 640), isColor=False
     )
-    for picture in virtual.pictures(columns):
+    for picture in pictures_of(virtual, columns):
         writer.write(picture.grey)
     writer.release()
     # the camera's clock stands 0.03 s later than that of the joints

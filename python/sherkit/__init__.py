@@ -52,7 +52,7 @@ def _draw(value: object) -> str | None:
 
 
 _Shown.draw = _draw
-_built_in.load = lambda: _import_module(".robots", __name__)
+_built_in.load = lambda: _import_module(".robots.known", __name__)
 
 if not _TYPE_CHECKING:  # to who reads types, a name that is not above does not exist
     __getattr__ = _door(

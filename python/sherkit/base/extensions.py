@@ -1,7 +1,7 @@
-"""What installed packages bring: kinds of robot and of instrument, importers, verbs, by entry points that they declare.
+"""What installed packages bring, by entry points that they declare; what each group is for stands at its name below.
 
-The built-in kinds of robot come through the same door: ``[project.entry-points."sherkit.robots"]`` of a package names
-each kind, and what it is called in Python.
+sherkit's own arms, printers, flexible tool, laboratory and cameras come through the same doors: nothing else of the
+package names them, and it works where their folders are not there.
 """
 
 from __future__ import annotations
@@ -20,11 +20,18 @@ from .names import brief
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-#: The groups: values are a :class:`~sherkit.model.kinds.Kind`, a :class:`~sherkit.lab.kinds.InstrumentKind`, and a
-#: ``click.Command`` each below ``sherkit import`` and beside the verbs.
-ROBOTS, INSTRUMENTS, IMPORTERS, VERBS = (f"sherkit.{n}" for n in ("robots", "instruments", "importers", "verbs"))
-#: What one of them is called in a sentence.
-_CALLED = {ROBOTS: "robot", INSTRUMENTS: "instrument", IMPORTERS: "importer", VERBS: "verb"}
+#: Kinds of robot and of instrument: values are a :class:`~sherkit.model.kinds.Kind` and a
+#: :class:`~sherkit.lab.kinds.InstrumentKind`.
+ROBOTS, INSTRUMENTS = "sherkit.robots", "sherkit.instruments"
+#: A ``click.Command`` each: beside the verbs, below ``sherkit import``, below ``sherkit export``.
+VERBS, IMPORTERS, EXPORTERS = "sherkit.verbs", "sherkit.importers", "sherkit.exporters"
+#: By the key ``kind`` of their files, machines that are no robots with joints: a
+#: :class:`~sherkit.cli.machine_file.MachineFile` each.
+MACHINES = "sherkit.machines"
+#: Another way to measure a virtual robot: a :class:`~sherkit.cli.effects.Simulation`.
+SIMULATIONS = "sherkit.simulations"
+#: What another file may hold, by the name of its sort: a function that gives its JSON schema.
+SCHEMAS = "sherkit.schemas"
 #: The package whose entries nobody takes the place of.
 _OWN = "sherkit"
 
@@ -38,7 +45,7 @@ def declared(group: str) -> dict[str, EntryPoint]:
     out: dict[str, EntryPoint] = {}
     for entry in sorted(_entries(group), key=lambda e: (_package(e) != _OWN, e.name, _package(e))):
         if entry.name in out and entry.value != out[entry.name].value:
-            leave_out(group, entry, f"is not used: {out[entry.name].value} has that name")
+            leave_out(group, entry, f"is not used: {_whose(group, out[entry.name])} has that name")
         out.setdefault(entry.name, entry)
     return out
 
@@ -65,13 +72,21 @@ def _package(entry: EntryPoint) -> str:
     return (entry.dist.name or "").lower() if entry.dist is not None else ""
 
 
-def _brought(group: str, name: str, what: type[_Value]) -> _Value | None:
-    """The value of a name, loaded now; None, and a warning, where it cannot be loaded or is no ``what``: a package that
-    is broken takes nothing with it but what it brings.
+def is_own(group: str, name: str) -> bool:
+    """Whether a name is sherkit's own: its value need not be loaded to know that it is one."""
+    entry = declared(group).get(name)
+    return entry is not None and _package(entry) == _OWN
+
+
+def brought(group: str, name: str, what: type[_Value]) -> _Value | None:
+    """The value of a name, loaded now; None where nobody declares it, and with a warning where it cannot be loaded or
+    is no ``what``: a package that is broken takes nothing with it but what it brings.
 
     What it prints goes where messages go, not into what a program reads.
     """
-    entry = declared(group)[name]
+    entry = declared(group).get(name)
+    if entry is None:
+        return None
     try:
         with nullcontext() if _package(entry) == _OWN else _kept_apart():
             value = entry.load()
@@ -100,13 +115,18 @@ def _kept_apart() -> Iterator[None]:
         yield
 
 
-def brought_beside(own: Collection[str], group: str, what: type[_Value]) -> dict[str, _Value]:
-    """All that packages bring in a group, by name, but for names that sherkit's ``own`` have: those are a warning."""
+def brought_beside(
+    own: Collection[str], group: str, what: type[_Value], *, others_alone: bool = False
+) -> dict[str, _Value]:  # fmt: skip
+    """All that packages bring in a group, by name, but for names that sherkit's ``own`` have: those are a warning.
+    ``others_alone`` loads what other packages bring and nothing of sherkit's."""
     found: dict[str, _Value] = {}
     for name, entry in declared(group).items():
+        if others_alone and _package(entry) == _OWN:
+            continue
         if name in own:
-            leave_out(group, entry, f"is not used: sherkit's own {_CALLED[group]} has that name")
-        elif (value := _brought(group, name, what)) is not None:
+            leave_out(group, entry, f"is not used: sherkit's own {_called(group)} has that name")
+        elif (value := brought(group, name, what)) is not None:
             found[name] = value
     return found
 
@@ -114,4 +134,13 @@ def brought_beside(own: Collection[str], group: str, what: type[_Value]) -> dict
 def leave_out(group: str, entry: EntryPoint, why: str) -> None:
     """Warns that what a package declares is not used, and why."""
     package = _package(entry) or "a package"
-    warnings.warn(f"{package}: its {_CALLED[group]} '{entry.name}' ({entry.value}) {why}", SherkitWarning, stacklevel=3)
+    warnings.warn(f"{package}: its {_called(group)} '{entry.name}' ({entry.value}) {why}", SherkitWarning, stacklevel=3)
+
+
+def _whose(group: str, entry: EntryPoint) -> str:
+    return f"sherkit's own {_called(group)}" if _package(entry) == _OWN else entry.value
+
+
+def _called(group: str) -> str:
+    """What a value of a group is called in a sentence."""
+    return group.removeprefix("sherkit.").removesuffix("s")

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import click
 import tomli_w
+from click.core import ParameterSource
 
+from ..base.extensions import SIMULATIONS, brought_beside
 from ..base.figures import sized
 from ..base.names import listed
 from ..data import Measurements
 from ..data.files import write_whole
 from ..errors import SherkitError
 from ..model.effect import WITHIN, Effect, effects_by_name
-from ..model.kinds import Option, Robot, SeenInPictures, kind_of, known_kinds
+from ..model.kinds import Option, Robot, Virtual, kind_of, known_kinds
 from ..model.robot_file import load_robot
-from ..robots.tool.effects import TOOL_CATALOGUE
-from ..robots.tool.tool import KIND
-from ..robots.tool.virtual import EXPERIMENTS
 from . import output
 from .demo import EXAMPLE
-from .file_kinds import DRAWN, PICTURE, PLANTED, PLANTED_BY, TABLE
-from .machine_file import machine_at, own_way_of
-from .paths import InputFile, OutputFile, OutputFolder
-from .vision import require_vision
-
-_OF_TOOL = "the flexible tool and its camera"
+from .file_kinds import DRAWN, PLANTED, PLANTED_BY, TABLE
+from .machine_file import machine_at, other_machines, own_way_of
+from .paths import InputFile, OutputFile
 
 
 @click.command()
@@ -43,7 +39,8 @@ def effects(name: str | None, robot: Path | None, as_json: bool, picture: Path |
     """List the physical effects that can be found and added; with NAME, show one."""
     machine = None if robot is None else machine_at(robot)
     nominal = None if machine is None else machine.drawn_on
-    catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()} | {KIND: TOOL_CATALOGUE}
+    catalogues = {name: kind.model.catalogue for name, kind in known_kinds().items()}
+    catalogues |= {name: other.catalogue for name, other in other_machines().items()}
     if machine is not None:
         catalogues = {machine.kind: dict(machine.catalogue)}
     holders = [kind for kind, catalogue in catalogues.items() if name in catalogue]
@@ -109,7 +106,7 @@ def _told(effect: Effect) -> dict[str, Any]:
 
 def _title(kind: str) -> str:
     known = known_kinds()
-    return f"Effects of {known[kind].title if kind in known else _OF_TOOL}"
+    return f"Effects of {known[kind].title if kind in known else other_machines()[kind].title}"
 
 
 def _show(effect: Effect, of: str) -> None:
@@ -151,12 +148,41 @@ def _errors_to_hide() -> list[click.Parameter]:
     return made
 
 
+class Simulation(Protocol):
+    """Another way to measure a virtual robot, as a folder or a package declares it (``sherkit.simulations``): by what
+    ``sherkit simulate`` is asked for it."""
+
+    simulate_options: tuple[click.Option, ...]
+
+    def is_asked(self, virtual: Virtual, given: Mapping[str, Any]) -> bool:
+        """Whether what was typed asks for it, and the robot can be measured so."""
+        ...
+
+    def measuring(self, virtual: Virtual, given: Mapping[str, Any]) -> Callable[..., Measurements]:
+        """In the place of the virtual robot's own ``measure``."""
+        ...
+
+
+def _simulations() -> list[Simulation]:
+    return [*brought_beside((), SIMULATIONS, object).values()]  # type: ignore[list-item]
+
+
+def _ways_of_others() -> list[Any]:
+    """Who adds options to those of the command."""
+    return [*other_machines().values(), *_simulations()]
+
+
+def _was_typed(name: str) -> bool:
+    return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
+
+
 class _Simulate(click.Command):
     """Its options are those of the kinds that are known when it is called, a user's own among them."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         *own, asking_for_help = super().get_params(ctx)
-        return [*own, *_errors_to_hide(), asking_for_help]
+        of_others = [option for one in _ways_of_others() for option in one.simulate_options]
+        return [*own, *of_others, *_errors_to_hide(), asking_for_help]
 
 
 @click.command(cls=_Simulate)
@@ -167,20 +193,15 @@ class _Simulate(click.Command):
 @click.option("--order", type=click.Choice(("planes", "shuffled")), default="planes", show_default=True)
 @click.option("--errors", type=click.FloatRange(min=0), default=1.0, show_default=True,
               help="Size of the geometric errors, 1 = as in the paper's tables.")  # fmt: skip
-@click.option("--pictures", type=OutputFolder({"picture_*.png": PICTURE}),
-              help="With a camera: draw pictures into this folder, and read the pixels from them.")  # fmt: skip
-@click.option("--experiment", type=click.Choice((*EXPERIMENTS, "free", "bench")), default="vessels", show_default=True,
-              help="Flexible tool: one of the paper's, free (unbent), bench (known loads).")  # fmt: skip
-@click.option("--seconds", type=click.FloatRange(min=2), default=60.0, show_default=True, help="Flexible tool.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Draws the robot and the noise.")
 @click.option("--truth", type=OutputFile(PLANTED), help="Write the planted errors here (TOML).")
 def simulate(
     robot: Path, destination: Path, poses: str, repeats: int, order: str, errors: float, seed: int,
-    truth: Path | None, experiment: str, seconds: float, **given: Any,
+    truth: Path | None, **given: Any,
 ) -> None:  # fmt: skip
-    """Simulate a run of ROBOT (TOML) with planted errors, or of a flexible tool (see --experiment)."""
+    """Simulate a run of ROBOT (TOML) with planted errors."""
     if (own_way := own_way_of(robot, "simulate")) is not None:
-        own_way(destination, experiment=experiment, seconds=seconds, seed=seed, given=given)
+        own_way(destination, seed=seed, given=given)
         return
     nominal = load_robot(robot)
     data, planted = _run(robot, nominal, poses, repeats, order, errors, seed, given)
@@ -199,16 +220,13 @@ def _run(
     made = kind.require_virtual()
     sizes = {name: one.default if given.get(name) is None else given[name] for name, one in made.OPTIONS.items()}
     virtual = made.simulated(robot, seed, errors, sizes)
-    own = {*sizes, "pictures"} if isinstance(virtual, SeenInPictures) else {*sizes}
-    wrong = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is not None and name not in own]
+    measured_by = next((one for one in _simulations() if one.is_asked(virtual, given)), None)
+    own = {*sizes, *(() if measured_by is None else (o.name for o in measured_by.simulate_options))}
+    wrong = [f"--{name.replace('_', '-')}" for name in given if name not in own and _was_typed(name)]
     if wrong:
         raise SherkitError(f"{path}: is a {robot.kind} robot; {listed(wrong)} is not for that kind")
     if poses not in kind.areas:
         raise SherkitError(f"{path}: is a {robot.kind} robot, for which there are no poses '{poses}'")
     coordinates = kind.areas[poses](robot)
-    if given["pictures"] is None:
-        return virtual.measure(coordinates, repeats=repeats, order=order, seed=seed + 1), virtual.truth()
-    assert isinstance(virtual, SeenInPictures)
-    require_vision()
-    plan = virtual.plan(coordinates, repeats=repeats, order=order, seed=seed + 1)
-    return virtual.seen_run(plan, virtual.pictures(plan, seed=seed), save_in=given["pictures"]), virtual.truth()
+    measure = virtual.measure if measured_by is None else measured_by.measuring(virtual, given)
+    return measure(coordinates, repeats=repeats, order=order, seed=seed + 1), virtual.truth()

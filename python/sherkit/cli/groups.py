@@ -1,37 +1,64 @@
-"""A verb of verbs, to which other packages add theirs."""
+"""A verb of verbs, to which other packages add theirs; and verbs that are loaded when they are called."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from importlib import import_module
 
 import click
 
-from ..base.extensions import brought_beside
+from ..base.extensions import brought, brought_beside, declared, is_own
 from ..base.names import nearest
+
+
+class Later(click.Command):
+    """A verb in its place in the help, whose module is loaded when it is called.
+
+    ``place`` is its module and its name in it; ``group`` the heading under which ``sherkit --help`` says ``said``;
+    ``examples`` are lines that can be typed as they stand, with which its own help ends.
+    """
+
+    def __init__(self, place: str, group: str, said: str, *examples: str) -> None:
+        super().__init__(None, short_help=said)
+        self.place, self.group, self.said, self.examples = place, group, said, examples
+
+    def loaded(self) -> click.Command:
+        """The verb itself."""
+        module, _, name = self.place.partition(":")
+        command: click.Command = getattr(import_module(module), name)
+        command.epilog = examples(*self.examples)
+        return command
 
 
 class OpenGroup(click.Group):
     """Its own commands first. A name that is none is answered with the nearest, which click does only for commands that
     it holds already, and not in every release."""
 
-    #: Under which entry points other packages declare theirs.
+    #: Under which entry points other packages, and folders of sherkit that it works without, declare theirs.
     declared = ""
 
     @property
-    def own(self) -> Collection[str]:
-        """Names that no other package can take."""
-        return self.commands
-
-    @property
     def brought(self) -> dict[str, click.Command]:
-        """Those of other packages, loaded now."""
-        return brought_beside(self.own, self.declared, click.Command)
+        """Those that are declared, loaded now."""
+        return brought_beside(self.commands, self.declared, click.Command)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*self.own, *self.brought]
+        # names of sherkit's own are known without what they lead to, which would take a second to load
+        own = [name for name in declared(self.declared) if is_own(self.declared, name)]
+        return [*self.commands, *own, *self.brought_by_others]
+
+    @property
+    def brought_by_others(self) -> dict[str, click.Command]:
+        """Those of other packages, loaded now."""
+        return brought_beside(self.commands, self.declared, click.Command, others_alone=True)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        return self.commands.get(cmd_name) or self.brought.get(cmd_name)
+        found = self.commands.get(cmd_name) or brought(self.declared, cmd_name, click.Command)
+        return found.loaded() if isinstance(found, Later) else found
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """A line each, whole."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, told(command)) for name, command in {**self.commands, **self.brought}.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -40,6 +67,11 @@ class OpenGroup(click.Group):
         if not name.startswith("-") and not ctx.resilient_parsing and self.get_command(ctx, name) is None:
             raise click.UsageError(f"there is no '{name}'{nearest(name, self.list_commands(ctx))}", ctx)
         return super().resolve_command(ctx, args)
+
+
+def examples(*lines: str) -> str:
+    """What a help ends with: lines that can be typed as they stand."""
+    return "\n".join(["\b", "Examples:", *(f"  {line}" for line in lines)])
 
 
 def told(command: click.Command) -> str:

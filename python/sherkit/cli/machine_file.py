@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import click
+
+from ..base.extensions import MACHINES, brought, brought_beside
 
 if TYPE_CHECKING:
     from ..data import Measurements
@@ -15,17 +18,14 @@ if TYPE_CHECKING:
     from ..model.effect import Effect
     from ..model.kinds import Robot
 
-#: Where the :class:`MachineFile` of a robot is, and by the key ``kind`` of their files that of machines that are none:
-#: only the one that is asked for is loaded.
-_ROBOT = ("robot_file", "RobotFile")
-_OTHERS = {"flexible_tool": ("tool_file", "ToolFile")}
-
 
 class MachineFile(Protocol):
     """What verbs ask of a machine by its file."""
 
     #: Verbs that it answers in a way of its own, by name: with what a person typed.
     own_ways: Mapping[str, Callable[..., None]]
+
+    def __init__(self, path: Path) -> None: ...
 
     @property
     def kind(self) -> str:
@@ -71,24 +71,42 @@ def machine_at(path: Path) -> MachineFile:
 
     Raises :class:`~sherkit.errors.RobotError` as :func:`~sherkit.load_robot` does, where it is first asked.
     """
-    return _made(_other(path) or _ROBOT, path)
+    other = _other(path)
+    if other is None:
+        from .robot_file import RobotFile  # loads all that a robot is asked
+
+        return RobotFile(path)
+    return other(path)
 
 
 def own_way_of(path: Path, verb: str) -> Callable[..., None] | None:
     """How the machine of a file answers this verb, where that is in a way of its own. A robot's file is not read."""
     other = _other(path)
-    return None if other is None else _made(other, path).own_ways.get(verb)
+    return None if other is None else other(path).own_ways.get(verb)
 
 
-def _made(of: tuple[str, str], path: Path) -> MachineFile:
-    module, name = of
-    return cast("MachineFile", getattr(import_module(f".{module}", __package__), name)(path))
+class OtherMachine(Protocol):
+    """What the class of a :class:`MachineFile` also says, of a machine that is no robot with joints: a folder or a
+    package declares it (``sherkit.machines``) under the key ``kind`` of its file. Only the one that is asked for is
+    loaded."""
+
+    #: What people call it, its effects by name, a machine of this kind with ``from_table`` and ``to_tables``, and what
+    #: ``sherkit simulate`` is asked for it.
+    title: ClassVar[str]
+    catalogue: ClassVar[Mapping[str, Effect]]
+    example: ClassVar[Any]
+    simulate_options: ClassVar[tuple[click.Option, ...]]
 
 
-def _other(path: Path) -> tuple[str, str] | None:
-    """Where the machine of a file is that is no robot with joints."""
+def other_machines() -> dict[str, type[OtherMachine]]:
+    """All of them by kind, loaded now."""
+    return brought_beside((), MACHINES, type)
+
+
+def _other(path: Path) -> type[MachineFile] | None:
+    """The machine of a file that is no robot with joints."""
     try:
         kind: Any = tomllib.loads(path.read_text(encoding="utf-8-sig")).get("kind")
     except (OSError, ValueError, RecursionError):
         return None  # its reader says what is wrong
-    return _OTHERS.get(kind) if isinstance(kind, str) else None
+    return brought(MACHINES, kind, type) if isinstance(kind, str) else None

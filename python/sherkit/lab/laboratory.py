@@ -145,7 +145,9 @@ class RobotOnTheBench(StillRobot):
             columns = {name: np.array([q]) for name, q in zip(self.kind.layout.joints, joints, strict=True)}
             columns[TIME] = np.zeros(1)
             seed = int(np.random.SeedSequence([self.seed, *places]).generate_state(1)[0])
-            (drawn,) = self.virtual.pictures(columns, seed=seed, noise_grey=self.noise_grey)
+            from ..vision.spherical import pictures_of  # needs OpenCV
+
+            (drawn,) = pictures_of(self.virtual, columns, seed=seed, noise_grey=self.noise_grey)
             picture: NDArray[np.uint8] = drawn.grey
         except OutOfReach:
             width, height = self.virtual.eye.size_px

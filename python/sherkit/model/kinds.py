@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, overload, runtime_checkable
 
 import numpy as np
@@ -160,12 +159,12 @@ class SeenInPictures(Protocol):
         """The columns of a run, but for what is seen."""
         ...
 
-    def pictures(self, columns: Mapping[str, Floats], *, seed: int = 0, noise_grey: float = 2.0) -> Iterator[Any]:
-        """A picture for every row."""
+    def markers(self, joints: Floats, /) -> Floats:
+        """Where the marker is (n, 3), mm in the base frame."""
         ...
 
-    def seen_run(self, columns: Mapping[str, Floats], pictures: Iterator[Any], *, save_in: Path | None) -> Measurements:
-        """The run of a plan whose readings are found in its pictures, which are kept in ``save_in``."""
+    def axes(self, joints: Floats, /) -> Floats:
+        """Where it faces (n, 3), unit vectors in the base frame."""
         ...
 
 

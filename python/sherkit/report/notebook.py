@@ -12,6 +12,7 @@ import gzip
 import sys
 from collections.abc import Callable
 from html import escape
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -27,11 +28,9 @@ from ..fit.identify import Fit
 from ..model.effect import Catalogue, Effect
 from ..model.kinds import Robot, known_kinds
 from ..robots.calibrated import Calibration
-from ..robots.tool.filters import Estimate
 from ..study import Study
 from .candidates import candidates
 from .card import card_page, effect_card, scene_of_robot
-from .estimate import depth_over_time, estimate_picture
 from .page import LATER, fresh_nonce, page_of
 from .parameters import accuracy_map, accuracy_of, parameters
 from .picture import Picture
@@ -103,8 +102,10 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
         return [accuracy_map(accuracy_of(value))]
     if isinstance(value, Fit):
         return [_map(one := State("left by the fit", value), one), parameters(value)]
-    if isinstance(value, Estimate):
-        return [estimate_picture(depth_over_time(value))]
+    drawn_by: str = getattr(value, "drawn_by", "")
+    if drawn_by:
+        module, _, name = drawn_by.partition(":")
+        return list(getattr(import_module(module), name)(value))
     raise TypeError(f"no picture is known for {type(value).__name__}")
 
 
@@ -121,7 +122,7 @@ def cell(value: Any) -> str | None:
             return _framed(card_page("", [_table(value)]))
         if isinstance(value, Effect):
             return _framed(card_page("", [effect_card(value, _example_with(value))]))
-        if isinstance(value, Study | Diagnosis | Calibration | Fit | Estimate):
+        if isinstance(value, Study | Diagnosis | Calibration | Fit) or bool(getattr(value, "drawn_by", "")):
             return _with_bokeh(value, pictures_of(value), _cards(value) if isinstance(value, Diagnosis) else "")
         if isinstance(value, Comparison | History | Verification):
             return _framed(card_page("", [_text(value)]))

@@ -1,6 +1,4 @@
-"""Short pages of their own: what has changed of a machine, the course over the years, a run that chose its poses,
-a run of the flexible tool.
-"""
+"""Short pages of their own: what has changed of a machine, the course over the years, a run that chose its poses."""
 
 from __future__ import annotations
 
@@ -12,18 +10,14 @@ import numpy as np
 from bokeh.models import DataRange1d, Whisker
 
 from ..adaptive import Adaptive
-from ..base.answer import Answer
 from ..base.figures import in_people_units, number
 from ..base.names import brief
 from ..changes import Comparison, History
 from ..changes.joined import Joined
-from ..diagnosis import Diagnosis
 from ..errors import FitError, SherkitError
 from ..model.drawing import drawing_of_readings
 from ..model.kinds import draw_of
 from .card import growing
-from .estimate import EstimateOverTime, estimate_picture
-from .notebook import pictures_of
 from .page import Made, Section, sentences_of, table_of, write_page
 from .picture import Picture, Tables, sources_of, stacked
 from .scene import Scene
@@ -301,24 +295,3 @@ def write_history(path: Path, found: History, made: Made) -> None:
         sections.append(Section("The course", "", picture.root, picture.note))
     sections.append(Section("Runs", table_of(("run", "date", "rows", f"error, {found.unit}"), rows)))
     write_page(path, found.answer, sections, made)
-
-
-# -- A run of the flexible tool ---------------------------------------------------------------------------------------
-
-
-def write_estimate(
-    path: Path, answer: Answer, over_time: EstimateOverTime, tables: Sequence[str], made: Made,
-    found: Diagnosis | None = None,
-) -> None:  # fmt: skip
-    """Depth and tip over a run, ``tables`` of their errors, and what a diagnosis ``found``, where one was asked. Raises
-    :class:`~sherkit.errors.NotWritten`."""
-    drawn = estimate_picture(over_time)
-    sections = [Section(f"{over_time.name.capitalize()} over the run", "", drawn.root, drawn.note)]
-    if any(tables):
-        sections.append(Section("Errors", "".join(tables)))
-    for k, picture in enumerate(pictures_of(found) if found is not None else ()):
-        title = "What is missing" if not k else f"What the camera sees, {k}"
-        sections.append(Section(title, "", picture.root, picture.note))
-    if found is not None:
-        sections.append(Section("What the verdict rests on", sentences_of(*map(str, found.checks))))
-    write_page(path, answer, sections, made)

@@ -1,21 +1,16 @@
 """Linear delta printers: what their firmware knows and probes, what is wrong with them, what goes back to it."""
 
-from ...model.kinds import Kind
-from ..delta.robot import POSITION
-from .calibration import PrinterCalibration
-from .gcode import import_duet, import_marlin
-from .klipper import import_klipper
-from .model import PrinterModel
-from .robot import ANGLES, PROBED, Printer, Towers
+from typing import TYPE_CHECKING
 
-_EXAMPLE = Printer.with_towers(
-    Towers(100.0, ANGLES, (220.0, 220.0, 220.0), (250.0, 250.0, 250.0)), workspace_radius_mm=80.0, probings=("default",)
-)
+from ...base.doors import door
 
-KIND = Kind(
-    "printer", Printer, PrinterModel, (PROBED,), PrinterCalibration, coordinates=POSITION,
-    called="the linear delta printer", example=_EXAMPLE,
-)  # fmt: skip
+if TYPE_CHECKING:
+    from .calibration import PrinterCalibration
+    from .gcode import import_duet, import_marlin
+    from .kind import KIND as KIND
+    from .klipper import import_klipper
+    from .model import PrinterModel
+    from .robot import PROBED, Printer, Towers
 
 __all__ = [
     "PROBED",
@@ -27,3 +22,23 @@ __all__ = [
     "import_klipper",
     "import_marlin",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = door(
+        __name__,
+        {
+            "KIND": "kind",
+            "PrinterCalibration": "calibration",
+            "import_duet": "gcode",
+            "import_marlin": "gcode",
+            "import_klipper": "klipper",
+            "PrinterModel": "model",
+            "PROBED": "robot",
+            "Printer": "robot",
+            "Towers": "robot",
+        },
+    )
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "KIND"]

@@ -1,40 +1,20 @@
 """Serial arms: joints that turn or slide, one behind another, and a target that a tracker sees."""
 
-from ...model.kinds import Kind
-from .calibration import SerialCalibration
-from .distances import Distance
-from .drawing import drawing
-from .full_poses import points_of_poses
-from .identified import as_identified
-from .imported import read_in_the_other_convention
-from .model import SerialModel
-from .points import Plane
-from .programs import program_of, read_targets
-from .robot import MOST_JOINTS, POSITION, Joint, Serial, layout_of_arm
-from .virtual import AREAS, Hidden, VirtualSerial, postures
+from typing import TYPE_CHECKING
 
-_TURN = (-175.0, 175.0)
-#: A described example: six joints as most industrial arms have them, a wrist that is spherical.
-_EXAMPLE = Serial(
-    (
-        Joint("joint_1", origin_mm=(0.0, 0.0, 300.0), limits=_TURN),
-        Joint("joint_2", origin_mm=(50.0, 0.0, 100.0), axis=(0.0, 1.0, 0.0), limits=(-90.0, 110.0)),
-        Joint("joint_3", origin_mm=(0.0, 0.0, 450.0), axis=(0.0, 1.0, 0.0), limits=(-120.0, 70.0)),
-        Joint("joint_4", origin_mm=(200.0, 0.0, 40.0), axis=(1.0, 0.0, 0.0), limits=_TURN),
-        Joint("joint_5", origin_mm=(250.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), limits=(-110.0, 110.0)),
-        Joint("joint_6", origin_mm=(80.0, 0.0, 0.0), axis=(1.0, 0.0, 0.0), limits=_TURN),
-    ),
-    target_mm=(120.0, 0.0, 60.0),
-)
+from ...base.doors import door
 
-#: Arms of six and seven joints without names of their own: their runs are known before any robot is.
-_COMMON = tuple(layout_of_arm([(f"joint_{i + 1}", "rad") for i in range(count)]) for count in (6, 7))
-
-KIND = Kind(
-    "serial", Serial, SerialModel, _COMMON, SerialCalibration, VirtualSerial, coordinates=POSITION, areas=AREAS,
-    called="the serial arm", example=_EXAMPLE, own_layouts=lambda robot: (robot.layout,),
-    misread=read_in_the_other_convention, drawing=drawing,
-)  # fmt: skip
+if TYPE_CHECKING:
+    from .calibration import SerialCalibration
+    from .distances import Distance
+    from .full_poses import points_of_poses
+    from .identified import as_identified
+    from .kind import KIND as KIND
+    from .model import SerialModel
+    from .points import Plane
+    from .programs import program_of, read_targets
+    from .robot import MOST_JOINTS, Joint, Serial
+    from .virtual import Hidden, VirtualSerial, postures
 
 __all__ = [
     "MOST_JOINTS",
@@ -52,3 +32,29 @@ __all__ = [
     "program_of",
     "read_targets",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = door(
+        __name__,
+        {
+            "KIND": "kind",
+            "SerialCalibration": "calibration",
+            "Distance": "distances",
+            "points_of_poses": "full_poses",
+            "as_identified": "identified",
+            "SerialModel": "model",
+            "Plane": "points",
+            "program_of": "programs",
+            "read_targets": "programs",
+            "MOST_JOINTS": "robot",
+            "Joint": "robot",
+            "Serial": "robot",
+            "Hidden": "virtual",
+            "VirtualSerial": "virtual",
+            "postures": "virtual",
+        },
+    )
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "KIND"]

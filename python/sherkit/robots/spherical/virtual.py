@@ -1,15 +1,14 @@
-"""A virtual spherical robot and the camera that looks at it: planted errors, noise, and real pictures.
+"""A virtual spherical robot and the camera that looks at it: planted errors and noise.
 
 Written apart from the core on purpose: the tool axis comes from the intersection of two cones in NumPy, pixels from a
-pinhole with Brown's distortion written out here; pictures are drawn by `vision/camera.py`.
+pinhole with Brown's distortion written out here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,15 +21,10 @@ from ...errors import OutOfReach, ShapeError
 from ...model.kinds import Option, walked
 from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, CameraView, Spherical
 
-if TYPE_CHECKING:
-    from ...vision.pictures import CameraPicture
-
-
 #: What the paper identified on its robot, less what the drawing says (Table I): rad and mm.
 PAPER_ERRORS = {"alpha": 0.7634 - 0.7854, "beta": 0.8037 - 0.7854, "radius": 22.1}
 _DWELL_S = 2.0
 _TRAVEL_S = 1.0
-_MARKER_MM = 12.0
 
 
 @dataclass(frozen=True)
@@ -174,37 +168,6 @@ class VirtualSpherical:
         noise = self.noise_px * np.random.default_rng([seed, 1]).normal(size=clean.shape)
         readings = {name: (clean + noise)[:, k] for k, name in enumerate(SPHERICAL_PIXELS.coordinates)}
         return Measurements.from_columns({**columns, **readings}, "simulation", layout=SPHERICAL_PIXELS)
-
-    def pictures(
-        self, columns: Mapping[str, Floats], *, seed: int = 0, noise_grey: float = 2.0
-    ) -> Iterator[CameraPicture]:
-        """Pictures of the marker, one for every row of a :meth:`plan`, with blur and grey noise.
-
-        Needs the extra ``sherkit[vision]``. The marker faces outwards, as on the robot.
-        """
-        from ...vision.camera import Intrinsics, View, draw_marker
-        from ...vision.pictures import CameraPicture
-
-        eye = self.eye
-        k1, k2, p1, p2, k3 = eye.distortion
-        if k3 != 0.0:
-            raise ShapeError("pictures are drawn with four distortion coefficients; k3 must be zero")
-        inner = Intrinsics(eye.focal_px, eye.centre_px, (k1, k2, p1, p2), eye.size_px)
-        view = View(inner, eye.rotation_rad, eye.translation_mm)
-        rng = np.random.default_rng([seed, 2])
-        joints = np.column_stack([columns[name] for name in SPHERICAL_JOINTS])
-        for time, place, normal in zip(columns["time_s"], self.markers(joints), self.axes(joints), strict=True):
-            drawn = draw_marker(view, place, normal, _MARKER_MM, rng, noise=noise_grey)
-            yield CameraPicture(drawn, f"picture at {time:g} s", float(time))
-
-    @staticmethod
-    def seen_run(
-        columns: Mapping[str, Floats], pictures: Iterator[CameraPicture], *, save_in: Path | None = None
-    ) -> Measurements:
-        """The run of a :meth:`plan` whose pixels are found in its pictures. Raises and warns as ``run_of`` there."""
-        from .pictures import seen_run
-
-        return seen_run(columns, pictures, save_in=save_in)
 
 
 def projected(camera: CameraView, points_mm: Floats) -> Floats:

@@ -1,14 +1,19 @@
 """The flexible tool whose fibres feel the force."""
 
-from .alignment import Registration, align, register
-from .calibration import Loads, ToolCalibration, calibrate_tool, read_loads
-from .effects import TOOL_CATALOGUE
-from .filters import Estimate, estimate
-from .known import judge, known
-from .model import ToolModel
-from .runs import ToolRun, read_tool_run, tool_run_of
-from .tool import FlexibleTool, load_tool
-from .virtual import VirtualTool
+from typing import TYPE_CHECKING
+
+from ...base.doors import door
+
+if TYPE_CHECKING:
+    from .alignment import Registration, align, register
+    from .calibration import Loads, ToolCalibration, calibrate_tool, read_loads
+    from .effects import TOOL_CATALOGUE
+    from .filters import Estimate, estimate
+    from .knowledge import judge, known
+    from .model import ToolModel
+    from .runs import ToolRun, read_tool_run, tool_run_of
+    from .tool import FlexibleTool, load_tool
+    from .virtual import VirtualTool
 
 __all__ = [
     "TOOL_CATALOGUE",
@@ -31,3 +36,33 @@ __all__ = [
     "register",
     "tool_run_of",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = door(
+        __name__,
+        {
+            "Registration": "alignment",
+            "align": "alignment",
+            "register": "alignment",
+            "Loads": "calibration",
+            "ToolCalibration": "calibration",
+            "calibrate_tool": "calibration",
+            "read_loads": "calibration",
+            "TOOL_CATALOGUE": "effects",
+            "Estimate": "filters",
+            "estimate": "filters",
+            "judge": "knowledge",
+            "known": "knowledge",
+            "ToolModel": "model",
+            "ToolRun": "runs",
+            "read_tool_run": "runs",
+            "tool_run_of": "runs",
+            "FlexibleTool": "tool",
+            "load_tool": "tool",
+            "VirtualTool": "virtual",
+        },
+    )
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy
@@ -169,6 +169,8 @@ class Estimate(Shown):
     seen to lag behind their bends, over the bend. ``late_s`` (n,) is by how much the robot's rows were seen to be later
     than the gratings, mostly to a third; where it is positive the tip has been led on by it.
     """
+
+    drawn_by: ClassVar[str] = "sherkit.robots.tool.pictures:pictures_of_estimate"
 
     tool: FlexibleTool
     run: ToolRun

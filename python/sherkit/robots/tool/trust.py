@@ -9,7 +9,7 @@ import numpy as np
 from ...base.answer import Answer, ToDo
 from .exchanged import exchanged
 from .filters import Estimate
-from .known import Knowledge
+from .knowledge import Knowledge
 
 #: Without a truth: a mean of squared innovations over their variances beyond which deviations are too small.
 _TOO_FAR = 1.5

@@ -17,23 +17,23 @@ import numpy as np
 import tomli_w
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from ..base.types import Floats
-from ..calibration import calibrate
-from ..data import read_measurements
-from ..data.files import write_whole
-from ..diagnosis import Diagnosis
-from ..errors import ExperimentError
-from ..lab.experiment import Live, RunFile, RunProgress, export_run, load_experiment, run
-from ..lab.laboratory import RunningLaboratory, load_laboratory
-from ..model.robot_file import load_robot
-from ..robots.delta.robot import POSITION
-from ..study import Study
-from . import output
-from .demo import EXAMPLE
-from .diagnose import print_diagnosis
-from .file_kinds import CALIBRATION, PLANNED, PORTS, ROBOT, TABLE
+from ...base.types import Floats
+from ...calibration import calibrate
+from ...cli import output
+from ...cli.demo import EXAMPLE
+from ...cli.diagnose import print_diagnosis
+from ...cli.file_kinds import CALIBRATION, PLANNED, PORTS, ROBOT, TABLE
+from ...cli.paths import InputFile, OutputFile, OutputFolder
+from ...data import read_measurements
+from ...data.files import write_whole
+from ...diagnosis import Diagnosis
+from ...errors import ExperimentError
+from ...model.robot_file import load_robot
+from ...robots.delta.robot import POSITION
+from ...study import Study
+from ..experiment import Live, RunFile, RunProgress, export_run, load_experiment, run
+from ..laboratory import RunningLaboratory, load_laboratory
 from .measure import until_diagnosed
-from .paths import InputFile, OutputFile, OutputFolder
 
 _LOOPBACK = ("127.", "localhost")
 _DEMO = Path("demo-lab")

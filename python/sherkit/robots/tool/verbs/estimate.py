@@ -11,23 +11,23 @@ import click
 import numpy as np
 import polars as pl
 
-from ..base.answer import AFTER, BEFORE, Bar, ToDo, as_sentence
-from ..base.names import listed
-from ..data.tables import write_table
-from ..diagnosis import Diagnosis
-from ..robots.tool.alignment import Aligned, align
-from ..robots.tool.calibration import ToolCalibration, read_loads
-from ..robots.tool.calibration import calibrate_tool as run_calibration
-from ..robots.tool.filters import Estimate, status_in_words
-from ..robots.tool.filters import estimate as run_filters
-from ..robots.tool.known import Errors, Judgement, Knowledge, judge, known
-from ..robots.tool.model import Applied
-from ..robots.tool.runs import read_tool_run, require_camera, summary
-from ..robots.tool.tool import FlexibleTool, load_tool
-from ..robots.tool.trust import trust
-from . import output
-from .file_kinds import PICTURE, TABLE, TOOL
-from .paths import InputFile, OutputFile
+from ....base.answer import AFTER, BEFORE, Bar, ToDo, as_sentence
+from ....base.names import listed
+from ....cli import output
+from ....cli.file_kinds import PICTURE, TABLE, TOOL
+from ....cli.paths import InputFile, OutputFile
+from ....data.tables import write_table
+from ....diagnosis import Diagnosis
+from ..alignment import Aligned, align
+from ..calibration import ToolCalibration, read_loads
+from ..calibration import calibrate_tool as run_calibration
+from ..filters import Estimate, status_in_words
+from ..filters import estimate as run_filters
+from ..knowledge import Errors, Judgement, Knowledge, judge, known
+from ..model import Applied
+from ..runs import read_tool_run, require_camera, summary
+from ..tool import FlexibleTool, load_tool
+from ..trust import trust
 
 #: Filters by the name that a person gives, and by what a tool file calls their noise.
 _FILTERS = {"rod": "propagated", "paper": "ebrahimi_2020", "paper-of-force": "ebrahimi_2020_of_force"}
@@ -66,9 +66,9 @@ def estimate(
         write_table(_frame(result, both=both), destination)
     answer = replace(trust(result, truths).answer, bars=_bars(judged), unit="mm")
     if picture is not None:
-        from ..report.estimate import depth_over_time, estimate_picture
-        from ..report.page import save_picture
-        from ..report.stories import write_estimate
+        from ....report.page import save_picture
+        from ..page import write_estimate
+        from ..pictures import depth_over_time, estimate_picture
 
         if picture.suffix.lower() == ".html":
             write_estimate(picture, answer, depth_over_time(result), _tables(result), output.made_by([tool, run]))
@@ -317,8 +317,8 @@ def write_tool_report(
     path: Path, found: Diagnosis, e: Estimate, told: Applied, sources: Sequence[Path], written: Path | None = None
 ) -> None:  # fmt: skip
     """The story of a run as one HTML file: what was missing, then depth and tip with that in the tool."""
-    from ..report.estimate import depth_over_time  # Bokeh takes a second to load
-    from ..report.stories import write_estimate
+    from ..page import write_estimate
+    from ..pictures import depth_over_time  # Bokeh takes a second to load
 
     depth = trust(e, known(e)).answer
     sure = (f"{depth.verdict}: {depth.sure[0]}", *depth.sure[1:], *sentences_of(told), *map(str, e.faults))
@@ -333,7 +333,7 @@ def write_tool_report(
 
 def _tables(e: Estimate) -> list[str]:
     """Errors and what the filter knows of them, as HTML."""
-    from ..report.page import table_of
+    from ....report.page import table_of
 
     errors = [(f"{j.quantity}, {x.signal}", *_error_cells(x)) for j in judge(e) for x in j.errors]
     truths = [_knowledge_cells(k) for k in known(e) if k.signal == "filter" or k.condition == "whole run"]

@@ -10,10 +10,10 @@ import numpy as np
 from bokeh.models import Span
 from numpy.typing import NDArray
 
-from ..base.types import Floats
-from ..robots.tool.filters import Estimate
-from .picture import Picture, Tables, sources_of, stacked
-from .style import ADDED, COLOURS, INK, MUTED, PLAIN, figure, hover, legend
+from ...base.types import Floats
+from ...report.picture import Picture, Tables, sources_of, stacked
+from ...report.style import ADDED, COLOURS, INK, MUTED, PLAIN, figure, hover, legend
+from .filters import Estimate
 
 _HEIGHT, _BELOW = 320, 190
 #: More steps than this are drawn as the extremes of equal stretches, so that no spike of any line is lost.
@@ -55,6 +55,11 @@ def depth_over_time(e: Estimate) -> EstimateOverTime:
         others=others, force_mN=np.linalg.norm(np.nan_to_num(e.force_mn), axis=1), threshold_mN=_THRESHOLD_MN,
         innovation=_innovations(e),
     )  # fmt: skip
+
+
+def pictures_of_estimate(e: Estimate) -> list[Picture[EstimateOverTime]]:
+    """What a notebook shows of it."""
+    return [estimate_picture(depth_over_time(e))]
 
 
 def _innovations(e: Estimate) -> Floats:

@@ -17,15 +17,15 @@ from typing import NoReturn
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from ..base.names import listed
-from ..errors import ExperimentError, ShapeError
-from ..lab.experiment import AdaptiveRun, Control, Experiment, Live, Plan, RunFile, RunProgress, load_experiment, run
-from ..lab.instruments import AxisController
-from ..model.kinds import kind_of
-from . import output
-from .file_kinds import PAGE, RUN
-from .next_command import completed
-from .paths import InputFile, OutputFile
+from ...base.names import listed
+from ...cli import output
+from ...cli.file_kinds import PAGE, RUN
+from ...cli.next_command import completed
+from ...cli.paths import InputFile, OutputFile
+from ...errors import ExperimentError, ShapeError
+from ...model.kinds import kind_of
+from ..experiment import AdaptiveRun, Control, Experiment, Live, Plan, RunFile, RunProgress, load_experiment, run
+from ..instruments import AxisController
 
 #: Signals by which another program, or a closing terminal, asks for an end; not every system has both.
 _POLITE = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -124,7 +124,7 @@ def until_diagnosed(
 
         def draw() -> None:
             if report is not None:
-                from ..report.stories import write_adaptive
+                from ...report.stories import write_adaptive
 
                 write_adaptive(
                     report, loop, output.made_by([experiment], [chosen.robot_path, path.with_suffix(".csv")])

@@ -9,25 +9,25 @@ from typing import Any
 import click
 import numpy as np
 
-from ..diagnosis import Diagnosis
-from ..diagnosis import diagnose as run_diagnosis
-from ..errors import MeasurementError
-from ..fit.identify import identify
-from ..robots.tool.alignment import Aligned, align
-from ..robots.tool.calibration import ToolCalibration, read_loads
-from ..robots.tool.calibration import calibrate_tool as run_calibration
-from ..robots.tool.filters import Estimate
-from ..robots.tool.filters import estimate as run_filters
-from ..robots.tool.known import judge, known
-from ..robots.tool.model import Applied, ToolModel, applied
-from ..robots.tool.places import Places
-from ..robots.tool.runs import ToolRun, read_tool_run, require_camera
-from ..robots.tool.tare import Tare, tare
-from ..robots.tool.tool import FlexibleTool, load_tool
-from . import output
-from .file_kinds import TOOL
-from .paths import InputFile, OutputFile
-from .tool import (
+from ....cli import output
+from ....cli.file_kinds import TOOL
+from ....cli.paths import InputFile, OutputFile
+from ....diagnosis import Diagnosis
+from ....diagnosis import diagnose as run_diagnosis
+from ....errors import MeasurementError
+from ....fit.identify import identify
+from ..alignment import Aligned, align
+from ..calibration import ToolCalibration, read_loads
+from ..calibration import calibrate_tool as run_calibration
+from ..filters import Estimate
+from ..filters import estimate as run_filters
+from ..knowledge import judge, known
+from ..model import Applied, ToolModel, applied
+from ..places import Places
+from ..runs import ToolRun, read_tool_run, require_camera
+from ..tare import Tare, tare
+from ..tool import FlexibleTool, load_tool
+from .estimate import (
     number,
     print_alignment,
     print_calibration,

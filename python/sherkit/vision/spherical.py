@@ -1,9 +1,10 @@
-"""Rows of ``time_s, u_px, v_px`` from pictures, a video or a camera, and their joining to joint readings by time."""
+"""The spherical robot in pictures: rows of ``time_s, u_px, v_px`` of a marker, their joining to joint readings by time,
+and pictures of a virtual one."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +12,22 @@ import cv2
 import numpy as np
 import polars as pl
 
-from ...base.types import Floats
-from ...data import Measurements
-from ...data.files import write_whole
-from ...errors import MeasurementError, SherkitWarning
-from ...vision.marker import Seen, find_marker
-from ...vision.pictures import CameraPicture
-from .robot import SPHERICAL_PIXELS
+from ..base.types import Floats
+from ..data import Measurements
+from ..data.files import write_whole
+from ..errors import MeasurementError, ShapeError, SherkitWarning
+from ..model.kinds import SeenInPictures
+from ..robots.spherical.robot import SPHERICAL_PIXELS
+from .camera import Intrinsics, View, draw_marker
+from .marker import Seen, find_marker
+from .pictures import CameraPicture
 
 TIME, U, V, WHY = "time_s", "u_px", "v_px", "why"
 SIGMA_U, SIGMA_V = "sigma_u_px", "sigma_v_px"
 #: Pictures without a marker that a warning names.
 _NAMED = 5
+#: Diameter of the marker of a virtual robot.
+_MARKER_MM = 12.0
 
 
 def marker_rows(pictures: Iterable[CameraPicture], kind: str = "corner", identity: int | None = None) -> pl.DataFrame:
@@ -47,6 +52,26 @@ def marker_rows(pictures: Iterable[CameraPicture], kind: str = "corner", identit
     return frame.with_columns(
         pl.col(pl.Float64).fill_nan(None), pl.Series(WHY, [s.why or None for s in seen], dtype=pl.String)
     )
+
+
+def pictures_of(
+    virtual: SeenInPictures, columns: Mapping[str, Floats], *, seed: int = 0, noise_grey: float = 2.0
+) -> Iterator[CameraPicture]:
+    """Pictures of a virtual robot's marker, one for every row of its ``plan``, with blur and grey noise.
+
+    Raises :class:`~sherkit.errors.ShapeError` for a lens with a sixth-order term.
+    """
+    eye = virtual.eye
+    k1, k2, p1, p2, k3 = eye.distortion
+    if k3 != 0.0:
+        raise ShapeError("pictures are drawn with four distortion coefficients; k3 must be zero")
+    view = View(Intrinsics(eye.focal_px, eye.centre_px, (k1, k2, p1, p2), eye.size_px), eye.rotation_rad,
+                eye.translation_mm)  # fmt: skip
+    rng = np.random.default_rng([seed, 2])
+    joints = np.column_stack([columns[name] for name in SPHERICAL_PIXELS.joints])
+    for time, place, normal in zip(columns[TIME], virtual.markers(joints), virtual.axes(joints), strict=True):
+        drawn = draw_marker(view, place, normal, _MARKER_MM, rng, noise=noise_grey)
+        yield CameraPicture(drawn, f"picture at {time:g} s", float(time))
 
 
 def seen_run(

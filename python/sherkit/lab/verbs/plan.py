@@ -9,20 +9,20 @@ import click
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ..base.figures import in_names, sized
-from ..base.names import listed
-from ..data import Measurements
-from ..diagnosis.sensor_pose import pose_in_words, taken_by_pose
-from ..errors import SherkitError
-from ..lab.experiment import Experiment, load_experiment
-from ..model.kinds import Robot, kind_of, model_of
-from ..planning.effect_power import LEVEL, POWER, EffectPower, Planning, planning_of
-from ..planning.power import EffectSize, Found, study_power
-from ..robots.machine import robot_at
-from . import output
-from .file_kinds import RESULTS
-from .output import out, table
-from .paths import InputFile, OutputFile
+from ...base.figures import in_names, sized
+from ...base.names import listed
+from ...cli import output
+from ...cli.file_kinds import RESULTS
+from ...cli.output import out, table
+from ...cli.paths import InputFile, OutputFile
+from ...data import Measurements
+from ...diagnosis.sensor_pose import pose_in_words, taken_by_pose
+from ...errors import SherkitError
+from ...model.kinds import Robot, kind_of, model_of
+from ...planning.effect_power import LEVEL, POWER, EffectPower, Planning, planning_of
+from ...planning.power import EffectSize, Found, study_power
+from ...robots.machine import robot_at
+from ..experiment import Experiment, load_experiment
 
 #: Standard deviation of a reading by the unit that people read.
 _NOISE = {"µm": 5.0, "px": 0.1}
@@ -86,7 +86,7 @@ def plan(
 
 def _verifying(calibration: Path, count: int, *, as_json: bool) -> None:
     """The poses of an interim check."""
-    from ..changes import verifying_poses
+    from ...changes import verifying_poses
 
     found = verifying_poses(calibration, count)
     if as_json:

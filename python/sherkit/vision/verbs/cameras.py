@@ -10,18 +10,18 @@ import click
 import polars as pl
 import tomli_w
 
-from ..base.names import listed
-from ..data.columns import POSE, REPEAT, TIME
-from ..data.files import write_whole
-from ..data.tables import read_table, write_table
-from ..errors import MeasurementError, SherkitError
-from ..robots.spherical.robot import SPHERICAL_JOINTS
-from . import output
-from .file_kinds import CAMERA, PRINTED, TABLE
-from .paths import InputFile, OutputFile
+from ...base.names import listed
+from ...cli import output
+from ...cli.file_kinds import CAMERA, PRINTED, TABLE
+from ...cli.paths import InputFile, OutputFile
+from ...data.columns import POSE, REPEAT, TIME
+from ...data.files import write_whole
+from ...data.tables import read_table, write_table
+from ...errors import MeasurementError, SherkitError
+from ...robots.spherical.robot import SPHERICAL_JOINTS
 
 if TYPE_CHECKING:
-    from ..vision.pictures import CameraPicture
+    from ..pictures import CameraPicture
 
 _MARKERS = ("corner", "aruco", "apriltag")
 
@@ -66,8 +66,8 @@ def markers(
     if not sources or destination is None:
         wanted = "-o, the table to write" if sources else "SOURCES, the pictures to look at"
         raise click.UsageError(f"expected {wanted}; or --print FILE for a marker to print")
-    from ..robots.spherical.pictures import WHY, joined_by_time, marker_rows, run_of
-    from ..vision.pictures import pictures_from
+    from ..pictures import pictures_from
+    from ..spherical import WHY, joined_by_time, marker_rows, run_of
 
     pictures, timed = pictures_from([str(one) for one in sources], seconds)
     names: list[str] = []
@@ -105,7 +105,7 @@ def markers(
 
 def _print(paper: Path, marker: str, size_mm: float, identity: int | None, *, asked: bool) -> None:
     """Writes a marker to print, and says what it is."""
-    from ..vision.marker import save_marker
+    from ..marker import save_marker
 
     if asked:
         raise SherkitError("--print writes a marker and looks at no pictures; leave out SOURCES and -o")
@@ -117,7 +117,7 @@ def _print(paper: Path, marker: str, size_mm: float, identity: int | None, *, as
 
 def _joints(path: Path) -> pl.DataFrame:
     """Times, poses, repeats, joints and their velocities of a file; anything else in it is left aside."""
-    from ..data.reader import checked
+    from ...data.reader import checked
 
     checked(path)
     try:
@@ -150,8 +150,8 @@ def intrinsics(
 ) -> None:  # fmt: skip
     """Focal lengths, centre and distortion of a camera from PICTURES of a board (files or folders)."""
     require_vision()
-    from ..vision.camera import charuco_intrinsics, chessboard_intrinsics
-    from ..vision.pictures import picture_files
+    from ..camera import charuco_intrinsics, chessboard_intrinsics
+    from ..pictures import picture_files
 
     if (chessboard is None) == (charuco is None):
         raise SherkitError("expected either --chessboard or --charuco")

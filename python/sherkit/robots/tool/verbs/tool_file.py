@@ -7,36 +7,46 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..base.names import listed
-from ..data import Measurements
-from ..data.files import write_whole
-from ..diagnosis import Diagnosis
-from ..diagnosis import diagnose as run_diagnosis
-from ..errors import SherkitError
-from ..fit.identify import identify
-from ..model.base import ModelWithEffects
-from ..model.effect import Effect, load_effects
-from ..model.kinds import model_of
-from ..robots.c_header import tool_header
-from ..robots.tool.effects import TOOL_CATALOGUE
-from ..robots.tool.filters import estimate
-from ..robots.tool.model import ToolModel, applied
-from ..robots.tool.runs import read_tool_run
-from ..robots.tool.tool import KIND, load_tool
-from ..robots.tool.virtual import VirtualTool
-from . import output
-from .file_kinds import PAGE, TOOL
-from .output import refuse_given
-from .paths import OutputFile, require_kind
-from .tool import calibrate_tool, sentences_of, write_tool_report
+import click
+
+from ....base.names import listed
+from ....cli import output
+from ....cli.file_kinds import PAGE, TOOL
+from ....cli.output import refuse_given
+from ....cli.paths import OutputFile, require_kind
+from ....data import Measurements
+from ....data.files import write_whole
+from ....diagnosis import Diagnosis
+from ....diagnosis import diagnose as run_diagnosis
+from ....errors import SherkitError
+from ....fit.identify import identify
+from ....model.base import ModelWithEffects
+from ....model.effect import Effect, load_effects
+from ....model.kinds import model_of
+from ..c_header import tool_header
+from ..effects import TOOL_CATALOGUE
+from ..filters import estimate
+from ..model import ToolModel, applied
+from ..runs import read_tool_run
+from ..tool import KIND, FlexibleTool, load_tool
+from ..virtual import EXPERIMENTS, VirtualTool
+from .estimate import calibrate_tool, sentences_of, write_tool_report
 
 
 class ToolFile:
     """A flexible tool."""
 
     kind = KIND
+    title = "the flexible tool and its camera"
     catalogue: Mapping[str, Effect] = TOOL_CATALOGUE
+    example = FlexibleTool()
     drawn_on = None
+    simulate_options = (
+        click.Option(["--experiment"], type=click.Choice((*EXPERIMENTS, "free", "bench")), default="vessels",
+                     show_default=True, help="Flexible tool: one of the paper's, free (unbent), bench (known loads)."),
+        click.Option(["--seconds"], type=click.FloatRange(min=2), default=60.0, show_default=True,
+                     help="Flexible tool."),
+    )  # fmt: skip
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -102,11 +112,13 @@ class ToolFile:
         if opened:
             webbrowser.open(page.resolve().as_uri())
 
-    def _simulate(
-        self, destination: Path, *, experiment: str, seconds: float, seed: int, given: Mapping[str, Any]
-    ) -> None:
+    def _simulate(self, destination: Path, *, seed: int, given: Mapping[str, Any]) -> None:
         """A run of the tool as its file has it."""
-        wrong = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is not None]
+        experiment, seconds = given["experiment"], given["seconds"]
+        own = {option.name for option in self.simulate_options}
+        wrong = [
+            f"--{name.replace('_', '-')}" for name, value in given.items() if value is not None and name not in own
+        ]
         if wrong:
             raise SherkitError(f"{self.path}: is a flexible tool; {listed(wrong)} is not for that kind")
         virtual = VirtualTool(load_tool(self.path))

@@ -8,14 +8,14 @@ from pathlib import Path
 import click
 from rich.markup import escape
 
-from ..data.files import write_whole
-from ..errors import SherkitError
-from ..robots.printer.calibration import klipper_config
-from ..robots.printer.examined import examine, files_of
-from . import output
-from .file_kinds import KLIPPER
-from .output import out, report_option
-from .paths import InputFile, OutputFile
+from ....cli import output
+from ....cli.file_kinds import KLIPPER
+from ....cli.output import out, report_option
+from ....cli.paths import InputFile, OutputFile
+from ....data.files import write_whole
+from ....errors import SherkitError
+from ..calibration import klipper_config
+from ..examined import examine, files_of
 
 
 @click.command()
@@ -47,7 +47,7 @@ def printer(
         write_whole(written, klipper_config(config, examined.new.towers))
         examined = replace(examined, written=str(written))
     if report is not None:
-        from ..report.printer import write_printer
+        from ..page import write_printer
 
         write_printer(report, examined, output.made_by((config, *maps), (config, *maps)))
     if as_json:

@@ -1,0 +1,1 @@
+"""Arms in files of other programs."""

@@ -1,0 +1,159 @@
+"""The core of the package without arms, printers, the flexible tool, laboratories and cameras: these reach the rest
+through entry points alone, as a stranger's package does."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+
+from test_floors import PACKAGE, imported
+
+#: What can be taken away, and the file of names that leads to it where it is there.
+FOLDERS = ("robots/serial", "robots/printer", "robots/tool", "lab", "vision")
+MENU = "__init__.py"
+
+STORY = """
+import json, sys
+from pathlib import Path
+import numpy as np, polars as pl
+import sherkit as sk
+from sherkit.cli import main
+
+folder, machine = Path(sys.argv[1]), sys.argv[2]
+
+
+def command(*words):
+    try:
+        main([str(word) for word in words])
+    except SystemExit as end:
+        assert not end.code, (words, end.code)
+
+
+for kind in ("delta", "spherical"):
+    robot, run = folder / f"{kind}.toml", folder / f"{kind}.csv"
+    sk.save_robot(sk.model.kinds.known_kinds()[kind].example, robot)
+    command("simulate", robot, "-o", run, "--repeats", 2, "--seed", 3)
+    command("diagnose", robot, run, "--report", folder / f"{kind}.html")
+    command("calibrate", robot, run, "-o", folder / f"{kind}_calibrated.toml")
+rng = np.random.default_rng(4)
+at = rng.uniform(0.0, 200.0, (80, 3))
+read = at + 1e-3 * np.column_stack([at[:, 1], 0.0 * at[:, 1], 0.5 * at[:, 0]]) + rng.normal(0.0, 2e-3, at.shape)
+names = ("x_axis_mm", "y_axis_mm", "z_axis_mm", "x_mm", "y_mm", "z_mm")
+pl.DataFrame(dict(zip(names, np.hstack([at, read]).T, strict=True))).write_csv(folder / "machine.csv")
+command("diagnose", machine, folder / "machine.csv", "--report", folder / "machine.html")
+command("calibrate", machine, folder / "machine.csv", "-o", folder / "machine_calibrated.toml")
+command("check", folder / "delta.csv", folder / "delta.toml")
+command("compare", folder / "delta.toml", folder / "delta.csv", folder / "delta.csv")
+command("verify", folder / "delta_calibrated.toml", folder / "delta.csv")
+command("export", "c", folder / "delta_calibrated.toml", "-o", folder / "robot.h")
+for words in (["effects"], ["schema", "robot"], ["--help"], ["export", "--help"], ["import", "--help"], ["doctor"]):
+    command(*words)
+print("\\n" + json.dumps(sorted(name for name in sys.modules if name.startswith("sherkit."))))
+"""
+#: The page, asked for once over its port.
+PAGE = """
+import threading, urllib.request, sys
+from pathlib import Path
+from sherkit.app.server import PageServer
+from sherkit.app.workbench import Workbench
+
+robot, run = map(Path, sys.argv[1:])
+bench = Workbench.open(robot, run, run.with_suffix(".study"))
+server = PageServer(bench, port=0)
+
+
+def ask():
+    page = urllib.request.urlopen(server.url, timeout=60).read().decode()
+    print("bokeh" in page.lower(), "sherkit" in page.lower())
+    server.server.io_loop.add_callback(server.server.io_loop.stop)
+
+
+server.run(lambda: threading.Thread(target=ask).start())
+"""
+
+
+def test_no_file_of_the_core_names_a_folder_that_it_works_without() -> None:
+    """Catches an import of the flexible tool, an arm, a driver or OpenCV's room where it would be loaded for all."""
+    away = tuple(folder.replace("/", ".") for folder in FOLDERS)
+    wrong = [
+        f"{file.relative_to(PACKAGE)} imports {module}"
+        for file in sorted(PACKAGE.rglob("*.py"))
+        if (here := file.relative_to(PACKAGE).as_posix()) != MENU and not here.startswith(FOLDERS)
+        for module in imported(file)
+        if any(module == one or module.startswith(f"{one}.") for one in away)
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An installation without these folders: its package, and what its metadata still declares."""
+    site = tmp_path_factory.mktemp("site")
+    shutil.copytree(
+        Path(sys.modules["sherkit"].__file__).parent, site / "sherkit", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    for folder in FOLDERS:
+        shutil.rmtree(site / "sherkit" / folder)
+    here = distribution("sherkit")
+    metadata = site / f"sherkit-{here.version}.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: sherkit\nVersion: {here.version}\n")
+    kept: dict[str, list[str]] = {}
+    for entry in here.entry_points:
+        if not entry.module.removeprefix("sherkit.").replace(".", "/").startswith(FOLDERS):
+            kept.setdefault(entry.group, []).append(f"{entry.name} = {entry.value}")
+    (metadata / "entry_points.txt").write_text("".join(f"[{g}]\n" + "\n".join(v) + "\n" for g, v in kept.items()))
+    return site
+
+
+@pytest.fixture(scope="module")
+def told(core: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The story in this installation: its folder and what it said."""
+    folder = tmp_path_factory.mktemp("story")
+    machine = PACKAGE.parents[1] / "examples" / "machines" / "gantry.py"
+    return folder, asked(core, STORY, str(folder), str(machine))
+
+
+def asked(core: Path, code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, encoding="utf-8", timeout=300,
+        env=os.environ | {"PYTHONPATH": str(core)}, check=False,
+    )  # fmt: skip
+
+
+def test_the_core_works_alone(told: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    """Catches a core that needs what it names nowhere: delta, sphere and machine from a run over diagnosis, report and
+    calibration to the header of a loop, in an installation without arms, printers, tool, laboratories, cameras."""
+    folder, done = told
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "warning" not in done.stderr, done.stderr
+    loaded = json.loads(done.stdout.splitlines()[-1])
+    assert {"sherkit.robots.spherical", "sherkit.robots.delta", "sherkit.report.document"} <= set(loaded)
+    for name in ("delta", "spherical", "machine"):
+        assert (folder / f"{name}.html").stat().st_size > 50_000, name
+        assert (folder / f"{name}_calibrated.toml").exists(), name
+
+
+def test_the_page_of_the_core_alone(core: Path, told: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    """Catches a page that needs a laboratory or a tool in order to be served."""
+    folder, _ = told
+    done = asked(core, PAGE, str(folder / "delta.toml"), str(folder / "delta.csv"))
+    assert done.stdout.split() == ["True", "True"], done.stderr[-2000:]
+
+
+def test_the_core_is_named_where_it_is_not_there(core: Path) -> None:
+    """Catches a robot's file that ends in a traceback where its folder is not installed."""
+    done = asked(
+        core, "import sys; from pathlib import Path; p = Path(sys.argv[1]); p.write_text('kind = \"serial\"\\n');"
+        "from sherkit.cli import main; main(['diagnose', str(p), str(p)])", str(core / "arm.toml"),
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert "expected one of 'delta', 'spherical', found 'serial'" in done.stderr, done.stderr
