@@ -25,7 +25,7 @@ PAGES = ("docs/start.md", "docs/howto_data.md", "docs/howto_repeats.md", "docs/h
          "docs/howto_adaptive.md", "docs/history.md", "docs/other_programs.md", "docs/howto_package.md")  # fmt: skip
 #: Pages that show nothing to run.
 WORDS = ("docs/verdict.md", "docs/glossary.md", "docs/questions.md", "docs/dependencies.md", "docs/reference.md",
-         "docs/limits.md")  # fmt: skip
+         "docs/limits.md", "docs/howto_driver.md", "docs/releasing.md")  # fmt: skip
 INSTRUMENTS = "docs/instruments.md"
 LOOP = "docs/howto_c.md"
 NEEDS = {"docs/other_programs.md": ("bluesky", "ophyd", "rosbags")}
