@@ -22,7 +22,7 @@ from ...data.columns import Layout, unit_in
 from ...errors import FitError, SherkitWarning
 from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
-from ...model.effect import Effect, Parameter, Sentences, Setting, parameters_of_core
+from ...model.effect import Catalogue, Effect, Parameter, Sentences, Setting, parameters_of_core
 from ...model.relations import Apart
 from ...model.sentences import catalogue_of
 from .plates import PlateChain, as_plates, plates_of, renamed
@@ -79,9 +79,9 @@ _OWN = {
 _SECOND, _FIRST_WAVE = "encoder_second", "encoder_cyclic"
 
 
-def _joint_by_joint(rows: Mapping[str, Effect]) -> dict[str, Effect]:
+def _joint_by_joint(rows: Mapping[str, Effect]) -> Catalogue:
     """The effects of a table, the second wave as one of each joint: one gear has it, another has none."""
-    out = {}
+    out = Catalogue()
     for name, effect in rows.items():
         if name != _SECOND:
             out[name] = effect
