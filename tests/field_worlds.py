@@ -75,9 +75,13 @@ class Arm:
         tracker = {"origin_mm": [0.0] * 3, "rpy_deg": [0.0] * 3}
         return {"kind": "serial", "joint": joints, "tool": tool, "tracker": tracker}
 
-    def robot(self) -> Any:
-        """As sherkit reads it."""
-        return robot_from_tables(self.tables(), "arm.toml")
+    def robot(self, *, spread: tuple[float, ...] = ()) -> Any:
+        """As sherkit reads it; with the ``spread`` by which it was drawn, as :data:`SIZES`, stated in its file."""
+        tables = self.tables()
+        if spread:
+            sorts = zip(("shift", "tilt", "offset", "tool"), spread, ("mm", "rad", "rad", "mm"), strict=True)
+            tables["tolerances"] = {name: f"{size:.12g} {unit}" for name, size, unit in sorts}
+        return robot_from_tables(tables, "arm.toml")
 
 
 @dataclass(frozen=True)
@@ -111,12 +115,17 @@ def _tips(joints: np.ndarray, shifts: np.ndarray, axes: np.ndarray, tool: np.nda
     return at + turn @ tool, np.array(places), np.array(along)
 
 
+def spread_of(sizes: float | None) -> tuple[float, ...]:
+    """Standard deviations by which a drawing is off that is so by so many :data:`SIZES`, or as makers state."""
+    return STATED if sizes is None else tuple(sizes * one for one in SIZES)
+
+
 def field(seed: int, *, sizes: float | None = None, rows: int = ROWS, bare: bool = False) -> Field:
     """A world by its seed. The drawing is off by so many ``sizes``, or by what makers state where that is None; left
     ``bare``, nothing ripples or bends."""
     rng = np.random.default_rng([seed, 56])
     shifts = SHIFTS * rng.uniform(0.5, 1.4) * rng.uniform(0.85, 1.15, SHIFTS.shape)
-    by = STATED if sizes is None else tuple(sizes * one for one in SIZES)
+    by = spread_of(sizes)
     off = (by[0] * rng.normal(size=(6, 3)), by[1] * rng.normal(size=(6, 3)), by[2] * rng.normal(size=6),
            by[3] * rng.normal(size=3))  # fmt: skip
     # the base is that of the first joint: nothing of that is off in it, nor how high the second stands along its axis

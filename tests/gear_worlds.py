@@ -1,7 +1,7 @@
 """Arms with gears that are not round, written apart: six joints by their frames, a period for each gear.
 
-``python tests/gear_worlds.py [WORLDS] [FIRST]`` counts how often the ripple is named with its periods, and how often
-where there is none. Nothing of sherkit makes the readings.
+``python tests/gear_worlds.py [WORLDS] [CASE] [SEED]`` counts how often the ripple is named with its periods, and how
+often where there is none. Nothing of sherkit makes the readings.
 """
 
 from __future__ import annotations
@@ -33,11 +33,13 @@ TURN = 2 * np.pi
 
 @dataclass(frozen=True)
 class World:
-    """A run of an arm: ``joints`` (n, 6) and what a tracker read (n, 3) there; ``per_turn`` by the joint, from one."""
+    """A run of an arm: ``joints`` (n, 6) and what a tracker read (n, 3) there; ``per_turn`` by the joint, from one, and
+    by what part of the first wave there is a ``second`` in each period."""
 
     joints: np.ndarray
     read: np.ndarray
     per_turn: dict[int, float]
+    second: float = 0.0
 
 
 def turned(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -57,8 +59,11 @@ def tips(joints: np.ndarray, shifts: np.ndarray, axes: np.ndarray, tool: np.ndar
     return at + turn @ tool
 
 
-def world(seed: int, rippling: int, noises: float = 2.0, *, whole: bool = True, rows: int = ROWS) -> World:
-    """An arm that is a little off its drawing, with ripple of so many gears: together so many ``noises`` at the tip."""
+def world(
+    seed: int, rippling: int, noises: float = 2.0, *, whole: bool = True, rows: int = ROWS, second: float = 0.0
+) -> World:
+    """An arm that is a little off its drawing, with ripple of so many gears: together so many ``noises`` at the tip,
+    and a second wave in each period besides."""
     rng = np.random.default_rng([seed, rippling])
     joints = rng.uniform(LOW, HIGH, (rows, 6))
     shifts = SHIFTS + rng.normal(0, 0.3, SHIFTS.shape)
@@ -78,9 +83,11 @@ def world(seed: int, rippling: int, noises: float = 2.0, *, whole: bool = True, 
         lever = float(np.sqrt((lever**2).mean())) / 2e-5
         size = noises * NOISE_MM / np.sqrt(rippling) / lever
         really[:, k] += np.sqrt(2.0) * size * np.sin(ratio * joints[:, k] + rng.uniform(0, TURN))
+        if second:
+            really[:, k] += np.sqrt(2.0) * second * size * np.sin(2 * ratio * joints[:, k] + rng.uniform(0, TURN))
         per_turn[k + 1] = ratio
     read = np.repeat(tips(really, shifts, axes, tool), REPEATS, axis=0)
-    return World(np.repeat(joints, REPEATS, axis=0), read + rng.normal(0, NOISE_MM, read.shape), per_turn)
+    return World(np.repeat(joints, REPEATS, axis=0), read + rng.normal(0, NOISE_MM, read.shape), per_turn, second)
 
 
 def drawing() -> dict[str, Any]:
@@ -129,26 +136,43 @@ def is_right(made: World, found: dict[int, float]) -> bool:
     return all(abs(found.get(k, 0.0) / ratio - 1) < 0.01 for k, ratio in made.per_turn.items())
 
 
-#: Gears that ripple, by how many noises together, whether so often in a whole turn, and in how many runs of as many.
+def second_waves(made: World, said: list[str]) -> tuple[int, int]:
+    """How many second waves are named of those that there are, and how many of which there are none."""
+    named = {int(one.removeprefix("encoder_second_")) for one in said if one.startswith("encoder_second_")}
+    there = set(made.per_turn) if made.second else set()
+    return len(named & there), len(named - there)
+
+
+#: Gears that ripple, by how many noises together, whether so often in a whole turn, the part of the second wave, and in
+#: how many runs of as many.
 CASES = (
-    (1, 2.0, True, 1),
-    (2, 2.0, True, 1),
-    (4, 2.0, True, 1),
-    (4, 1.0, True, 1),
-    (4, 2.0, False, 1),
-    (0, 0.0, True, 2),
+    (1, 2.0, True, 0.0, 1),
+    (2, 2.0, True, 0.0, 1),
+    (4, 2.0, True, 0.0, 1),
+    (4, 1.0, True, 0.0, 1),
+    (4, 2.0, False, 0.0, 1),
+    (1, 2.0, True, 0.4, 1),
+    (2, 2.0, True, 0.4, 1),
+    (4, 2.0, True, 0.4, 1),
+    (0, 0.0, True, 0.0, 2),
 )
 
 
 if __name__ == "__main__":
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 20
-    for gears, noises, whole, times in CASES[int(sys.argv[2]) if len(sys.argv) > 2 else 0 :]:
-        right = named = 0
-        for seed in range(times * count):
-            made = world(seed, gears, noises, whole=whole)
+    count, case, first = (int(given) for given in (*sys.argv[1:], *("20", "0", "0")[len(sys.argv) - 1 :]))
+    for gears, noises, whole, second, times in CASES[case:]:
+        right = named = waves = wrong = 0
+        for seed in range(first, first + times * count):
+            made = world(seed, gears, noises, whole=whole, second=second)
             found, is_named, said = asked(made)
             named, right = named + is_named, right + (is_named and is_right(made, found))
-            if is_named and not is_right(made, found):
+            there, none = second_waves(made, said)
+            waves, wrong = waves + there, wrong + none
+            if none or (is_named and not is_right(made, found)):
                 print(seed, made.per_turn, *said, sep="\n    ")
-        how = f"{gears} gears, {noises} noises, {'' if whole else 'not '}whole in a turn"
-        print(f"{how}: named {named}, right {right} of {times * count}", flush=True)
+        how = f"{gears} gears, {noises} noises, {'' if whole else 'not '}whole in a turn, second wave {second}"
+        print(
+            f"{how}: named {named}, right {right} of {times * count}; of {gears * times * count} second waves "
+            f"{waves if second else 0}, where none is {wrong}",
+            flush=True,
+        )

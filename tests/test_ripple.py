@@ -115,3 +115,63 @@ def test_gears_are_named_with_their_periods(gears: int, noises: float) -> None:
 def test_no_gear_ripples_where_there_is_none() -> None:
     """Catches ripple that is read out of noise by a period for each joint, in five runs."""
     assert not any(asked(gear_worlds.world(seed, 0))[1] for seed in range(5))
+
+
+def test_a_second_wave_in_each_period() -> None:
+    """Catches a second wave of another joint or at another period: the arm is at where a hand turns its joints to."""
+    robot, rng = robot_of(), np.random.default_rng(2)
+    data = run_of(gear_worlds.world(0, 0, rows=20))
+    model = replace(model_of(robot), period_rad=EACH)
+    for joint in (2, 5):
+        model = model.with_effect(model.known_effects[f"encoder_second_{joint}"])
+    assert [e.name for e in model.effects] == ["encoder_cyclic", "encoder_second_2", "encoder_second_5"]
+    values, angle = np.zeros(len(model.parameters)), 2.0 * TURN * data.joints / np.array(EACH)
+    joints = data.joints.copy()
+    for joint in (2, 5):
+        waves = 1e-3 * rng.normal(size=2)
+        values[model.owns(model.known_effects[f"encoder_second_{joint}"])] = waves
+        joints[:, joint - 1] += waves[0] * np.sin(angle[:, joint - 1]) + waves[1] * np.cos(angle[:, joint - 1])
+    expected = model.predict(replace(data, joints=joints), np.zeros(len(values)))
+    assert np.allclose(model.predict(data, values), expected, rtol=0, atol=1e-9)
+
+
+def test_a_second_wave_goes_with_the_first() -> None:
+    """Catches a second wave that is tried where there is no period to halve, and one that stays when the first is taken
+    out: it would wave at half of a period that nobody has."""
+    model, data = model_of(robot_of()), run_of(gear_worlds.world(0, 0, rows=20))
+    tried, refused = model.can_be_tried(tuple(model.known_effects.values()), data)
+    assert not any(name.startswith("encoder_second") for name in (*(e.name for e in tried), *refused))
+    first, second = (model.known_effects[name] for name in ("encoder_cyclic", "encoder_second_1"))
+    with pytest.raises(EffectError, match="needs the period of the encoders"):
+        model.with_effect(second)
+    both = model.with_effect(first, at=0.1).with_effect(second)
+    assert both.without_effect("encoder_cyclic").effects == ()
+    with pytest.raises(EffectError, match="'encoder_second_1' goes with 'encoder_cyclic', which is not in the model"):
+        replace(both, effects=(second,))
+    tried, _ = model.with_effect(first, at=0.1).can_be_tried([second], data)
+    assert tried == [second]
+
+
+def test_second_waves_are_named_and_deployed(tmp_path: Path) -> None:
+    """Catches second waves that stay unnamed, those of gears that have none, a file that forgets them, and a size that
+    is not that which was hidden."""
+    made = gear_worlds.world(2, 2, second=0.4)
+    found = sk.diagnose(robot_of(), run_of(made))
+    joints = sorted(made.per_turn)
+    assert found.effects == ("encoder_cyclic", *(f"encoder_second_{joint}" for joint in joints))
+    (said,) = (note for note in found.notes if "twice as often" in note)
+    assert all(f"joint {joint} by " in said for joint in joints)
+    fit = found.fit
+    for joint in joints:
+        first, second = (
+            np.hypot(*(fit.by_name[f"{effect}.{wave}_{joint}"] for wave in ("sine", "cosine")))
+            for effect in ("encoder_cyclic", f"encoder_second_{joint}")
+        )
+        assert second / first == pytest.approx(made.second, rel=0.3)
+    done = sk.calibrate(robot_of(), run_of(made), effects=found.effects).calibration
+    done.save(tmp_path / "c.toml")
+    again = sk.load_calibration(tmp_path / "c.toml")
+    assert again.whole.effects == found.effects
+    assert np.array_equal(again.forward(made.joints[0]), done.forward(made.joints[0]))
+    off = np.linalg.norm(done.forward_batch(made.joints, frame="sensor").values - made.read, axis=1)
+    assert np.sqrt(np.mean(off**2)) < 1.2 * np.sqrt(3.0) * gear_worlds.NOISE_MM

@@ -260,7 +260,8 @@ def everything(arm: Serial, rng: np.random.Generator) -> tuple[VirtualSerial, di
     hidden: dict[str, Any] = {
         "scale": some(k), "follows": np.r_[0.0, some(k - 1)] * slide / np.r_[1.0, slide[:-1]], "gives": slide * some(k),
         "play": slide * some(k), "ring": turns[:, None] * some(k, 2), "warmth_per_c": 1e-5, "rate_mm_h": 1e3 * some(3),
-        "lines": 0.0 if mixed else some(k, 2), "per_turn": 3.0, "step_mm": 1e3 * some(3), "zoom": 1e-4, "late_s": 0.02,
+        "lines": 0.0 if mixed else some(k, 2), "twice": 0.0 if mixed else some(k, 2),
+        "per_turn": 3.0, "step_mm": 1e3 * some(3), "zoom": 1e-4, "late_s": 0.02,
         "sags": 0.01 * slide * some(k),
         "growth_per_c": 0.02 * some(k + 1) * grows, "knock": np.r_[some(3), 1e3 * some(3)], "lost": slide * some(k),
         "stand_mm_per_c": 100.0 * some(3), "bend_mm": 1e3 * some(3),
@@ -281,6 +282,8 @@ def everything(arm: Serial, rng: np.random.Generator) -> tuple[VirtualSerial, di
             names |= {f"shift_{axis}_{i + 1}": shift[i, a], f"tilt_{axis}_{i + 1}": tilt[i, a]}
             names |= {f"encoder_eccentricity.{wave}_{i + 1}": hidden["ring"][i, a]}
             names |= {f"encoder_cyclic.{wave}_{i + 1}": 0.0 if mixed else hidden["lines"][i, a]}
+            second = 0.0 if mixed else hidden["twice"][i, a]
+            names |= {f"encoder_second_{i + 1}.{wave}_{i + 1}": second}
     for a, axis in enumerate("xyz"):
         names |= {f"tool_{axis}": tool[a], f"sensor_turn_{axis}": stand[a], f"sensor_shift_{axis}": stand[3 + a]}
         names |= {f"drift.rate_{axis}": hidden["rate_mm_h"][a], f"slip.step_{axis}": hidden["step_mm"][a]}

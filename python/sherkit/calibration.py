@@ -110,7 +110,7 @@ def calibrate(
         if not with_outliers:
             step(f"looking for gross errors in the {name} run")
             # what needs a setting that is searched for is among the effects that are tried, not in this fit
-            inside = [e for e in added if e.search is None]
+            inside = [e for e in added if e.search is None and not e.goes_with]
             outliers = gross_errors(identify(model, data, effects=inside), own)
             data = data.mark_outliers(outliers)
         step(f"identifying the {name} run")

@@ -150,7 +150,7 @@ def _every_effect(a: _Asked) -> Iterator[tuple[ChainModel, str]]:
     for name, effect in a.model.known_effects.items():
         if name in (*WITHIN, *(e.name for e in a.model.effects)) or missing_columns(effect, a.usual):
             continue
-        at = 0.4 * float(np.ptp(a.usual.joints)) if effect.is_periodic else None
+        at = 0.4 * float(np.ptp(a.usual.joints)) if effect.is_periodic or effect.goes_with else None
         yield a.model.with_effect(effect, at=at), name
 
 

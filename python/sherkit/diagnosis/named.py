@@ -28,6 +28,9 @@ from .answers import StepReport
 from .candidates import strongest
 from .held_out import HeldOutGain, error_of, held_out_gain
 
+#: Deviations from which on a value is certainly not zero.
+_SURE_OF = 3.0
+
 
 @dataclass(eq=False)
 class Named:
@@ -130,6 +133,12 @@ def searched(
         if kept is None:
             return replace(nothing, names_judged=names, left=names.alone, notes=notes)
         judged = _judged(run, added, sigma, repeated_folds, first)
+    for effect in _going_with(judged.final):
+        wider = sets.with_more(kept, effect)
+        more = None if wider is None else judged.beside(effect, sigma, repeated_folds)
+        if wider is not None and more is not None:
+            kept, judged = wider, more
+            names = replace(names, lead=kept, beside=sets.described(kept.base, MOST, 1))
     left = names.beside if kept is names.lead else sets.described(kept.base, MOST, 1)
     return Named(base, kept.base, left, names, judged.final, judged.added, judged.gains, judged.steps, [*notes, *told])
 
@@ -155,10 +164,30 @@ class _Judged:
     steps: tuple[StepReport, ...]
     told: tuple[str, ...]
 
+    def beside(self, effect: Effect, sigma: Floats, repeated_folds: Sequence[Ints]) -> _Judged | None:
+        """With one more effect; None where rows held out are not clearly nearer with it."""
+        final = self.final.refit([(effect, None)])
+        gain = held_out_gain(final, effect, sigma=sigma, repeated_folds=repeated_folds)
+        if not gain.holds:
+            return None
+        more = StepReport(effect.name, error_of(final, sigma, repeated_folds))
+        added = [*self.added, Block("effect", effect=effect)]
+        return _Judged(final, added, [*self.gains, gain], (*self.steps, more), self.told)
+
     @property
     def holding(self) -> int:
         """How many of them rows held out are nearer with."""
         return sum(one.holds for one in self.gains)
+
+
+def _going_with(run: FittedRun) -> list[Effect]:
+    """Effects that can be asked for now that another is in the model: of what that one's fit is sure of."""
+    sure = {
+        p.name for p, value, std in zip(run.fit.parameters, run.fit.values, run.fit.std, strict=True)
+        if abs(value) > _SURE_OF * std
+    }  # fmt: skip
+    those = [e for e in run.catalogue if any(f"{e.goes_with}.{p.name}" in sure for p in e.parameters)]
+    return run.model.can_be_tried(those, run.data)[0] if those else []
 
 
 def _judged(

@@ -37,6 +37,7 @@ from .repeats import contradicted, in_repeats
 from .rounded import steps_in
 from .sensor_pose import taken_by_pose
 from .signature import signature_of
+from .waves import waves_in_words
 from .where import confounded_with, neighbour_correlation, slow_drift_of, smallest_found, where
 
 LEVEL = 0.01
@@ -133,7 +134,7 @@ def diagnose(
     of_all = final if run is long else long if final is run else final.as_in(long)
     # a row that is as what was found says was wrong beside a model that lacked it
     wrong = checks_of_outliers(of_all, outliers, seed, side=side)
-    notes += found.notes
+    notes += [*found.notes, *waves_in_words(final.fit)]
     notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
 
     step("fitting all rows")
@@ -167,7 +168,8 @@ def diagnose(
     fits = {name: tied.run.of for tied in reversed(found.ties) for name in tied.names}
     fits |= {block.name: final for block in found.added}
     alone = {one.effect: one.error.rms for one in found.steps[1:2]}
-    reports = candidates_of(base, repeated_folds, found.added, fits, alone)
+    tried = [block for block in found.added if block.effect is None or not block.effect.goes_with]
+    reports = candidates_of(base, repeated_folds, tried, fits, alone)
     if look:
         silent = [*found.names, *(name for tied in found.ties for name in tied.names)]
         silent += [one.effect for one in reports if any(note.startswith(f"{one.effect} ") for note in notes)]

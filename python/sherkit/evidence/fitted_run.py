@@ -164,7 +164,7 @@ class FittedRun(Saved):
             return self._before[0]
         model, taken = self.model, np.zeros(len(self.fit.values), dtype=bool)
         for effect in self.model.effects:
-            if effect.name in names:
+            if effect.name in names or effect.goes_with in names:
                 taken[self.owns(effect)] = True
                 model = model.without_effect(effect.name)
         return FittedRun(

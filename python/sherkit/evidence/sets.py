@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base.types import Floats
 from ..errors import SherkitError
-from ..model.effect import Setting
+from ..model.effect import Effect, Setting
 from ..model.sensor_pose import SLIP
 from .base import Base, total
 from .blocks import Block
@@ -102,6 +102,24 @@ class Sets:
             self.step(f"refitting with {' and '.join(name for name, *_ in key)}")
             self._fitted[key] = self._fit(tuple(blocks))
         return self._fitted[key]
+
+    def with_more(self, one: EffectSet, effect: Effect) -> EffectSet | None:
+        """A set with one more effect, which is none of the family: it goes with another of the set. None where it
+        cannot be fitted, or where the readings do not favour it."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                fit = one.run.of.refit([(effect, None)])
+                run = one.run.seen_by(fit)
+                base = Base.of(self.family, run)
+            except (SherkitError, np.linalg.LinAlgError):
+                return None
+        bf = one.base.log_bf_of(base, run, ())
+        value = one.value + bf + ONE_MORE
+        if value <= one.value + TIED or not is_plausible(fit, effect):
+            return None
+        blocks = (*one.blocks, Block("effect", effect=effect))
+        return EffectSet(blocks, run, base, one.log_bf + bf, value, one.plausible)
 
     def described(self, base: Base, most: int, starts: int) -> Described:
         """As :func:`~.described.described`, remembered."""

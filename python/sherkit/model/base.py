@@ -247,7 +247,10 @@ class ModelWithEffects(Saved, ABC):
 
     def with_effect(self, effect: Effect, *, at: Setting | None = None, **settings: float) -> Self:
         """The same model with one more effect. ``at`` is the setting that is searched for besides its parameters: a
-        moment, a period, or a period for each joint of those that have waves; other ``settings`` are by name."""
+        moment, a period, or a period for each joint of those that have waves; other ``settings`` are by name. What goes
+        with another effect brings that, too."""
+        if effect.goes_with and effect.goes_with not in {one.name for one in self.effects}:
+            return self.with_effect(self.known_effects[effect.goes_with], at=at).with_effect(effect, **settings)
         made = self if at is None else self.with_settings(effect, at)
         return replace(made, effects=(*self.effects, effect), **settings)  # type: ignore[type-var]
 
@@ -312,16 +315,19 @@ class ModelWithEffects(Saved, ABC):
         return [name for name in (effect.search or "", f"{effect.name}_{effect.search}") if name in known]
 
     def without_effect(self, name: str) -> Self:
-        """The same model without the effect of that name."""
-        return replace(self, effects=tuple(e for e in self.effects if e.name != name))  # type: ignore[type-var]
+        """The same model without the effect of that name, and without what goes with it."""
+        return replace(self, effects=tuple(e for e in self.effects if name not in (e.name, e.goes_with)))  # type: ignore[type-var]
 
     def can_be_tried(self, effects: Sequence[Effect], data: Measurements) -> tuple[list[Effect], dict[str, str]]:
-        """Effects that are not in the model and whose columns these rows have; the others with the reason."""
+        """Effects that are not in the model and whose columns these rows have; the others with the reason, but for
+        those that go with an effect which is not in it."""
         active = {e.name for e in self.effects}
         tried: list[Effect] = []
         untestable: dict[str, str] = {}
         for effect in effects:
             if effect.name in active or effect.name in self.within:
+                continue
+            if effect.goes_with and effect.goes_with not in active:
                 continue
             missing = missing_columns(effect, data)
             if missing:

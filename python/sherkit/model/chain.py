@@ -77,6 +77,8 @@ class ChainModel(SeenModel):
         if len(set(names)) < len(names):
             raise EffectError(f"an effect is added twice: {listed(names, 24)}")
         for effect in self.effects:
+            if effect.goes_with and effect.goes_with not in names:
+                raise EffectError(f"'{effect.name}' goes with '{effect.goes_with}', which is not in the model")
             if effect.is_periodic and self.setting_of(effect) is None:
                 give = f"give {self.period_in_file} in the robot file, or " if self.period_in_file else ""
                 raise EffectError(

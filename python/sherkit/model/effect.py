@@ -97,7 +97,8 @@ class Effect(Shown):
     ``needs`` are the covariates without which it cannot be told. ``search`` names a setting that is looked for
     besides the parameters (``time_s``, ``lag_s``, or ``period_mm`` or ``period_rad`` of a wave of each joint).
     ``function`` is set for effects given in NumPy. One that ``frees`` is no physics of its own: its parameters are the
-    model's, which were held at the drawing.
+    model's, which were held at the drawing. One that ``goes_with`` another is in no model without that: its setting is
+    the other's.
     """
 
     name: str
@@ -110,6 +111,7 @@ class Effect(Shown):
     sizes: Mapping[str, str] = field(default_factory=dict, hash=False, repr=False)
     search: str | None = None
     frees: bool = False
+    goes_with: str = ""
     function: Function | None = field(default=None, repr=False)
     derivative: Callable[[Any, SimpleNamespace], Any] | None = field(default=None, repr=False)
 

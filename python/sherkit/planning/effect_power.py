@@ -115,7 +115,8 @@ class Planning:
     def candidates(self) -> dict[str, Effect]:
         """The effects of the catalogue that are not in the model."""
         inside = {e.name for e in self.model.effects} | self.model.within
-        return {name: e for name, e in self.model.known_effects.items() if name not in inside}
+        known = self.model.known_effects.items()
+        return {name: e for name, e in known if name not in inside and e.goes_with in (*inside, "")}
 
     def effect(self, name: str) -> Effect:
         """The candidate of that name. Raises :class:`~sherkit.errors.EffectError`."""

@@ -99,8 +99,9 @@ def exaggerated(
     rows, measured = _rows(effect, plain, data)
     if at is None and effect.search == "time_s":
         at = 0.0 if rows.time_s is None else float(np.median(rows.time_s))
-    elif at is None and effect.is_periodic and plain.setting_of(effect) is None:
-        at = _PERIOD.get((effect.search or "").removeprefix("period_"), 1.0)
+    first = plain.known_effects.get(effect.goes_with, effect)
+    if at is None and first.is_periodic and plain.setting_of(first) is None:
+        at = _PERIOD.get((first.search or "").removeprefix("period_"), 1.0)
     model = plain if effect.name in {e.name for e in plain.effects} else plain.with_effect(effect, at=at)
     place = model.owns(effect)
 

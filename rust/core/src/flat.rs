@@ -32,6 +32,8 @@ const VERSION: f64 = 6.0;
 const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
 const SERIAL: f64 = 3.0;
+/// Parameters of an arm whose gears have no second wave, as rows from before that hold them: all but the last.
+const ONE_WAVE: usize = serial::PARAMETERS - 2 * serial::JOINTS;
 
 /// What a branch of a calibrated delta is made from.
 #[derive(Clone, Copy, Debug)]
@@ -402,7 +404,12 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
 /// [`Error::Invalid`] says what the row lacks; otherwise as [`Robot::with`].
 pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
     let mut row = Reader(numbers);
-    row.head(SERIAL, serial::PARAMETERS)?;
+    let known = if numbers.get(2) == Some(&(ONE_WAVE as f64)) {
+        ONE_WAVE
+    } else {
+        serial::PARAMETERS
+    };
+    row.head(SERIAL, known)?;
     let found = row.one()?;
     let Some(count) = (1..=serial::JOINTS).find(|k| *k as f64 == found) else {
         return refuse("calibration: an arm has one to nine joints");
@@ -435,7 +442,10 @@ pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
         joint_slip_time_s: row.finite::<1>()?[0],
         sensor_slip_time_s: 0.0,
     };
-    let values = row.finite()?;
+    let mut values = [0.0; serial::PARAMETERS];
+    for value in values.iter_mut().take(known) {
+        [*value] = row.finite()?;
+    }
     row.end()?;
     serial::Calibrated::new(&model, &values, &limits)
 }

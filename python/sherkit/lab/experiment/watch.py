@@ -88,7 +88,7 @@ class Watch:
         known = [
             e for e in plain.known_effects.values() if not base & {p.name for p in (*e.parameters, *e.qualified())}
         ]
-        always = tuple(e for e in known if e.search is None and set(e.needs) <= _ALWAYS)
+        always = tuple(e for e in known if e.search is None and not e.goes_with and set(e.needs) <= _ALWAYS)
         self.model = replace(plain, free=tuple(p.name for p in plain.base), effects=always)
         self._steps = _stepping(plain, [e for e in known if e.search == TIME])
         self._owners = owners

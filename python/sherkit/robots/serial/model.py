@@ -22,7 +22,7 @@ from ...data.columns import Layout, unit_in
 from ...errors import FitError, SherkitWarning
 from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
-from ...model.effect import Effect, Parameter, Sentences, Setting, parameters_of_core
+from ...model.effect import Catalogue, Effect, Parameter, Sentences, Setting, parameters_of_core
 from ...model.relations import Apart
 from ...model.sentences import catalogue_of
 from .plates import PlateChain, as_plates, plates_of, renamed
@@ -75,8 +75,25 @@ _OWN = {
     ),
 }
 
+#: The row of the table that is an effect of each joint by itself, and the effect that it goes with.
+_SECOND, _FIRST_WAVE = "encoder_second", "encoder_cyclic"
+
+
+def _joint_by_joint(rows: Mapping[str, Effect]) -> Catalogue:
+    """The effects of a table, the second wave as one of each joint: one gear has it, another has none."""
+    out = Catalogue()
+    for name, effect in rows.items():
+        if name != _SECOND:
+            out[name] = effect
+            continue
+        for k in range(0, len(effect.parameters), 2):
+            own = f"{name}_{k // 2 + 1}"
+            out[own] = replace(effect, name=own, parameters=effect.parameters[k : k + 2], goes_with=_FIRST_WAVE)
+    return out
+
+
 #: The effects by name, in the order of the chain, for all the joints that an arm may have.
-SERIAL_CATALOGUE: dict[str, Effect] = catalogue_of(_core.SerialModel.CATALOGUE, _OWN)
+SERIAL_CATALOGUE: dict[str, Effect] = _joint_by_joint(catalogue_of(_core.SerialModel.CATALOGUE, _OWN))
 
 #: Postures by which the drawing tells what weight does, and the part of what a joint moves that counts as nothing.
 _POSTURES, _NOTHING = 50, 1e-9
@@ -140,10 +157,10 @@ def effects_of(robot: Serial) -> Mapping[str, Effect]:
         if name == "encoder_eccentricity":
             # once per turn: what slides has none
             own = [p for p in own if p.unit == "rad"]
-        elif effect.is_periodic:
+        elif effect.is_periodic or effect.goes_with:
             # joints of one unit: that of most of them
             own = [p for p in own if p.unit == robot.joint_unit]
-            effect = replace(effect, search=f"period_{robot.joint_unit}")
+            effect = replace(effect, search=f"period_{robot.joint_unit}" if effect.search else None)
         elif name == "reading_delay":
             effect = replace(effect, needs=robot.layout.velocities)
         if own:
@@ -263,8 +280,11 @@ class SerialModel(ChainModel):
         """Every parameter of the compiled chain, in its order; those of joints that it has not among them."""
         out: list[Parameter] = []
         for row in self.table:
-            base = parameters_of_core(row, self.lever_mm)
-            out += base if row["base"] else self.catalogue[row["name"]].qualified()
+            if row["base"]:
+                out += parameters_of_core(row, self.lever_mm)
+                continue
+            named = [row["name"]] if row["name"] != _SECOND else [n for n in self.catalogue if n.startswith(_SECOND)]
+            out += (p for name in named for p in self.catalogue[name].qualified())
         called = renamed(self.robot)
         return tuple(replace(p, name=called[p.name], unit="rad") if p.name in called else p for p in out)
 

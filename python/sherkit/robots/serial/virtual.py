@@ -83,8 +83,9 @@ class Hidden:
     ``gives`` (k,) how far it gives way under the greatest moment its weight makes in any posture stretched out;
     ``sags`` (k,) how far by the moment that a payload makes about it, rad/(N m), or by its force, mm/N;
     ``play`` (k,) its lost motion; ``ring`` (k, 2) sine and cosine of its encoder once per turn, ``lines`` (k, 2) those
-    at ``per_turn`` per radian; ``warmth_per_c`` of the whole, ``growth_per_c`` (k + 1,) of the base and of the link
-    behind each joint, ``rate_mm_h`` (3,), ``step_mm`` (3,) half way through, ``lost`` (k,) what joints slipped by then;
+    at ``per_turn`` per radian, ``twice`` (k, 2) at twice that; ``warmth_per_c`` of the whole, ``growth_per_c``
+    (k + 1,) of the base and of the link behind each joint, ``rate_mm_h`` (3,), ``step_mm`` (3,) half way through,
+    ``lost`` (k,) what joints slipped by then;
     ``stand_mm_per_c`` (3,) what the stand does, ``stand_lag_s`` behind the room; ``knock`` (6,) turn and shift of the
     tracker half way through; ``zoom`` and ``bend_mm`` (3,) at a metre what the tracker misreads; ``late_s``
     its delay; ``bar_mm`` what is added to every distance.
@@ -97,6 +98,7 @@ class Hidden:
     play: ArrayLike = 0.0
     ring: ArrayLike = 0.0
     lines: ArrayLike = 0.0
+    twice: ArrayLike = 0.0
     per_turn: float = 2.0
     warmth_per_c: float = 0.0
     growth_per_c: ArrayLike = 0.0
@@ -267,11 +269,12 @@ class VirtualSerial:
         def each(value: ArrayLike, *more: int) -> Floats:
             return np.broadcast_to(np.asarray(value, dtype=float), (k, *more))
 
-        ring, lines = each(hidden.ring, 2), each(hidden.lines, 2)
+        ring, lines, twice = each(hidden.ring, 2), each(hidden.lines, 2), each(hidden.twice, 2)
         real = read + each(self.offset) + each(hidden.scale) * (read - home)
         real = real + ring[:, 0] * np.sin(read) + ring[:, 1] * np.cos(read)
         angle = hidden.per_turn * read
         real = real + lines[:, 0] * np.sin(angle) + lines[:, 1] * np.cos(angle)
+        real = real + twice[:, 0] * np.sin(2 * angle) + twice[:, 1] * np.cos(2 * angle)
         real = real + each(hidden.play) * came / 2 - hidden.late_s * velocity
         real = real + each(hidden.lost) * late
         drawn = np.array([joint.follows for joint in self.robot.joints])

@@ -20,6 +20,7 @@ pub struct Joints<const J: usize> {
     offset: [f64; J],
     scale: [f64; J],
     cyclic: [[f64; 2]; J],
+    second: [[f64; 2]; J],
     eccentricity: [[f64; 2]; J],
     backlash: [f64; J],
     slip: [f64; J],
@@ -36,6 +37,7 @@ pub struct Joints<const J: usize> {
 struct Gains {
     scale: f64,
     cyclic: [f64; 2],
+    second: [f64; 2],
     eccentricity: [f64; 2],
     backlash: f64,
     slip: f64,
@@ -76,6 +78,7 @@ impl<const J: usize> Joints<J> {
             offset: values_of(at.joint_offset, values),
             scale: values_of(at.joint_scale, values),
             cyclic: waves(|k| number(at.encoder_cyclic, k)),
+            second: waves(|k| number(at.encoder_second, k)),
             eccentricity: waves(|k| number(at.encoder_eccentricity, k)),
             backlash: values_of(at.backlash, values),
             slip: values_of(at.joint_slip, values),
@@ -89,6 +92,7 @@ impl<const J: usize> Joints<J> {
             .cyclic
             .as_flattened()
             .iter()
+            .chain(out.second.as_flattened())
             .chain(out.eccentricity.as_flattened());
         let mut all = out
             .offset
@@ -107,7 +111,8 @@ impl<const J: usize> Joints<J> {
     }
 
     /// `θ = r + o + s (r - home) + a sin kr + b cos kr + w direction/2 + j - delay · velocity`, with `k` the joint's own
-    /// wave of its encoder or gear, or one for the eccentricity of its ring, and `j` from the moment on at which joints slipped.
+    /// wave of its encoder or gear, twice that, or one for the eccentricity of its ring, and `j` from the moment on at
+    /// which joints slipped.
     #[inline]
     pub(crate) fn at<T: Table>(
         &self,
@@ -119,6 +124,7 @@ impl<const J: usize> Joints<J> {
         let nothing = Gains {
             scale: 0.0,
             cyclic: [0.0; 2],
+            second: [0.0; 2],
             eccentricity: [0.0; 2],
             backlash: 0.0,
             slip: 0.0,
@@ -152,6 +158,13 @@ impl<const J: usize> Joints<J> {
                 gains.cyclic = [sin, cos];
                 more = more + a * sin + b * cos;
                 slope += self.wave[i] * (a * cos - b * sin);
+            }
+            if asked(at.encoder_second, &self.second[i], wanted) {
+                let wave = 2.0 * self.wave[i];
+                let ((sin, cos), [a, b]) = (sin_cos(wave * r), self.second[i]);
+                gains.second = [sin, cos];
+                more = more + a * sin + b * cos;
+                slope += wave * (a * cos - b * sin);
             }
             if asked(at.encoder_eccentricity, &self.eccentricity[i], wanted) {
                 let ((sin, cos), [a, b]) = (sin_cos(r), self.eccentricity[i]);
@@ -210,6 +223,10 @@ impl<const J: usize> Turned<J> {
             if let Some(place) = wanted.wants(at.encoder_cyclic) {
                 d.set_column(place.start + 2 * i, &(by_joint * gains.cyclic[0]));
                 d.set_column(place.start + 2 * i + 1, &(by_joint * gains.cyclic[1]));
+            }
+            if let Some(place) = wanted.wants(at.encoder_second) {
+                d.set_column(place.start + 2 * i, &(by_joint * gains.second[0]));
+                d.set_column(place.start + 2 * i + 1, &(by_joint * gains.second[1]));
             }
             if let Some(place) = wanted.wants(at.encoder_eccentricity) {
                 let [sin, cos] = gains.eccentricity;

@@ -2,7 +2,7 @@
 
 use super::effects::places;
 
-places! { OfJoints: joint_offset joint_scale joint_slip encoder_cyclic encoder_eccentricity backlash camera_delay reading_delay }
+places! { OfJoints: joint_offset joint_scale joint_slip encoder_cyclic encoder_second encoder_eccentricity backlash camera_delay reading_delay }
 places! { OfBody: thermal_growth thermal_shift drift slip }
 places! { OfPose: sensor_pose sensor_slip }
 places! { OfCartesian: beam_alignment sensor_linearity }

@@ -137,4 +137,9 @@ effects! { At;
     reading_delay: Sensor by joints needs "velocity" {
         delay: "s", 0.01, LEVER;
     }
+    // the cyclic error's second wave in each period; the last, as rows of numbers from before it hold all but these
+    encoder_second: Joints by joints {
+        sine_1, cosine_1, sine_2, cosine_2, sine_3, cosine_3, sine_4, cosine_4, sine_5, cosine_5, sine_6, cosine_6,
+        sine_7, cosine_7, sine_8, cosine_8, sine_9, cosine_9: "rad", 3e-4, LEVER;
+    }
 }
