@@ -6,7 +6,7 @@ import numpy as np
 
 from sherkit.lab.experiment import Bench
 from sherkit.lab.experiment.bench import Checks, Sensor, Settling
-from sherkit.lab.instruments import Axis, AxisController, Identity, Reading, Reference
+from sherkit.lab.instruments import Axis, AxisController, AxisReference, Identity, Reading
 from sherkit.lab.instruments.base import Instrument
 from sherkit.lab.instruments.transport import now_s
 from sherkit.model.kinds import kind_of
@@ -50,7 +50,7 @@ class Motors(AxisController):
     def reference(self):
         n = len(self.axes)
         at = tuple(map(float, self.encoders()))
-        return Reference(self.said, self.zeroed if self.said else None, at, (True,) * n, (True,) * n)
+        return AxisReference(self.said, self.zeroed if self.said else None, at, (True,) * n, (True,) * n)
 
     def set_reference(self, positions):
         self.slipped = np.array(positions) - self.body

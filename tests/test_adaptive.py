@@ -17,7 +17,7 @@ from scipy import integrate, stats
 import sherkit as sk
 from driven_worlds import DrivenArm, DrivenDelta, DrivenSpherical, World
 from sherkit.adaptive import told
-from sherkit.adaptive.known import Known, run_at
+from sherkit.adaptive.known import FixedBefore, run_at
 from sherkit.errors import ArgumentError, ExperimentError, FitError, MeasurementError
 from sherkit.evidence.base import log_bayes_of
 from sherkit.evidence.family import Family
@@ -100,7 +100,7 @@ def test_what_is_tried_does_not_hang_on_the_rows_read_so_far() -> None:
         {"pose": k + 1, "repeat": 1, **dict(zip(world.joints, q.tolist(), strict=True))} for k, q in enumerate(places)
     ]
     data = told.in_time(pl.DataFrame(world.read(rows)), loop.robot, loop.model, loop.layout)
-    known = Known.of(loop.model.for_run(data), loop.region, data.select(np.arange(12)), (0, 1, 2), 1800.0)
+    known = FixedBefore.of(loop.model.for_run(data), loop.region, data.select(np.arange(12)), (0, 1, 2), 1800.0)
     fit = sk.identify(known.model, data)
     early, late = (
         Family(run_at(replace(fit, data=data.select(np.arange(n))), np.ones(len(data.layout.names))), known.reference)

@@ -28,7 +28,7 @@ from sherkit.model.effect import Effect
 from sherkit.model.kinds import kind_of, known_kinds, model_of
 from sherkit.report import notebook
 from sherkit.report.card import FACTORS, card_page, effect_card, exaggerated, joints_over, scene_of, scene_of_robot
-from sherkit.report.residuals import State
+from sherkit.report.residuals import ModelState
 from sherkit.report.scene import Arrows, Scene, space_of
 from strategies import EXAMPLE
 
@@ -263,7 +263,7 @@ def test_hostile_texts_stay_texts() -> None:
 def test_errors_stand_where_they_were_measured(study: sk.Study) -> None:
     """Catches arrows of another sign or scale, of another row, and a mean over other poses."""
     before = next(s.fit for s in study.history if s.fit is not None)
-    scene = space_of(State("geometry calibrated", before), State("now", study.fit))
+    scene = space_of(ModelState("geometry calibrated", before), ModelState("now", study.fit))
     assert scene.arrows is not None
     a, data = scene.arrows, study.data
     assert len(a.where_mm) == 75
@@ -285,8 +285,8 @@ def test_the_machine_stands_amid_its_errors(study: sk.Study) -> None:
     far = sk.Study(EXAMPLE, sk.from_frame(study.data.to_frame().with_columns(**columns), "far"))
     far.add("rail_lean")
     near, away = (
-        space_of(State("geometry calibrated", next(s.fit for s in one.history if s.fit is not None)),
-                 State("now", one.fit)) for one in (study, far)
+        space_of(ModelState("geometry calibrated", next(s.fit for s in one.history if s.fit is not None)),
+                 ModelState("now", one.fit)) for one in (study, far)
     )  # fmt: skip
     assert near.arrows is not None
     assert away.arrows is not None
@@ -300,7 +300,7 @@ def test_scenes_move(study: sk.Study, tmp_path: Path, in_each_font: InEachFont) 
     """Catches a scene that stays empty, a slider that moves nothing, a hover without the row's number or beside its
     point where words above it are wider, and a page that scrolls sideways."""
     before = next(s.fit for s in study.history if s.fit is not None)
-    scene = space_of(State("geometry calibrated", before), State("now", study.fit))
+    scene = space_of(ModelState("geometry calibrated", before), ModelState("now", study.fit))
     card = effect_card(study.fit.model.effects[0], EXAMPLE, fit=study.fit)
     file = tmp_path / "card.html"
     file.write_text(card_page("cards", [card, scene.html()]), encoding="utf-8")

@@ -17,7 +17,7 @@ from scipy import stats
 import sherkit as sk
 from sherkit.cli.verbs import cli
 from sherkit.data.doubts.repeats import copied
-from sherkit.diagnosis.held_out import by_noise_alone
+from sherkit.diagnosis.held_out import noise_quantile
 from sherkit.evidence.fitted_run import FittedRun
 from sherkit.fit.error import repeated_folds_of
 from sherkit.robots.serial import Serial, postures
@@ -71,7 +71,7 @@ def test_what_noise_leaves_on_rows_held_out_is_what_fits_without_them_leave(pose
             left = noise[:, out].reshape(600, -1) - (columns[out].reshape(-1, p) @ fitted).T
             squares[k] += (left**2).sum(axis=1) / (n * m)
     expected = np.sqrt(np.mean(np.quantile(squares, 1 - LEVEL, axis=1)))
-    assert by_noise_alone(run, sigma, repeated_folds, LEVEL, 0) == pytest.approx(expected, rel=0.06)
+    assert noise_quantile(run, sigma, repeated_folds, LEVEL, 0) == pytest.approx(expected, rel=0.06)
 
 
 # -- no alarm ------------------------------------------------------------------------------------------------------

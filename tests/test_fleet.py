@@ -17,7 +17,7 @@ import pytest
 import sherkit as sk
 from sherkit.cli import main
 from sherkit.cli.demo import EXAMPLE
-from sherkit.fleets import Fleet, Machine
+from sherkit.fleets import Fleet, FleetMember
 from sherkit.robots.delta.virtual import VirtualDelta
 
 POSES = sk.delta.paper_whole()[::3]
@@ -160,7 +160,7 @@ def test_ten_thousand_verdicts_are_one_table() -> None:
     units, std = {p.name: p.unit for p in told.fit.parameters}, dict.fromkeys(values, 1e-3)
     tracemalloc.start()
     machines = tuple(
-        Machine(**vars(told.summary), run=f"machine {k}", values=dict(values), std=dict(std), units=units)
+        FleetMember(**vars(told.summary), run=f"machine {k}", values=dict(values), std=dict(std), units=units)
         for k in range(10_000)
     )
     made = Fleet(machines)
@@ -206,7 +206,7 @@ def fleet_of(values: np.ndarray, std: float = 0.1) -> Fleet:
     names = [f"p{k}" for k in range(values.shape[1])]
     units, stds = dict.fromkeys(names, "mm"), dict.fromkeys(names, std)
     made = [dict(zip(names, row.tolist(), strict=True)) for row in values]
-    return Fleet(tuple(Machine(f"m{k}", after=5.0, values=v, std=stds, units=units) for k, v in enumerate(made)))
+    return Fleet(tuple(FleetMember(f"m{k}", after=5.0, values=v, std=stds, units=units) for k, v in enumerate(made)))
 
 
 def test_the_odd_one_is_named_and_the_others_are_not() -> None:

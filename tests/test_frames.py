@@ -32,7 +32,7 @@ from sherkit.model.robot_file import run_for
 from sherkit.model.sensor_pose import POSE, slip_of
 from sherkit.robots.calibrated import calibration_class
 from sherkit.robots.calibration_run import CalibrationRun
-from sherkit.robots.part import Part
+from sherkit.robots.part import IdentifiedModel
 from sherkit.robots.serial import SerialCalibration, VirtualSerial, postures
 from test_arm_counted import arm_in
 from test_calibration import made, seen
@@ -137,7 +137,7 @@ def test_an_arm_is_read_as_its_tracker_reads_after_its_last_slip() -> None:
     run = sk.from_frame(pl.DataFrame(rows | dict.fromkeys(("x_mm", "y_mm", "z_mm"), np.zeros(len(q)))))
     read = model.predict(run, values)[:, :3]
     k = len(model.indices)
-    part = Part(
+    part = IdentifiedModel(
         free=model.free, effects=effects, settings=dict.fromkeys(model.settings(), 0.0), left_out=(),
         now=(0.0, 20.0, *np.zeros(len(robot.joints))), values=values[:k], covariance=np.zeros((k, k)),
         residual_covariance=np.zeros((3, 3)), low=np.full(3, -2000.0), high=np.full(3, 2000.0), made_from="a test",

@@ -96,9 +96,9 @@ def test_a_template_of_a_hostile_column_runs(name: str) -> None:
         covariates={"temperature": wrong, name: wanted, "time": wrong} | {name: wanted}, time_s=np.arange(50.0),
     )  # fmt: skip
     effect = space["unknown_effect"]
-    from sherkit.model.rows import Rows
+    from sherkit.model.rows import EffectRows
 
-    made = effect.evaluate(Rows(data, lambda: np.zeros((50, 1))), np.array([2.0]), 1)
+    made = effect.evaluate(EffectRows(data, lambda: np.zeros((50, 1))), np.array([2.0]), 1)
     np.testing.assert_allclose(made[:, 0], 2.0 * wanted)
 
 

@@ -23,7 +23,7 @@ from sherkit.robots.printer import PrinterModel, Towers, import_duet, import_kli
 from sherkit.robots.printer.calibration import commands, held, klipper_config, towers_of
 from sherkit.robots.printer.examined import examine, files_of
 from sherkit.robots.printer.model import bed_shape, shapes_at
-from sherkit.robots.printer.robot import Found
+from sherkit.robots.printer.robot import ImportedPrinter
 
 Floats = NDArray[np.float64]
 
@@ -64,13 +64,13 @@ def probed(
     return ticks, ticks, z
 
 
-def as_klipper(folder: Path, firmware: Firmware, mesh: tuple[Floats, Floats, Floats]) -> Found:
+def as_klipper(folder: Path, firmware: Firmware, mesh: tuple[Floats, Floats, Floats]) -> ImportedPrinter:
     """Written by Klipper and read."""
     (folder / "printer.cfg").write_text(klipper_file(firmware, {"default": mesh}, offset=OFFSET))
     return import_klipper(folder / "printer.cfg")
 
 
-def as_duet(folder: Path, firmware: Firmware, mesh: tuple[Floats, Floats, Floats]) -> Found:
+def as_duet(folder: Path, firmware: Firmware, mesh: tuple[Floats, Floats, Floats]) -> ImportedPrinter:
     """Written by RepRapFirmware and read."""
     config, heights = duet_files(firmware, mesh, offset=OFFSET)
     (folder / "config.g").write_text(config)
@@ -78,14 +78,14 @@ def as_duet(folder: Path, firmware: Firmware, mesh: tuple[Floats, Floats, Floats
     return import_duet(folder / "config.g", [folder / "heightmap.csv"])
 
 
-def as_marlin(folder: Path, firmware: Firmware, mesh: tuple[Floats, Floats, Floats]) -> Found:
+def as_marlin(folder: Path, firmware: Firmware, mesh: tuple[Floats, Floats, Floats]) -> ImportedPrinter:
     """Written by Marlin and read."""
     (folder / "marlin.txt").write_text(marlin_file(firmware, mesh, offset=OFFSET))
     return import_marlin(folder / "marlin.txt")
 
 
 WAYS = {"klipper": as_klipper, "reprapfirmware": as_duet, "marlin": as_marlin}
-Way = Callable[[Path, Firmware, tuple[Floats, Floats, Floats]], Found]
+Way = Callable[[Path, Firmware, tuple[Floats, Floats, Floats]], ImportedPrinter]
 
 
 # -- the second simulator ----------------------------------------------------------------------------------------------
@@ -399,7 +399,7 @@ def test_files_of_other_firmwares_that_lack_something(
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new, 1))
 
-    def read() -> Found:
+    def read() -> ImportedPrinter:
         return (
             import_marlin(path)
             if name == "marlin.txt"

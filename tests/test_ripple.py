@@ -139,7 +139,7 @@ def test_a_second_wave_goes_with_the_first() -> None:
     """Catches a second wave that is tried where there is no period to halve, and one that stays when the first is taken
     out: it would wave at half of a period that nobody has."""
     model, data = model_of(robot_of()), run_of(gear_worlds.world(0, 0, rows=20))
-    tried, refused = model.can_be_tried(tuple(model.known_effects.values()), data)
+    tried, refused = model.is_testable(tuple(model.known_effects.values()), data)
     assert not any(name.startswith("encoder_second") for name in (*(e.name for e in tried), *refused))
     first, second = (model.known_effects[name] for name in ("encoder_cyclic", "encoder_second_1"))
     with pytest.raises(EffectError, match="needs the period of the encoders"):
@@ -148,7 +148,7 @@ def test_a_second_wave_goes_with_the_first() -> None:
     assert both.without_effect("encoder_cyclic").effects == ()
     with pytest.raises(EffectError, match="'encoder_second_1' goes with 'encoder_cyclic', which is not in the model"):
         replace(both, effects=(second,))
-    tried, _ = model.with_effect(first, at=0.1).can_be_tried([second], data)
+    tried, _ = model.with_effect(first, at=0.1).is_testable([second], data)
     assert tried == [second]
 
 

@@ -25,7 +25,7 @@ from sherkit.errors import RobotError
 from sherkit.model import kinds
 from sherkit.model.kinds import robot_from_tables
 from sherkit.robots.delta import Delta
-from sherkit.robots.machine.described import Described
+from sherkit.robots.machine.described import MachineDescription
 from strategies import EXAMPLE, between, deltas
 
 TEXT = """\
@@ -315,7 +315,9 @@ def test_tables_are_tables(table: str, tmp_path: Path) -> None:
 def test_other_files_are_refused(tables: Any, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a file of another robot, another program or another encoding that ends in a traceback."""
     # machines that other tests made known are named, too
-    built_in = {name: kind for name, kind in kinds.known_kinds().items() if not isinstance(kind.robot, Described)}
+    built_in = {
+        name: kind for name, kind in kinds.known_kinds().items() if not isinstance(kind.robot, MachineDescription)
+    }
     monkeypatch.setattr(kinds, "KINDS", built_in)
     assert says in refusal(tmp_path, tables)
 

@@ -516,14 +516,14 @@ def test_more_parameters_than_rows_support_are_said(ur5: Serial) -> None:
         new = replace(virtual, noise_mm=0.0).measure(postures(ur5, 100, 0.9, seed + 50), seed=1)
         for priors in (False, True):
             fit = sk.identify(ur5, data, priors=priors)
-            assert fit.crowded
-            assert f"34 rows support {fit.supported} of 27 parameters" in fit.crowded
-            assert ("--priors" in fit.crowded) is not priors
+            assert fit.overparametrised
+            assert f"34 rows support {fit.supported} of 27 parameters" in fit.overparametrised
+            assert ("--priors" in fit.overparametrised) is not priors
             assert 6 <= fit.supported < 20
             left = (new.readings - fit.model.predict(new, fit.values))[:, :3]
             fitted[priors].append(float(np.sqrt(np.mean(left**2))))
     assert np.mean(fitted[True]) < 0.8 * np.mean(fitted[False])
-    assert sk.identify(ur5, simulated(ur5, 1, 120)).crowded is None
+    assert sk.identify(ur5, simulated(ur5, 1, 120)).overparametrised is None
 
 
 def test_an_experiment_says_what_it_cannot_drive(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from second_simulator import (
     write_robot_toml,
 )
 from sherkit.base.types import Floats
-from sherkit.model.rows import Rows
+from sherkit.model.rows import EffectRows
 from sherkit.model.set_ups import InSetUp
 
 NOISE_MM = 2e-3
@@ -175,7 +175,7 @@ def test_derivatives_are_exact() -> None:
     data = sk.from_frame(table)
     rng = np.random.default_rng(0)
     position = rng.normal(size=(len(data), 3)) * 100
-    rows, one = Rows(data, lambda: position), InSetUp("B", (10.0, -20.0, 30.0))
+    rows, one = EffectRows(data, lambda: position), InSetUp("B", (10.0, -20.0, 30.0))
     names = ("turn_x", "turn_z", "shift_y")
     at = rng.normal(size=3)
     made = one.derivative(rows, SimpleNamespace(**dict(zip(names, at, strict=True))))

@@ -18,7 +18,7 @@ from sherkit.robots.tool import places as tip_places
 from sherkit.robots.tool.effects import TOOL_CATALOGUE
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.model import ToolModel, applied
-from sherkit.robots.tool.places import Places
+from sherkit.robots.tool.places import TipPlaces
 from sherkit.robots.tool.tare import tare
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool
@@ -99,7 +99,7 @@ def test_the_holes_width_is_found() -> None:
     """Catches a hole whose width is that of its way to give, and one found where a needle bends a stopped tool."""
     for experiment, found in (("vessels", True), ("bends", False)):
         run = VirtualTool(FlexibleTool()).run(experiment, seconds=20.0, seed=1)
-        hole = Places(FlexibleTool(), run, run.time_s[:1]).hole
+        hole = TipPlaces(FlexibleTool(), run, run.time_s[:1]).hole
         assert (hole is not None) == found
         if hole is not None:
             assert hole.clearance_mm == pytest.approx(2.2, abs=0.08)
@@ -157,7 +157,7 @@ def test_the_depth_of_a_run_is_as_good_as_the_filters() -> None:
     for seed in range(2):
         run = VirtualTool(KNOWING).run("phantom", seconds=30.0, seed=seed)
         assert run.depth_mm is not None
-        depth = Places(KNOWING, run, run.time_s[:1]).felt.depth_mm
+        depth = TipPlaces(KNOWING, run, run.time_s[:1]).felt.depth_mm
         e = estimate(KNOWING, run)
         filtered = e.depth.value[:, 0]
         # what the bend takes between the length of shaft and the paper's depth

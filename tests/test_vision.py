@@ -25,7 +25,7 @@ from sherkit.robots.spherical.virtual import PAPER_ERRORS
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: sherkit[vision]")
 
 from sherkit.vision.camera import Intrinsics, View, charuco_intrinsics, chessboard_intrinsics, draw_marker  # noqa: E402
-from sherkit.vision.marker import Seen, find_marker  # noqa: E402
+from sherkit.vision.marker import SeenMarker, find_marker  # noqa: E402
 from sherkit.vision.pictures import CameraPicture, frames_of, picture_of  # noqa: E402
 from sherkit.vision.spherical import joined_by_time, marker_rows, pictures_of, seen_run  # noqa: E402
 
@@ -245,7 +245,7 @@ def test_a_row_that_lacks_a_marker_is_a_sentence() -> None:
     rows = marker_rows([CameraPicture(np.full((64, 64), 9, np.uint8), "dark", 1.5)])
     assert rows["u_px"].to_list() == [None]
     assert rows["time_s"].to_list() == [1.5]
-    assert isinstance(find_marker(np.full((64, 64), 9, np.uint8)), Seen)
+    assert isinstance(find_marker(np.full((64, 64), 9, np.uint8)), SeenMarker)
 
 
 # -- from the command line -----------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .base import linalg
-from .base.arguments import NotNegative, Seed, as_annotated
+from .base.arguments import NotNegative, Seed, validate_arguments
 from .base.names import listed
 from .base.types import Floats
 from .data import Measurements
@@ -50,7 +50,7 @@ class Result:
         return self.whole.fit.converged and (self.local is None or self.local.fit.converged)
 
 
-@as_annotated
+@validate_arguments
 @linalg.one_thread()
 def calibrate(
     robot: RobotLike,

@@ -21,7 +21,7 @@ import numpy as np
 import polars as pl
 import scipy
 
-from .base.arguments import Level, Seed, as_annotated
+from .base.arguments import Level, Seed, validate_arguments
 from .base.figures import sized
 from .base.names import listed
 from .base.workers import Outcome, run_tasks
@@ -44,7 +44,7 @@ _EFFICIENCY = 0.37
 
 
 @dataclass(frozen=True)
-class Machine(Summary):
+class FleetMember(Summary):
     """One run of the fleet, and what was found in it.
 
     ``failed`` is the sentence that says why there is no more, None where all went well. ``values``, ``std`` and
@@ -103,10 +103,10 @@ class StandsOut:
 class Fleet:
     """The machines in the order of their runs."""
 
-    machines: tuple[Machine, ...]
+    machines: tuple[FleetMember, ...]
 
     @cached_property
-    def diagnosed(self) -> tuple[Machine, ...]:
+    def diagnosed(self) -> tuple[FleetMember, ...]:
         """The machines whose runs could be used."""
         return tuple(m for m in self.machines if m.failed is None)
 
@@ -187,7 +187,7 @@ class Fleet:
         }
 
 
-@as_annotated
+@validate_arguments
 def fleet(
     runs: Sequence[RunLike], robot: RobotLike, *, effects: Sequence[Effect | str] = (), own: Sequence[Effect] = (),
     level: Level = 0.01, seed: Seed = 0, executor: futures.Executor | None = None,
@@ -221,22 +221,22 @@ def fleet(
     inside = (*known, *(e for e in effects if isinstance(e, Effect)))
     call = uuid.uuid4().hex
     tasks = [
-        _Task(call, name, nominal, run, columns, inside, tuple(own), level, seed)
+        _FleetTask(call, name, nominal, run, columns, inside, tuple(own), level, seed)
         for name, run in zip(names, runs, strict=True)
     ]
     told = progress or (lambda done, total: None)
     told(0, len(tasks))
-    made: dict[int, Machine] = {}
+    made: dict[int, FleetMember] = {}
     with closing(_here(tasks) if executor is None else run_tasks(_machine, tasks, executor)) as outcomes:
         for one in outcomes:
             name = names[one.number]
-            made[one.number] = one.answer or Machine(name, failed=_unanswered(name, one.error))
+            made[one.number] = one.answer or FleetMember(name, failed=_unanswered(name, one.error))
             told(len(made), len(tasks))
     return Fleet(tuple(made[k] for k in range(len(tasks))))
 
 
 @dataclass(frozen=True)
-class _Task:
+class _FleetTask:
     """What is sent to a worker. ``call`` is another one each time: a cluster that keeps answers by what was asked would
     give that of a file which has changed since."""
 
@@ -251,7 +251,7 @@ class _Task:
     seed: int
 
 
-def _here(tasks: Sequence[_Task]) -> Generator[Outcome[Machine], None, None]:
+def _here(tasks: Sequence[_FleetTask]) -> Generator[Outcome[FleetMember], None, None]:
     for k, task in enumerate(tasks):
         yield Outcome(k, _machine(task))
 
@@ -262,7 +262,7 @@ def _unanswered(name: str, error: BaseException | None) -> str:
     return f"{name}: {said if isinstance(error, SherkitError) else f'{type(error).__name__}: {said}'}"
 
 
-def _machine(task: _Task) -> Machine:
+def _machine(task: _FleetTask) -> FleetMember:
     """Numbers and words alone come back: no rows travel."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", SherkitWarning)
@@ -271,11 +271,11 @@ def _machine(task: _Task) -> Machine:
             fit = identify(task.robot, data, effects=list(task.inside))
             found = diagnose(fit, effects=task.own, level=task.level, seed=task.seed)
         except SherkitError as error:
-            return Machine(task.name, failed=str(error), remarks=_said(said))
+            return FleetMember(task.name, failed=str(error), remarks=_said(said))
         except (Exception, SystemExit) as error:  # an effect of the user's, memory: of this machine alone
-            return Machine(task.name, failed=_unanswered(task.name, error), remarks=_said(said))
+            return FleetMember(task.name, failed=_unanswered(task.name, error), remarks=_said(said))
     names = [p.name for p in found.fit.parameters]
-    return Machine(
+    return FleetMember(
         **vars(found.summary),
         run=task.name,
         values=dict(zip(names, found.fit.values.tolist(), strict=True)),

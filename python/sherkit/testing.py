@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from .base.arguments import as_annotated
+from .base.arguments import validate_arguments
 from .base.types import Floats
 from .calibration import calibrate
 from .data import Measurements
@@ -47,7 +47,7 @@ _ALARMS = 1
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _CheckedKind:
     """A kind and one robot of it, with what several checks need."""
 
     kind: Kind
@@ -97,7 +97,7 @@ def _require(holds: bool, what: str) -> None:
         raise AssertionError(what)
 
 
-def _names(a: _Asked) -> None:
+def _names(a: _CheckedKind) -> None:
     """The kind has a name, columns of runs with units, and coordinates that are columns."""
     _require(a.kind.name == a.robot.kind, f"kind: robots say '{a.robot.kind}', the Kind is '{a.kind.name}'")
     own = kind_of(a.robot)
@@ -110,7 +110,7 @@ def _names(a: _Asked) -> None:
     _require(bool(a.kind.coordinates), "coordinates: expected what forward gives, as columns")
 
 
-def _file(a: _Asked) -> None:
+def _file(a: _CheckedKind) -> None:
     """A robot is the same once it was written and read, and an unknown key of its file is refused."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "robot.toml"
@@ -131,7 +131,7 @@ def _file(a: _Asked) -> None:
     raise AssertionError("from_table: takes a key that nobody knows; read tables with Table and its methods")
 
 
-def _there_and_back(a: _Asked) -> None:
+def _there_and_back(a: _CheckedKind) -> None:
     """The joints that inverse gives lead where they should, one pose at a time and many."""
     places = a.places
     found = a.robot.inverse_batch(places)
@@ -145,7 +145,7 @@ def _there_and_back(a: _Asked) -> None:
         _require(np.allclose(back, place, atol=_CLOSE * size), told)
 
 
-def _every_effect(a: _Asked) -> Iterator[tuple[ChainModel, str]]:
+def _every_effect(a: _CheckedKind) -> Iterator[tuple[ChainModel, str]]:
     """The model with each effect of the catalogue that the run allows."""
     for name, effect in a.model.known_effects.items():
         if name in (*WITHIN, *(e.name for e in a.model.effects)) or missing_columns(effect, a.usual):
@@ -154,7 +154,7 @@ def _every_effect(a: _Asked) -> Iterator[tuple[ChainModel, str]]:
         yield a.model.with_effect(effect, at=at), name
 
 
-def _zero_is_none(a: _Asked) -> None:
+def _zero_is_none(a: _CheckedKind) -> None:
     """An effect whose parameters are zero changes nothing, also on rows without its column."""
     rows = a.usual.select(np.arange(_ROWS))
     plain = a.model.predict(rows, np.zeros(len(a.model.parameters)))
@@ -163,7 +163,7 @@ def _zero_is_none(a: _Asked) -> None:
         _require(np.allclose(same, plain, rtol=0, atol=1e-12, equal_nan=True), f"{name}: is not zero at zero")
 
 
-def _derivatives(a: _Asked) -> None:
+def _derivatives(a: _CheckedKind) -> None:
     """Derivatives are those of the readings, for geometry and every effect."""
     rows = a.usual.select(np.arange(_ROWS))
     for model, name in ((a.model, "geometry"), *_every_effect(a)):
@@ -181,7 +181,7 @@ def _derivatives(a: _Asked) -> None:
             )
 
 
-def _sentences(a: _Asked) -> None:
+def _sentences(a: _CheckedKind) -> None:
     """Every effect says its physics, how it shows and what to do, and has parameters with a unit and a size."""
     for name, effect in a.model.known_effects.items():
         said = {"physics": effect.physics, "residuals": effect.residuals, "remedy": effect.remedy}
@@ -190,14 +190,14 @@ def _sentences(a: _Asked) -> None:
         _require(all(p.size > 0 for p in effect.parameters), f"{name}: a parameter has no plausible size")
 
 
-def _geometry(a: _Asked) -> None:
+def _geometry(a: _CheckedKind) -> None:
     """Without noise the geometric errors of the virtual robot are fitted to nothing."""
     fit = identify(a.robot, a.run(quiet=True))
     left = fit.error_by(0).rms
     _require(left < 1e-3 * fit.nominal_error.rms, f"a run without noise leaves {left:.3g} of {fit.nominal_error}")
 
 
-def _quiet(a: _Asked) -> None:
+def _quiet(a: _CheckedKind) -> None:
     """Where nothing is hidden nothing is found."""
     told = []
     for seed in _SEEDS:
@@ -207,7 +207,7 @@ def _quiet(a: _Asked) -> None:
     _require(len(told) <= _ALARMS, f"alarms where nothing is hidden: {'; '.join(told)}")
 
 
-def _deployed(a: _Asked) -> None:
+def _deployed(a: _CheckedKind) -> None:
     """A calibration is the same once it was written and read, leads where it should, and says how well."""
     if a.kind.calibration is None:
         raise _NotAskedError
@@ -224,7 +224,7 @@ def _deployed(a: _Asked) -> None:
     _require(0.0 < made.accuracy(place) < size, "accuracy: expected a size in the unit of the coordinates")
 
 
-def _studied(a: _Asked) -> None:
+def _studied(a: _CheckedKind) -> None:
     """A study goes a step and back, and is the same once it was written and read."""
     study = Study(a.robot, a.usual)
     before = study.fit.values.copy()
@@ -240,11 +240,18 @@ def _studied(a: _Asked) -> None:
 
 
 #: What is asked, in order; those of the second list need a virtual robot.
-_OF_ROBOTS: tuple[Callable[[_Asked], None], ...] = (_names, _file, _there_and_back, _sentences)
-_OF_RUNS: tuple[Callable[[_Asked], None], ...] = (_zero_is_none, _derivatives, _geometry, _quiet, _deployed, _studied)
+_OF_ROBOTS: tuple[Callable[[_CheckedKind], None], ...] = (_names, _file, _there_and_back, _sentences)
+_OF_RUNS: tuple[Callable[[_CheckedKind], None], ...] = (
+    _zero_is_none,
+    _derivatives,
+    _geometry,
+    _quiet,
+    _deployed,
+    _studied,
+)
 
 
-@as_annotated
+@validate_arguments
 def check_robot(kind: Kind, robot: Robot | None = None) -> tuple[str, ...]:
     """Asks a kind of robot everything that sherkit relies on; ``robot`` is one of the kind, by default its ``example``.
 
@@ -255,7 +262,7 @@ def check_robot(kind: Kind, robot: Robot | None = None) -> tuple[str, ...]:
     one = kind.example if robot is None else robot
     if one is None:
         raise AssertionError(f"{kind.name}: has no example; give a robot: check_robot(KIND, robot)")
-    asked = _Asked(kind if kind.own_layouts is None else replace(kind, layouts=kind.own_layouts(one)), one)
+    asked = _CheckedKind(kind if kind.own_layouts is None else replace(kind, layouts=kind.own_layouts(one)), one)
     held, failed = [], []
     with known_as(kind):
         for check in _OF_ROBOTS if kind.virtual is None else (*_OF_ROBOTS, *_OF_RUNS):

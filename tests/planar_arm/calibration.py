@@ -15,7 +15,7 @@ from sherkit.model.sensor_pose import SensorPose
 from sherkit.robots.accuracy import Planes
 from sherkit.robots.calibrated import Calibration
 from sherkit.robots.calibration_run import CalibrationRun
-from sherkit.robots.part import Part
+from sherkit.robots.part import IdentifiedModel
 
 from .columns import TIP
 from .core import PlanarCore
@@ -79,7 +79,7 @@ class PlanarCalibration(Calibration):
     called: ClassVar = ("x and y", "places")
 
     robot: PlanarArm
-    whole: Part
+    whole: IdentifiedModel
 
     @classmethod
     def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
@@ -93,7 +93,7 @@ class PlanarCalibration(Calibration):
             lambda missed: (np.nan_to_num(missed[use]) @ turn)[:, :2], whole.deployed(whole.held_out)
         )
         seen = np.column_stack([where[name][use] for name in TIP])
-        return cls(fit.model.robot, Part.identified(fit, 2).leaving(left, scatter, seen))
+        return cls(fit.model.robot, IdentifiedModel.identified(fit, 2).leaving(left, scatter, seen))
 
     @cached_property
     def core(self) -> PlanarCalibrated:
@@ -102,7 +102,7 @@ class PlanarCalibration(Calibration):
         arms = np.array([p.name not in model.of_sensor for p in model.core_parameters])
         return PlanarCalibrated(model.core, np.where(arms, model.full(self.whole.values), 0.0), self.robot)
 
-    def counted(self, part: Part, frame: str) -> Bools:
+    def counted(self, part: IdentifiedModel, frame: str) -> Bools:
         """Nothing that is the instrument's."""
         ours = [p.name not in self.model.of_sensor for p in self.model.parameters[: len(part.values)]]
         return super().counted(part, frame) & np.array(ours, dtype=bool)
@@ -113,7 +113,7 @@ class PlanarCalibration(Calibration):
         turn, _ = self.model.sensor_frame(self.whole.values)
         return (turn.T @ missed)[:, :2]
 
-    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+    def by_values(self, part: IdentifiedModel, joints: Floats, now: list[float]) -> Floats:
         """Of x and y (n, 2, p)."""
         del part
         block = self.core.block(joints, now)

@@ -12,9 +12,9 @@ from ..data import Measurements
 from ..data.columns import POSE, REASON, REPEAT
 from ..errors import SherkitError
 from .choice import choose, rivals
-from .look import Look
-from .region import Places
-from .rule import State
+from .look import InterimAnalysis
+from .region import Targets
+from .rule import RuleState
 from .task import Task
 
 #: Readings over which the rest of the span is spread where nothing shows, and from which on.
@@ -51,7 +51,7 @@ class Batches:
         return [self._row(places.pick([k]), "explore", first + k) for k in range(count)]
 
     def chosen(
-        self, found: Look, state: State, count: int, boundary: int, taken: Taken, data: Measurements,
+        self, found: InterimAnalysis, state: RuleState, count: int, boundary: int, taken: Taken, data: Measurements,
         rng: np.random.Generator,
     ) -> Rows:  # fmt: skip
         """So many rows up to the look at ``boundary``, as the last one tells them."""
@@ -71,14 +71,14 @@ class Batches:
                 row["not_before_s"] = clock + (i + 1) * pace_s
         return rows
 
-    def _row(self, places: Places, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
+    def _row(self, places: Targets, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
         row: dict[str, Any] = {POSE: pose, REPEAT: repeat}
         row |= dict(zip(self.task.layout.joints, places.joints[0].tolist(), strict=True))
         row |= dict(zip(self.task.region.targets, places.targets[0].tolist(), strict=True))
         row |= {name: 1 + pose % count for name, count in _apart(self.task.robot, self.task.layout.apart).items()}
         return row | {REASON: reason, "not_before_s": 0.0}
 
-    def _again(self, found: Look, taken: Taken, boundary: int, count: int, rng: np.random.Generator) -> Rows:
+    def _again(self, found: InterimAnalysis, taken: Taken, boundary: int, count: int, rng: np.random.Generator) -> Rows:
         """Rows that were set aside, driven once more each, and poses that were read once, so that these are their share
         of all: what differs then is noise, and nothing else tells it from physics that is finer than the poses."""
         data = found.data
@@ -89,10 +89,10 @@ class Batches:
         wrong = [row for row in found.aside.tolist() if len(told[int(data.pose[row])]) == 1][: max(count // 2, 1)]
         more = min(int(_ONCE_MORE * boundary) - len(data) + len(poses), count - len(wrong))
         rows = [*wrong, *rng.permutation(np.setdiff1d(first[times == 1], found.aside))[: max(more, 0)].tolist()]
-        places = [Places(data.joints[[row]], self.task.region.reached_at(data.joints[[row]])) for row in rows]
+        places = [Targets(data.joints[[row]], self.task.region.reached_at(data.joints[[row]])) for row in rows]
         return [self._row(at, "again", int(data.pose[row]), 2) for row, at in zip(rows, places, strict=True)]
 
-    def _pace(self, found: Look, state: State) -> tuple[float, bool]:
+    def _pace(self, found: InterimAnalysis, state: RuleState) -> tuple[float, bool]:
         """Seconds between rows to come, and whether they are worth waiting for."""
         time_s, span_s = found.data.time_s, 60.0 * self.task.span_min
         if time_s is None or len(time_s) < 2:

@@ -21,8 +21,8 @@ from ..evidence.blocks import Block
 from ..evidence.design import showing
 from ..evidence.family import Family
 from .known import run_at
-from .look import FAR, Keys, Look
-from .region import Places
+from .look import FAR, InterimAnalysis, Keys
+from .region import Targets
 
 #: Candidates for each batch, the share of places that are anywhere, and what a coefficient is expected to be, and may
 #: be, squared.
@@ -32,7 +32,7 @@ _MOST_RIVALS = 6
 _RIDGE = 1e-9
 
 
-def rivals(found: Look) -> list[Keys]:
+def rivals(found: InterimAnalysis) -> list[Keys]:
     """What is nearly as likely as the best, the best first; the best shape is always among them."""
     shapes, lead = found.shapes, found.lead
     first = lead.keys if lead is not None else found.effects[0][0] if found.effects else None
@@ -51,13 +51,13 @@ def rivals(found: Look) -> list[Keys]:
 class _There:
     """Places as the model sees them a little later: ``own`` (n, m, p) by what it fits, and by what may be missing."""
 
-    found: Look
-    places: Places
+    found: InterimAnalysis
+    places: Targets
     family: Family
     own: Floats
 
     @classmethod
-    def of(cls, found: Look, after_s: float, rng: np.random.Generator, *, shapes: bool) -> _There:
+    def of(cls, found: InterimAnalysis, after_s: float, rng: np.random.Generator, *, shapes: bool) -> _There:
         """Some places anywhere that what was fitted can reach."""
         known, fit = found.known, found.fit
         places = known.region.anywhere(_CANDIDATES, rng)
@@ -79,7 +79,9 @@ class _There:
         return np.concatenate([self.own, more[-len(self.own) :]], axis=2)
 
 
-def choose(found: Look, count: int, alarmed: bool, rng: np.random.Generator, pace_s: float) -> list[tuple[Places, str]]:
+def choose(
+    found: InterimAnalysis, count: int, alarmed: bool, rng: np.random.Generator, pace_s: float
+) -> list[tuple[Targets, str]]:
     """So many places, shuffled, and why; ``pace_s`` is how much later each of them will be read."""
     against = rivals(found) if alarmed else []
     telling = alarmed and (len(against) > 1 or found.log_evidence < FAR)
@@ -99,7 +101,7 @@ def choose(found: Look, count: int, alarmed: bool, rng: np.random.Generator, pac
     return [out[k] for k in rng.permutation(len(out))]
 
 
-def _now(found: Look, blocks: Sequence[Block], most: float) -> tuple[Floats, Floats]:
+def _now(found: InterimAnalysis, blocks: Sequence[Block], most: float) -> tuple[Floats, Floats]:
     """Columns (N, p + k) of what the model fits and of these in the rows read, and what they tell where coefficients
     have the variance ``most``."""
     run = found.run
@@ -149,7 +151,7 @@ def _apart(there: _There, sets: Sequence[Keys]) -> Floats:
     return gained
 
 
-def are_beyond(found: Look, tied: Sequence[Keys], budget: int, late_s: float, margin: float) -> bool:
+def are_beyond(found: InterimAnalysis, tied: Sequence[Keys], budget: int, late_s: float, margin: float) -> bool:
     """Whether the readings that are left, wherever and whenever they are taken, would tell none of those tied from the
     first of them, by a ``margin``."""
     if budget <= found.readings:

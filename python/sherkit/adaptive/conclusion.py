@@ -19,8 +19,8 @@ from ..evidence.thresholds import SURE
 from ..fit.identify import identify
 from . import rule, told
 from .choice import are_beyond
-from .held import Held
-from .look import FAR, Look
+from .held import BatchLooks
+from .look import FAR, InterimAnalysis
 from .progress import accuracy_um
 from .unread import mistaken
 from .vouching import louder_than_told, structure_of, told_of
@@ -57,7 +57,7 @@ class Conclusion:
         return _agreeing(self.make(), self)
 
 
-def conclude(loop: Held) -> Conclusion:
+def conclude(loop: BatchLooks) -> Conclusion:
     """What follows from the rows of a loop."""
     found, state, robot, seed = loop.last, loop.state, loop.robot, loop.seed
     if loop.readings == 0:
@@ -133,7 +133,7 @@ def conclude(loop: Held) -> Conclusion:
     )  # fmt: skip
 
 
-def _spent(loop: Held) -> str:
+def _spent(loop: BatchLooks) -> str:
     if loop.readings >= loop.budget:
         return f"the budget of {loop.budget} readings is spent"
     data = loop.last.data if loop.last else None
@@ -142,7 +142,7 @@ def _spent(loop: Held) -> str:
     return ""
 
 
-def _is_beyond(loop: Held, found: Look, state: rule.State) -> bool:
+def _is_beyond(loop: BatchLooks, found: InterimAnalysis, state: rule.RuleState) -> bool:
     """Whether late in the budget effects are tied that nothing more would tell apart."""
     if not state.alarmed or found.readings < _EARLY:
         return False
@@ -152,19 +152,21 @@ def _is_beyond(loop: Held, found: Look, state: rule.State) -> bool:
     return len(ties) > 1 and are_beyond(found, ties, loop.budget, _longer(loop), margin)
 
 
-def _longer(loop: Held) -> float:
+def _longer(loop: BatchLooks) -> float:
     """Seconds to a moment that is late enough to tell what lives in time."""
     left = 3600.0 if not loop.minutes else 60.0 * loop.minutes
     return max(left, 120.0 * loop.span_min)
 
 
-def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+def _at_the_end(
+    loop: BatchLooks, found: InterimAnalysis, spent: str
+) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], str]:
     """Verdict, effects, ties and reason where nothing stands alone and no more is read."""
     why = spent or "no reachable pose, and no later moment, tells what is left apart"
     if found.log_evidence < -np.log(loop.level):
         if loop.against:
             return "undecided", (), (), f"{why}; {loop.against[0]}"
-        if found.readings >= rule.FEWEST and rule.is_silent(rule.outlook(found, loop.level)):
+        if found.readings >= rule.FEWEST and rule.effects_excluded(rule.outlook(found, loop.level)):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
     ties = rule.ties(found)
@@ -190,7 +192,7 @@ def _at_the_end(loop: Held, found: Look, spent: str) -> tuple[str, tuple[str, ..
     return ("explained" if settled else "partly explained"), effects, (names,), why
 
 
-def _would_tell(found: Look) -> list[str]:
+def _would_tell(found: InterimAnalysis) -> list[str]:
     """What would tell the leader from those tied with it: poses, or readings that these instruments do not take."""
     fits = {one.names: one.fit for one in found.fitted}
     names = [tuple(sorted(name for name, _ in keys)) for keys in rule.ties(found)]
@@ -205,7 +207,7 @@ def _would_tell(found: Look) -> list[str]:
     return out
 
 
-def _unsure(found: Look) -> list[str]:
+def _unsure(found: InterimAnalysis) -> list[str]:
     if not len(found.aside) or found.aside[0] != 0 or not (found.data.direction[0] == 0.0).all():
         return []
     columns = f"{found.data.layout.directions[0]} …"

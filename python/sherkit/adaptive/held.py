@@ -15,8 +15,8 @@ from ..errors import SherkitError
 from ..fit.error import axes_of
 from . import rule, told
 from .kept import Kept
-from .known import Known
-from .look import Look, look
+from .known import FixedBefore
+from .look import InterimAnalysis, look
 from .unread import mistaken, unread_cells
 from .vouching import against
 
@@ -24,12 +24,12 @@ from .vouching import against
 _START, _BEYOND = 12, 8
 
 
-class Held(Kept):
+class BatchLooks(Kept):
     """Looks wherever a batch is whole."""
 
     def _begin_anew(self) -> None:
-        self._known: Known | None = None
-        self._looks: list[tuple[Look, rule.State]] = []
+        self._known: FixedBefore | None = None
+        self._looks: list[tuple[InterimAnalysis, rule.RuleState]] = []
         self._asked = []
         self._asked_at = -1
         self._looked = 0
@@ -56,12 +56,12 @@ class Held(Kept):
         return told.in_time(self.frame, self.robot, self.model, self.layout)
 
     @property
-    def last(self) -> Look | None:
+    def last(self) -> InterimAnalysis | None:
         """The last look."""
         return self._looks[-1][0] if self._looks else None
 
     @property
-    def looks(self) -> tuple[Look, ...]:
+    def looks(self) -> tuple[InterimAnalysis, ...]:
         """Every look so far."""
         return tuple(found for found, _ in self._looks)
 
@@ -75,9 +75,9 @@ class Held(Kept):
         return tuple(why[k] for k in order)
 
     @property
-    def state(self) -> rule.State:
+    def state(self) -> rule.RuleState:
         """What is held after the last look."""
-        return self._looks[-1][1] if self._looks else rule.State()
+        return self._looks[-1][1] if self._looks else rule.RuleState()
 
     @property
     def _boundary(self) -> int:
@@ -127,7 +127,9 @@ class Held(Kept):
     def _look_at(self, some: Measurements) -> None:
         if self._known is None:
             axes = axes_of(some)
-            self._known = Known.of(self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0))
+            self._known = FixedBefore.of(
+                self.model.for_run(some), self.region, some, axes, max(60.0 * self.span_min, 600.0)
+            )
         found = look(self._known, some, self.last)
         spanned = some.time_s is None or float(np.ptp(some.time_s)) >= 60.0 * self.span_min * (1 - 1e-9)
         self.against = against(found, self.required_um, self.level, self.seed)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, Self
 
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..data.columns import POSE, REPEAT
 from ..data.files import write_whole
 from ..data.lock import FileLock
@@ -40,7 +40,7 @@ class Kept(Task, ABC):
     def tell(self, rows: Any) -> None:
         """Takes what was read."""
 
-    @as_annotated
+    @validate_arguments
     def save(self, path: str | Path) -> None:
         """Writes robot, settings, rows and the batch that was asked for as JSON, whole or not at all. Until the loop is
         done, or its program ends, no other loop can have the file: raises :class:`~sherkit.errors.ExperimentError`
@@ -98,7 +98,7 @@ class Kept(Task, ABC):
         return type(self)._of, (self.robot, self._held(), "pickle")
 
     @classmethod
-    @as_annotated
+    @validate_arguments
     def load(cls, path: str | Path, robot: RobotLike | None = None) -> Self:
         """The loop of a file, as it was; ``robot`` is only needed for a machine that is no file. Until it is done, no
         other loop can have the file. Raises :class:`~sherkit.errors.ExperimentError` for what is no such file, and for

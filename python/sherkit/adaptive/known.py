@@ -14,13 +14,13 @@ from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
 from ..evidence.base import reference_of
 from ..evidence.fitted_run import FittedRun
-from ..evidence.reference import Reference
+from ..evidence.reference import ReferenceRows
 from ..evidence.run import Run
 from ..evidence.whitening import Whitening
 from ..fit.identify import Fit, identify
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
-from .region import Places, Region, planned
+from .region import Region, Targets, planned
 
 #: Rows of the reference, and those from which on something may let go: what one or two rows before it say may be their
 #: own.
@@ -32,14 +32,14 @@ _SWINGS, _TIMES, _LEAST, _WIDTHS = 0.1, 4.0, 1e-9, {TEMPERATURE: 1.0}
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class FixedBefore:
     """The ``model`` without what may be missing, the ``region``, the readings ``axes`` that are looked at, and the
     ``reference`` of the evidence; ``effects`` by name, ``untestable`` those that are none here, with the reason."""
 
     model: ModelWithEffects
     region: Region
     axes: tuple[int, ...]
-    reference: Reference
+    reference: ReferenceRows
     effects: Mapping[str, Effect]
     untestable: Mapping[str, str]
     #: What a later moment shows more of.
@@ -48,7 +48,7 @@ class Known:
     @classmethod
     def of(
         cls, model: ModelWithEffects, region: Region, data: Measurements, axes: tuple[int, ...], span_s: float
-    ) -> Known:
+    ) -> FixedBefore:
         """What can be missing where rows have the columns of ``data``; ``span_s`` is over what time it is judged."""
         rows = _reference(region, data, span_s)
         rows = replace(rows, taken=_taken(rows, axes))
@@ -65,7 +65,7 @@ class Known:
             model, region, axes, reference, effects, {**view.untestable, **taken}, frozenset(in_time | beside)
         )  # fmt: skip
 
-    def later(self, data: Measurements, places: Places, after_s: float, rng: np.random.Generator) -> Measurements:
+    def later(self, data: Measurements, places: Targets, after_s: float, rng: np.random.Generator) -> Measurements:
         """These rows, and behind them rows at places a little later, approached from where the robot stands."""
         n = len(places)
         joints = np.concatenate([data.joints, places.joints])

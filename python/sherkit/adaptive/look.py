@@ -24,8 +24,8 @@ from ..evidence.sets import ONE_MORE, EffectSet, Sets
 from ..evidence.settings import refined
 from ..fit.identify import Fit
 from .agreement import ROUGH, rough_of
-from .known import Known
-from .noise import Noise, expected, left_by, run_of_rows
+from .known import FixedBefore
+from .noise import LoopNoise, expected, left_by, run_of_rows
 
 _ROUNDS = 3
 #: Sets that are fitted in full: at most so many, within this of the best (a logarithm).
@@ -46,7 +46,7 @@ Keys = tuple[Key, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedSet:
     """A set of effects in the model, fitted in full: ``log_bf`` against the model alone, ``rest`` what is left beside
     it, as the logarithm of a mean Bayes factor over all others."""
 
@@ -67,17 +67,17 @@ class Fitted:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class InterimAnalysis:
     """What ``readings`` rows say: ``log_evidence`` that something is missing, ``sets`` with the logarithm of weight
     times Bayes factor, best first, ``fitted`` the first of them in full."""
 
-    known: Known
+    known: FixedBefore
     data: Measurements
     base: Base
     log_evidence: float
     sets: tuple[tuple[Keys, float], ...]
-    fitted: tuple[Fitted, ...]
-    noise: Noise
+    fitted: tuple[FittedSet, ...]
+    noise: LoopNoise
     blocks: Mapping[Key, Block]
 
     @property
@@ -159,7 +159,7 @@ class Look:
         return np.concatenate([np.zeros((len(family.run.residual), 0)), *each], axis=1)
 
     @cached_property
-    def lead(self) -> Fitted | None:
+    def lead(self) -> FittedSet | None:
         """The best of the sets that were fitted in full, one cause before two: a pair leads only where it is far better
         than each of its two, or both leave something."""
         for one in self.fitted:
@@ -186,12 +186,12 @@ class Look:
         return next((value for other, value in self.sets if other == keys), -np.inf)
 
 
-def look(known: Known, data: Measurements, before: Look | None = None) -> Look:
+def look(known: FixedBefore, data: Measurements, before: InterimAnalysis | None = None) -> InterimAnalysis:
     """Looks at rows in the order of time; the noise that the look ``before`` found is where it begins. Raises
     :class:`~sherkit.errors.FitError` where nothing can be fitted."""
     # where nobody knows from which side the first pose was approached, lost motion would make it another slip
     unsure = np.flatnonzero((data.direction == 0.0).all(axis=1)) if moved(data) else np.zeros(0, dtype=np.int64)
-    now = Noise(unsure, np.ones(len(known.axes)), 0.0)
+    now = LoopNoise(unsure, np.ones(len(known.axes)), 0.0)
     if before is not None:
         # what explained best explains the new rows, as a rule
         best = before.run.of if before.best is None else before.best.run.of
@@ -257,7 +257,7 @@ def called(block: Block) -> str:
     return block.name or (f"{block.shape} in {' and '.join(block.depends_on)}" if block.depends_on else block.shape)
 
 
-def _looked(known: Known, data: Measurements, noise: Noise) -> Look:
+def _looked(known: FixedBefore, data: Measurements, noise: LoopNoise) -> InterimAnalysis:
     family = Family(run_of_rows(known, data, noise), known.reference)
     base = Base.of(family, family.run)
     values, sets, rough = _Values(family), Sets(family, base), rough_of(base)
@@ -265,7 +265,7 @@ def _looked(known: Known, data: Measurements, noise: Noise) -> Look:
         values.put((key,), value)
     values.put(((ROUGH, None),), rough)
     log_evidence = float(np.logaddexp(base.evidence, rough))
-    fitted: list[Fitted] = []
+    fitted: list[FittedSet] = []
     if log_evidence > _WORTH:
         # shapes are among pairs, since two effects must not be named for what one effect and an unknown, or two
         # unknowns, would do as well
@@ -286,14 +286,14 @@ def _looked(known: Known, data: Measurements, noise: Noise) -> Look:
                 values.put(keys, one.value)
                 left = float(np.logaddexp(one.rest, rough_of(one.base)))
                 found = values.of[frozenset(one.names)]
-                fitted.append(Fitted(found[0], one, one.log_bf + found[1] - one.value, left))
+                fitted.append(FittedSet(found[0], one, one.log_bf + found[1] - one.value, left))
     for done in fitted:
         if len(done.keys) == 1:
             values.put_beside(done.keys, done.of.value, done.of.each, anew=done.rest < LEFT)
     fitted.sort(key=lambda one: -values.of[frozenset(one.names)][1])
     # pairs may have found another setting likelier
     fitted = [replace(one, keys=values.of[frozenset(one.names)][0]) for one in fitted]
-    return Look(
+    return InterimAnalysis(
         known, data, base, log_evidence, tuple(values.ordered), tuple(fitted), noise, values.blocks
     )  # fmt: skip
 

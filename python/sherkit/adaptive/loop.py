@@ -14,12 +14,12 @@ from ..diagnosis import Diagnosis
 from . import told
 from .batch import Batches, next_pose
 from .conclusion import Conclusion, conclude
-from .held import Held
+from .held import BatchLooks
 from .progress import Progress, progress
 from .vouching import told_of
 
 
-class Adaptive(Held):
+class Adaptive(BatchLooks):
     """Chooses poses, is told what was read there, and ends when it is known what is missing.
 
     ``required_um`` is the accuracy that the robot is for (its file's, if left out), ``budget`` the most readings,

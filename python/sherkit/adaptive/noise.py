@@ -10,13 +10,13 @@ import numpy as np
 from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD, noise_of
-from ..data.noise import Noise as Weights
+from ..data.noise import ReadingNoise as Weights
 from ..errors import SherkitError
 from ..evidence.fitted_run import FittedRun
 from ..evidence.run import Run, in_time, one_after_another
 from ..evidence.whitening import Whitening, correlation_in_time, orthonormal
 from ..fit.identify import Fit, identify
-from .known import Known
+from .known import FixedBefore
 
 #: A row farther off than so many robust deviations, beside the best explanation, is set aside.
 GROSS = 7.0
@@ -29,7 +29,7 @@ _ENOUGH, _ALIKE = 24, 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class LoopNoise:
     """Rows (k,) that are set ``aside``, the noise ``sigma`` (m,) of the axes, one on average, and how much of it a row
     hands on to the next, ``rho``."""
 
@@ -37,13 +37,13 @@ class Noise:
     sigma: Floats
     rho: float
 
-    def is_near(self, other: Noise) -> bool:
+    def is_near(self, other: LoopNoise) -> bool:
         """Whether a look would be the same."""
         same = (np.abs(np.log(self.sigma / other.sigma)) < _SAME).all() and abs(self.rho - other.rho) < _SAME
         return bool(same) and np.array_equal(self.aside, other.aside)
 
 
-def run_of_rows(known: Known, data: Measurements, noise: Noise, like: Fit | None = None) -> Run:
+def run_of_rows(known: FixedBefore, data: Measurements, noise: LoopNoise, like: Fit | None = None) -> Run:
     """The rows as the model, or that of another fit from its values, sees them."""
     data = data.mark_outliers(noise.aside) if len(noise.aside) else data
     axes = list(known.axes)
@@ -63,7 +63,7 @@ def run_of_rows(known: Known, data: Measurements, noise: Noise, like: Fit | None
     return Run(of, rows, sigma, view, Whitening(noise.rho, *one_after_another(data.order, data.series, rows)))
 
 
-def left_by(run: Run, now: Noise, unsure: Ints) -> Noise:
+def left_by(run: Run, now: LoopNoise, unsure: Ints) -> LoopNoise:
     """What this fit of rows leaves, each reading over what its own weight in the fit takes from it."""
     basis, m = orthonormal(run.view.fitted(run.view.whole)), run.axes
     lever = np.square(basis).sum(axis=1).reshape(-1, m)
@@ -80,15 +80,15 @@ def left_by(run: Run, now: Noise, unsure: Ints) -> Noise:
     # the noise of each axis, drawn towards that of all while rows are few; leverage is in the residuals already
     each = np.square(left * now.sigma).mean(axis=0)
     if not each.any():
-        return Noise(wrong, now.sigma, 0.0)
+        return LoopNoise(wrong, now.sigma, 0.0)
     free, pooled = max(len(left) - basis.shape[1] / m, 1.0), float(each.mean())
     drawn = np.exp((free * np.log(np.maximum(each, 1e-12 * pooled)) + _ALIKE * np.log(pooled)) / (free + _ALIKE))
     told = run.view.time is not None and len(left) >= _ENOUGH
     rho = correlation_in_time(run.view.residual, basis, run.white.back) if told else 0.0
-    return Noise(wrong, np.sqrt(drawn / np.exp(np.mean(np.log(drawn)))), rho)
+    return LoopNoise(wrong, np.sqrt(drawn / np.exp(np.mean(np.log(drawn)))), rho)
 
 
-def expected(known: Known, data: Measurements, before: Noise, unsure: Ints, best: Fit) -> Noise:
+def expected(known: FixedBefore, data: Measurements, before: LoopNoise, unsure: Ints, best: Fit) -> LoopNoise:
     """The noise of rows by what explained those before ``best``: as a rule it explains the new ones."""
     with suppress(SherkitError):
         return left_by(run_of_rows(known, data, before, best), before, unsure)

@@ -11,12 +11,12 @@ from ..calibration import calibrate
 from ..errors import SherkitError
 from ..fit.identify import Fit, residuals
 from .known import PLACES
-from .look import Look
+from .look import InterimAnalysis
 from .task import Task
 
 
 @linalg.one_thread()
-def accuracy_um(task: Task, found: Look, effects: tuple[str, ...], fit: Fit) -> float | None:
+def accuracy_um(task: Task, found: InterimAnalysis, effects: tuple[str, ...], fit: Fit) -> float | None:
     """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
 
     As a calibration of these rows promises it (:class:`~sherkit.robots.accuracy.PredictedAccuracy`); of a
@@ -48,7 +48,7 @@ class Progress:
     accuracy_um: float | None
 
 
-def progress(before: Look | None, now: Look, seed: int) -> Progress:
+def progress(before: InterimAnalysis | None, now: InterimAnalysis, seed: int) -> Progress:
     """How far it is at a look, by what the one before it held."""
     fit = now.lead.fit if now.lead is not None else now.fit
     try:
@@ -62,7 +62,7 @@ def progress(before: Look | None, now: Look, seed: int) -> Progress:
     return Progress(now.readings, geometry, lead, accuracy)
 
 
-def _missed(fit: Fit, before: Look, now: Look) -> float:
+def _missed(fit: Fit, before: InterimAnalysis, now: InterimAnalysis) -> float:
     """Root mean square of what a fit leaves at the rows that were read after it."""
     axes = list(now.known.axes)
     new = slice(before.readings, now.readings)

@@ -19,7 +19,7 @@ from ..base.names import listed
 from ..evidence.sizes import PLAUSIBLE
 from ..evidence.thresholds import SCALES, SURE
 from .agreement import ROUGH, ROUGH_WEIGHT, agreement_of
-from .look import FAR, LEFT, Fitted, Keys, Look
+from .look import FAR, LEFT, FittedSet, InterimAnalysis, Keys
 
 # -- silence: which effects would have been seen by now, and from which size the others would -------------------------
 
@@ -44,14 +44,14 @@ class Unseen:
 
 
 @lru_cache(maxsize=2)
-def outlook(found: Look, level: float) -> tuple[Unseen, ...]:
+def outlook(found: InterimAnalysis, level: float) -> tuple[Unseen, ...]:
     """For every effect of the catalogue that can be tried; an alarm is evidence of one over the ``level``."""
     # the noise of one reading, in its unit, as the best explanation leaves it
     noise = float((found.fit if found.best is None else found.best.run.of.fit).scale)
     return (*(_outlook(found, name, noise, level) for name in found.known.effects), _outlook_rough(found, noise, level))
 
 
-def _outlook(found: Look, name: str, noise: float, level: float) -> Unseen:
+def _outlook(found: InterimAnalysis, name: str, noise: float, level: float) -> Unseen:
     reference, block, in_time = found.known.reference, found.by_effect.get(name), name in found.known.in_time
     if block is None:
         return Unseen(name, 0.0, float("inf"), in_time, True)
@@ -77,7 +77,7 @@ def _outlook(found: Look, name: str, noise: float, level: float) -> Unseen:
     return Unseen(name, at_noise, times * noise if enough.any() else float("inf"), in_time, most >= noise, most)
 
 
-def _outlook_rough(found: Look, noise: float, level: float) -> Unseen:
+def _outlook_rough(found: InterimAnalysis, noise: float, level: float) -> Unseen:
     """From which size on an error would have been seen that is another one at each pose."""
     now, needed = agreement_of(found.base), -float(np.log(level)) - ROUGH_WEIGHT
     quantiles = scipy.stats.chi2.ppf((np.arange(40) + 0.5) / 40, max(now.within_free, 1))
@@ -91,7 +91,7 @@ def _outlook_rough(found: Look, noise: float, level: float) -> Unseen:
     return Unseen(ROUGH, power(1.0), float(first) * noise, False, False, 0.0)
 
 
-def is_silent(seen: tuple[Unseen, ...]) -> bool:
+def effects_excluded(seen: tuple[Unseen, ...]) -> bool:
     """Whether everything that places can show would have been seen at the size of the noise; where the noise is more
     than anything plausible would do, silence says nothing."""
     shown = [one.power >= POWER for one in seen if one.visible and not one.in_time]
@@ -117,7 +117,7 @@ _LOOKS = 2
 
 
 @dataclass(frozen=True)
-class State:
+class RuleState:
     """What is held after a look: ``named`` are the effects that stand alone, since ``at`` readings, when the logarithm
     of their Bayes factor was ``then``, ``confirmed`` once it has grown; ``unknown`` counts the looks running at which
     no effect would do."""
@@ -133,37 +133,37 @@ class State:
     confirmed: bool = False
 
 
-def after(state: State, found: Look, *, spanned: bool, vouched: bool, level: float) -> State:
+def after(state: RuleState, found: InterimAnalysis, *, spanned: bool, vouched: bool, level: float) -> RuleState:
     """The state once this look is taken; ``spanned`` whether the run is as long as it is to be judged over, ``vouched``
     whether nothing speaks against its rows as witnesses, one over the ``level`` the evidence that is an alarm."""
     lead, n = found.lead, found.readings
     alarm = found.log_evidence >= -np.log(level)
     if not alarm:
         quiet = found.log_evidence < min(LEFT, -np.log(level)) and n >= FEWEST and spanned and vouched
-        quiet = quiet and is_silent(outlook(found, level))
+        quiet = quiet and effects_excluded(outlook(found, level))
         why = "nothing is missing that these rows would have shown" if quiet else ""
-        return State("adequate" if quiet else "undecided", quiet, why)
+        return RuleState("adequate" if quiet else "undecided", quiet, why)
     stands = lead is not None and _stands(found, lead)
     unknown = state.unknown + 1 if n >= FEWEST and _is_unknown(found) else 0
     if unknown >= _LOOKS:
-        return State(
+        return RuleState(
             "unexplained", True, "no effect of the catalogue explains what is left", unknown=unknown, alarmed=True
         )
     if lead is None or not stands:
-        return State(unknown=unknown, alarmed=True)
+        return RuleState(unknown=unknown, alarmed=True)
     if lead.names != state.named:
-        return State(named=lead.names, at=n, then=lead.log_bf, alarmed=True)
+        return RuleState(named=lead.names, at=n, then=lead.log_bf, alarmed=True)
     grown = lead.log_bf - state.then >= _GROWN and n - state.at >= _AFTER and n >= FEWEST
     # what else lives in time shows only when it has passed
     known = grown and spanned
     why = "named, and confirmed on readings that were taken after" if known else ""
-    return State(
+    return RuleState(
         "explained" if known else "undecided", known, why, state.named, state.at, state.then,
         alarmed=True, confirmed=grown,
     )  # fmt: skip
 
 
-def ties(found: Look) -> list[Keys]:
+def ties(found: InterimAnalysis) -> list[Keys]:
     """What cannot be told from the leader: sets of effects nearly as likely, itself first."""
     if found.lead is None:
         return []
@@ -181,7 +181,7 @@ def fewest(lead: Keys, values: Mapping[Keys, float]) -> list[Keys]:
     return sorted(alone, key=lambda keys: (keys != lead, -values.get(keys, np.inf)))
 
 
-def _stands(found: Look, lead: Fitted) -> bool:
+def _stands(found: InterimAnalysis, lead: FittedSet) -> bool:
     """Whether the leader is far ahead of all else and leaves nothing."""
     own, mine = found.value(lead.keys), set(lead.names)
     # two effects imitate more than one does
@@ -191,7 +191,7 @@ def _stands(found: Look, lead: Fitted) -> bool:
     return not any(own - value < FAR and not mine <= {name for name, _ in keys} for keys, value in found.effects)
 
 
-def _is_unknown(found: Look) -> bool:
+def _is_unknown(found: InterimAnalysis) -> bool:
     """Whether a shape tells far more than every effect, or every effect that leads leaves much."""
     shape = found.shapes[0][1] if found.shapes else -np.inf
     effect = found.effects[0][1] if found.effects else -np.inf

@@ -7,7 +7,7 @@ from os import PathLike
 
 import polars as pl
 
-from ..base.arguments import Count, Level, NotNegative, Positive, Seed, as_annotated
+from ..base.arguments import Count, Level, NotNegative, Positive, Seed, validate_arguments
 from ..model.kinds import kind_of, model_of
 from ..model.kinds import required_um as stated_um
 from ..model.robot_file import RobotLike, load_robot
@@ -20,7 +20,7 @@ BATCH, BUDGET = 4, 400
 class Task:
     """As :class:`~.loop.Adaptive` has it, and the table of what was told."""
 
-    @as_annotated
+    @validate_arguments
     def __init__(
         self,
         robot: RobotLike,

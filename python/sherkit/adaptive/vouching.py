@@ -20,7 +20,7 @@ from ..data.doubts.repeats import copied
 from ..data.noise import noise_of
 from ..diagnosis.gathered import WRONG, gathered, said
 from ..evidence.sizes import PLAUSIBLE, largest, sizes_of
-from .look import Look, moved
+from .look import InterimAnalysis, moved
 from .noise import GROSS
 from .rule import POWER, Unseen, outlook
 
@@ -34,7 +34,7 @@ _QUIET_ENOUGH = 1.3
 _MOVES = 0.05
 
 
-def against(found: Look, required_um: float | None, level: float, seed: int) -> tuple[str, ...]:
+def against(found: InterimAnalysis, required_um: float | None, level: float, seed: int) -> tuple[str, ...]:
     """Why these rows cannot say that nothing is missing, in sentences; empty where they can. Where there is an alarm it
     is not asked what they would have shown."""
     out = [*_few_places(found)]
@@ -49,7 +49,7 @@ def against(found: Look, required_um: float | None, level: float, seed: int) -> 
     return tuple(out)
 
 
-def _few_places(found: Look) -> Iterator[str]:
+def _few_places(found: InterimAnalysis) -> Iterator[str]:
     region, data = found.known.region, found.data
     rows = data.used[:, list(found.known.axes)].any(axis=1)
     joints = data.joints[rows]
@@ -71,7 +71,9 @@ def _few_places(found: Look) -> Iterator[str]:
         )
 
 
-def _unseen(found: Look, seen: Sequence[Unseen], required_um: float, accuracy_um: float | None) -> Iterator[str]:
+def _unseen(
+    found: InterimAnalysis, seen: Sequence[Unseen], required_um: float, accuracy_um: float | None
+) -> Iterator[str]:
     layout = found.data.layout
     must = TIMES * required_um
     if layout.unit == "µm":
@@ -93,7 +95,7 @@ def _unseen(found: Look, seen: Sequence[Unseen], required_um: float, accuracy_um
         )
 
 
-def _scattering(found: Look) -> str:
+def _scattering(found: InterimAnalysis) -> str:
     """What a fit leaves of each channel, and in how many rows."""
     data, layout = found.data, found.data.layout
     each = []
@@ -107,13 +109,13 @@ def _scattering(found: Look) -> str:
 # -- rows that are set aside ------------------------------------------------------------------------------------------
 
 
-def set_aside(found: Look) -> Ints:
+def set_aside(found: InterimAnalysis) -> Ints:
     """Rows that stand apart, but for a first one of which only the side is not known."""
     side = (found.data.direction == 0.0).all(axis=1) if moved(found.data) else np.zeros(len(found.data), dtype=bool)
     return found.aside[~side[found.aside]]
 
 
-def told_of(found: Look) -> str:
+def told_of(found: InterimAnalysis) -> str:
     """How many rows are set aside, which, and how far off they are; empty where none is."""
     rows = set_aside(found)
     if not len(rows):
@@ -130,7 +132,7 @@ def told_of(found: Look) -> str:
     )
 
 
-def structure_of(found: Look, seed: int) -> str:
+def structure_of(found: InterimAnalysis, seed: int) -> str:
     """Why rows that are set aside are no accidents; empty where they are."""
     data, rows = found.data, set_aside(found)
     if len(rows) > WRONG * len(data):
@@ -147,7 +149,7 @@ def structure_of(found: Look, seed: int) -> str:
     return said(one, data) if one is not None else ""
 
 
-def _wrong_again(found: Look, rows: Ints) -> list[int]:
+def _wrong_again(found: InterimAnalysis, rows: Ints) -> list[int]:
     """Numbers of poses that were read twice or more, each time off by the same."""
     if found.data.pose is None:
         return []
@@ -162,13 +164,13 @@ def _wrong_again(found: Look, rows: Ints) -> list[int]:
     return out
 
 
-def _off(found: Look) -> Floats:
+def _off(found: InterimAnalysis) -> Floats:
     """What the best explanation leaves of each row (n, m) on the axes."""
     fit = found.lead.fit if found.lead is not None else found.fit
     return np.nan_to_num(fit.residuals[:, list(found.known.axes)])
 
 
-def louder_than_told(found: Look, verdict: str) -> str:
+def louder_than_told(found: InterimAnalysis, verdict: str) -> str:
     """That more is left than the noise that the columns of the readings declare; empty where it is not."""
     declared = noise_of(found.data)
     if declared.origin != "declared":

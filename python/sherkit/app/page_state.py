@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from ..data import Measurements
 from ..diagnosis import Diagnosis
 from ..model.effect import Effect
-from ..report.residuals import Residuals, State, residuals_of
+from ..report.residuals import ModelState, Residuals, residuals_of
 from ..study import StudyStep
 
 
@@ -43,7 +43,7 @@ class PageState:
     #: The built-in effects of this robot, and the user's own.
     known: Mapping[str, Effect]
     history: tuple[StudyStep, ...]
-    states: Mapping[int, State]
+    states: Mapping[int, ModelState]
     diagnosis: Diagnosis | None
     undoes: str
     redoes: str

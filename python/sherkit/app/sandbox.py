@@ -33,7 +33,7 @@ from ..data import Measurements
 from ..data.files import write_whole
 from ..errors import EffectError, SherkitError
 from ..model.effect import Effect, load_effects
-from ..model.rows import Rows, run_of
+from ..model.rows import EffectRows, run_of
 
 # -- Processes as Linux tells of them -------------------------------------------------------------------------------
 
@@ -130,11 +130,11 @@ class Sandbox:
         name = described.effect.name
         return replace(
             described.effect,
-            function=_Asked(self, name, "function"),
-            derivative=_Asked(self, name, "derivative") if described.has_derivative else None,
+            function=_RemoteFunction(self, name, "function"),
+            derivative=_RemoteFunction(self, name, "derivative") if described.has_derivative else None,
         )
 
-    def ask(self, name: str, which: str, rows: Rows, p: SimpleNamespace) -> Floats:
+    def ask(self, name: str, which: str, rows: EffectRows, p: SimpleNamespace) -> Floats:
         """What a function of the lines gives. Raises :class:`~sherkit.errors.EffectError` where it gives nothing."""
         if self._broken:
             raise EffectError(self._broken)
@@ -152,14 +152,14 @@ class Sandbox:
             raise
 
 
-class _Asked:
+class _RemoteFunction:
     """A function that is elsewhere."""
 
     def __init__(self, apart: Sandbox, name: str, which: str) -> None:
         self._sandbox, self._name, self._which = apart, name, which
         self.__qualname__ = name
 
-    def __call__(self, rows: Rows, p: SimpleNamespace) -> Floats:
+    def __call__(self, rows: EffectRows, p: SimpleNamespace) -> Floats:
         return self._sandbox.ask(self._name, self._which, rows, p)
 
 
@@ -196,7 +196,7 @@ class _Process:
             self.end()
             raise
 
-    def ask(self, name: str, which: str, rows: Rows, p: SimpleNamespace) -> Floats:
+    def ask(self, name: str, which: str, rows: EffectRows, p: SimpleNamespace) -> Floats:
         self._send(("call", name, which, self._key(run_of(rows)), vars(p)))
         out: Floats = self._answer(rows)
         return out
@@ -218,7 +218,7 @@ class _Process:
         except OSError:
             raise self._gone() from None
 
-    def _answer(self, rows: Rows | None = None) -> Any:
+    def _answer(self, rows: EffectRows | None = None) -> Any:
         begun, refused = self._clock_s(), None
         while True:
             try:
@@ -313,7 +313,7 @@ def _called(line: Connection, effect: Effect, which: str, data: Measurements, va
     function = effect.function if which == "function" else effect.derivative
     assert function is not None  # only what there is was told of
     try:
-        return "array", _plain(function(Rows(data, position), SimpleNamespace(**values)))
+        return "array", _plain(function(EffectRows(data, position), SimpleNamespace(**values)))
     except EffectError as error:
         return "failed", str(error)
     except MemoryError:

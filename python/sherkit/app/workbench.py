@@ -30,7 +30,7 @@ from ..model.effect import load_effects
 from ..model.kinds import required_um
 from ..model.robot_file import columns_of
 from ..report.card import drawing_of
-from ..report.residuals import State
+from ..report.residuals import ModelState
 from ..report.scene import space_of
 from ..report.states import states_so_far
 from ..robots.machine import is_machine, robot_at
@@ -203,7 +203,7 @@ class Workbench:
         path, found = [*self.page_state.states.values()], self.page_state.diagnosis
         last = path[-1]
         if len(path) == 1 and found is not None and found.effects:
-            last = State(state_with(found.effects), found.fit)
+            last = ModelState(state_with(found.effects), found.fit)
         step("drawing the workspace")
         scene = space_of(path[0], last, moment=len(path) - 1, whole=True)
         return "" if scene is None else scene.html()

@@ -65,7 +65,7 @@ NotNegative = Annotated[float, AtLeast(0)]
 Positive = Annotated[float, Above(0.0)]
 
 
-def as_annotated(function: Callable[_P, _R]) -> Callable[_P, _R]:
+def validate_arguments(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """A function whose arguments are held against its annotations at each call.
 
     A number is finite, one text is no list of names, and a path has no zero byte. What cannot be told before it is used

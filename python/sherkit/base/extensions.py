@@ -115,7 +115,7 @@ def _kept_apart() -> Iterator[None]:
         yield
 
 
-def brought_beside(
+def plugins(
     own: Collection[str], group: str, what: type[_Value], *, others_alone: bool = False
 ) -> dict[str, _Value]:  # fmt: skip
     """All that packages bring in a group, by name, but for names that sherkit's ``own`` have: those are a warning.

@@ -31,7 +31,7 @@ _POOLS = threadpoolctl.ThreadpoolController().select(user_api="blas").lib_contro
 _ROUNDING = 1e-12
 
 
-class LeastSquares(NamedTuple):
+class LeastSquaresSolution(NamedTuple):
     """As :func:`numpy.linalg.lstsq` answers."""
 
     x: Floats
@@ -124,20 +124,20 @@ def qr(matrix: Floats) -> tuple[Floats, Floats]:
     return _first(a, lambda: tuple(_np_qr(a)), lambda: slower(a))
 
 
-def lstsq(columns: Floats, right: Floats, rcond: float | None = None) -> LeastSquares:
+def lstsq(columns: Floats, right: Floats, rcond: float | None = None) -> LeastSquaresSolution:
     """The shortest least-squares solution. Raises as :func:`svd`."""
     a, b = checked(columns, "columns"), checked(right, "what is fitted")
 
-    def plain() -> LeastSquares:
-        return LeastSquares(*_np_lstsq(a, b, rcond))
+    def plain() -> LeastSquaresSolution:
+        return LeastSquaresSolution(*_np_lstsq(a, b, rcond))
 
-    def by_svd() -> LeastSquares:
+    def by_svd() -> LeastSquaresSolution:
         u, value, vt = svd(a, full_matrices=False)
         limit = (np.finfo(float).eps * max(a.shape) if rcond is None else rcond) * float(value.max(initial=0.0))
         keep = value > limit
         x = vt[keep].T @ ((u[:, keep].T @ b).T / value[keep]).T
         left = np.atleast_1d(((b - a @ x) ** 2).sum(axis=0))
-        return LeastSquares(x, left if keep.all() and len(a) > len(vt) else np.zeros(0), int(keep.sum()), value)
+        return LeastSquaresSolution(x, left if keep.all() and len(a) > len(vt) else np.zeros(0), int(keep.sum()), value)
 
     return _first(a, plain, by_svd)
 

@@ -1,9 +1,10 @@
 """What has changed since: a machine before and after, over the years, and whether its calibration still holds."""
 
-from .comparison import Comparison, Moved, compare
+from .comparison import Comparison, ParameterChange, compare
 from .history import Course, History, history
 from .verification import Verification, verify, verifying_poses
 
 __all__ = [
-    "Comparison", "Course", "History", "Moved", "Verification", "compare", "history", "verify", "verifying_poses",
+    "Comparison", "Course", "History", "ParameterChange", "Verification", "compare", "history", "verify",
+    "verifying_poses",
 ]  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base import linalg
 from ..base.answer import AFTER, BEFORE, TARGET, Answer, Bar, ToDo
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.figures import finite, number, odds, stated
 from ..base.notebook import Shown
 from ..data import Measurements
@@ -45,7 +45,7 @@ _MOVED, _SURELY, _CONSTANT = 2.0, 10.0, 1e-9
 
 
 @dataclass(frozen=True)
-class Moved:
+class ParameterChange:
     """A parameter that has changed: by how much, with its deviation, in its unit, since which run (from 0)."""
 
     name: str
@@ -88,7 +88,7 @@ class Comparison(Shown):
     stand: dict[str, dict[str, float]]
     error: dict[str, float | None]
     unit: str
-    parameters: tuple[Moved, ...]
+    parameters: tuple[ParameterChange, ...]
     next_poses: tuple[dict[str, float], ...]
     evidence: float
     ranked: tuple[tuple[str, float], ...]
@@ -173,7 +173,7 @@ class Comparison(Shown):
         }
 
 
-@as_annotated
+@validate_arguments
 @linalg.one_thread()
 def compare(robot: RobotLike, runs: Sequence[RunLike], *, effects: Sequence[str | Effect] | None = None) -> Comparison:
     """Compares runs of one machine, the first of them before, and says what has changed since.
@@ -308,23 +308,23 @@ def verdict_of(made: Courses, names: Names | None) -> str:
     return "changed" if names.explains else "partly explained"
 
 
-def estimated(about: About, names: Sequence[str]) -> tuple[Moved, ...]:
+def estimated(about: About, names: Sequence[str]) -> tuple[ParameterChange, ...]:
     """The changes of these names with their deviations: of each the numbers that moved, the surest where none did."""
-    out: list[Moved] = []
+    out: list[ParameterChange] = []
     for (effect, factors), told in zip(about.changes, about.told, strict=True):
         if effect.name in names:
             since = int(np.flatnonzero(factors)[0])
             surest = max(abs(value) / max(std, 1e-300) for _, value, std in told)
             least = min(_MOVED, surest)
             out += [
-                Moved(p.name, value, std, p.unit, since)
+                ParameterChange(p.name, value, std, p.unit, since)
                 for p, value, std in told
                 if abs(value) / max(std, 1e-300) >= least
             ]
     return tuple(out)
 
 
-def _is_large(joined: Joined, names: Sequence[str], one: Moved) -> bool:
+def _is_large(joined: Joined, names: Sequence[str], one: ParameterChange) -> bool:
     """Whether an effect is larger than is plausible: it may then stand for something else."""
     effects = [joined.candidate(name) for name in names]
     sizes = {p.name: p.size for e in effects if not e.frees for p in e.qualified()}
@@ -340,7 +340,7 @@ def _where(base: Base) -> str:
     return f"{block.shape} in {' and '.join(block.depends_on)}"
 
 
-def _doubt(large: Sequence[Moved]) -> str:
+def _doubt(large: Sequence[ParameterChange]) -> str:
     """That a change is larger than is plausible, in front of what to do."""
     if not large:
         return ""

@@ -16,7 +16,7 @@ from ..base import linalg
 from ..base.types import Floats, Ints
 from ..errors import SherkitError
 from ..evidence.base import Base, log_bayes, total
-from ..evidence.blocks import Block, Columns, Part, Visits
+from ..evidence.blocks import Block, ColumnPart, Columns, Visits
 from ..evidence.effects import blocks_of_effects
 from ..evidence.family import Family
 from ..evidence.made import Maker
@@ -93,7 +93,7 @@ def _times(
         mine_by = factors * over if part.alone else factors
         at = columns.visits.first if part.posed else slice(None)
         every = np.concatenate([part.functions[:, used] * one[at, None] for one in mine_by], axis=1)
-        parts.append(Part(every, part.carriers, part.axes, part.posed))
+        parts.append(ColumnPart(every, part.carriers, part.axes, part.posed))
         first += len(parts[-1])
     made = Columns(columns.run, columns.visits, parts)
     out, last = [], len(factors) - 1

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..base import linalg
 from ..base.answer import AFTER, BEFORE, Answer, Bar, ToDo
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.figures import finite, stated
 from ..base.names import listed
 from ..base.notebook import Shown
@@ -163,7 +163,7 @@ class History(Shown):
         }  # fmt: skip
 
 
-@as_annotated
+@validate_arguments
 @linalg.one_thread()
 def history(
     robot: RobotLike, runs: Sequence[RunLike], *, dates: Sequence[str | float] = (),

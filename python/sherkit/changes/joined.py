@@ -27,7 +27,7 @@ from ..evidence.whitening import Whitening, orthonormal
 from ..fit.identify import Fit
 from ..model.base import ModelWithEffects
 from ..model.effect import WITHIN, Effect, Parameter
-from .runs import OWN_NOISE, SeenRun, candidates_of, columns_of, growth_of, seen
+from .runs import OWN_NOISE, RunData, candidates_of, columns_of, growth_of, seen
 
 #: Part of a column that must be left of it to be seen.
 _SEEN = 1e-5
@@ -149,7 +149,7 @@ class Shared(Whitening):
 
 
 @dataclass(frozen=True, eq=False)
-class _Columns:
+class _JoinedColumns:
     """Derivatives by what is free, by the joints, by every candidate."""
 
     free: Floats
@@ -170,7 +170,7 @@ def rows_as_run(
     what is ``around`` them, as :class:`~sherkit.evidence.linearised.Linearised` has it."""
     ends = np.cumsum([0, *(columns.shape[2] for _, columns in candidates)]).tolist()
     each = [np.zeros((*residual.shape, 0)), *(columns for _, columns in candidates)]
-    made = _Columns(free, around.pop("patterns", None), np.concatenate(each, axis=2))
+    made = _JoinedColumns(free, around.pop("patterns", None), np.concatenate(each, axis=2))
     effects = tuple((e, slice(a, b)) for (e, _), a, b in zip(candidates, ends[:-1], ends[1:], strict=True))
     group = around.pop("group", np.arange(len(residual)))
     view = Linearised(residual, around.pop("variables", {}), group, group, made, effects=effects, **around)
@@ -193,7 +193,7 @@ class Joined:
         self.growth: list[Effect] = growth_of(self.model, self._data) if before is None else before.growth
         self.candidates: list[Effect] = candidates_of(self.model, self._data) if before is None else before.candidates
         self._before, names = before, [p.name for p in self.model.parameters]
-        self.runs: list[SeenRun] = [
+        self.runs: list[RunData] = [
             seen(*self._now(k), data, axes, names, [*self.candidates, *self.growth],
                  first=k == 0, before=None if before is None else before.runs[k])
             for k, data in enumerate(self._data)
@@ -251,7 +251,7 @@ class Joined:
     def _more(self) -> int:
         return -(-len(self._known) // len(self.axes))
 
-    def sigma(self, run: SeenRun) -> float:
+    def sigma(self, run: RunData) -> float:
         """The noise of a reading in a run: where it has no repeats, without what is missed at its poses."""
         sigma, told = run.sigma or self.noise, [one.sigma for one in self.runs if one.repeats]
         if run.repeats or not told:
@@ -369,7 +369,7 @@ class Joined:
     def _nothing(self) -> list[Floats]:
         return [np.zeros((*run.used.shape, 0)) for run in self.runs]
 
-    def places(self, run: SeenRun) -> Mapping[str, Floats]:
+    def places(self, run: RunData) -> Mapping[str, Floats]:
         """Where the machine stood in the rows of a run, by name (n,)."""
         return self.model.place(run.data, self.model.predict(run.data, self.fit.values), self.fit.values)
 

@@ -17,7 +17,7 @@ from ..evidence.whitening import correlation_in_time, orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.set_ups import SETUP_PREFIX
-from .stand import Stand, stand_of
+from .stand import RunPose, stand_of
 
 #: A row farther off than so many robust deviations is left out; rounds in which such rows are looked for.
 _GROSS, _ROUNDS = 7.0, 8
@@ -28,7 +28,7 @@ _OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip", SETUP_PREFIX
 
 
 @dataclass(frozen=True, eq=False)
-class SeenRun:
+class RunData:
     """One run in the order of time: rows of which all readings are ``used`` (n, m), its stand, the derivatives ``own``
     (n, m, p) by what all runs share and ``inputs`` (n, m, j) by the joints, ``columns`` (n, m, k) of candidates, the
     noise ``sigma`` that it shows by itself (zero where it is too short), whether that is of ``repeats``, how much one
@@ -36,7 +36,7 @@ class SeenRun:
 
     data: Measurements
     used: Bools
-    stand: Stand
+    stand: RunPose
     own: Floats
     inputs: Floats | None
     columns: Mapping[str, Floats]
@@ -53,8 +53,8 @@ class SeenRun:
 
 def seen(
     model: ModelWithEffects, values: Floats, data: Measurements, axes: tuple[int, ...], shared: Sequence[str],
-    candidates: Sequence[Effect], *, first: bool, before: SeenRun | None = None,
-) -> SeenRun:  # fmt: skip
+    candidates: Sequence[Effect], *, first: bool, before: RunData | None = None,
+) -> RunData:  # fmt: skip
     """A run by a model at these values, of whose parameters all runs have the ``shared`` ones; the sensor of the
     ``first`` stands where the model has it. What is wrong and what is noise is as it was seen ``before``: beside a
     change that is none, good rows would look wrong."""
@@ -68,14 +68,14 @@ def seen(
     inputs = None if derivatives.inputs is None else derivatives.inputs[:, chosen]
     own = every[:, :, [places[name] for name in shared]]
 
-    def standing() -> Stand:
+    def standing() -> RunPose:
         if not first:
             return stand_of(model, data, values, axes, used)
         left = np.where(used, data.readings[:, chosen] - model.predict(data, values)[:, chosen], 0.0)
-        return Stand(left, np.zeros((*used.shape, 0)), {})
+        return RunPose(left, np.zeros((*used.shape, 0)), {})
 
     if before is not None:
-        return SeenRun(
+        return RunData(
             data, used, standing(), own, inputs, columns, before.sigma, before.repeats, before.rho, before.aside
         )
     aside, sigma, rho = np.zeros(0, dtype=np.int64), 0.0, 0.0
@@ -100,7 +100,7 @@ def seen(
         aside = np.union1d(aside, wrong)
         used = used & ~np.isin(np.arange(len(used)), wrong)[:, None]
     told = noise_of_repeats(data.mark_outliers(aside), axes)
-    return SeenRun(data, used, standing(), own, inputs, columns, told or sigma, told > 0, rho, aside)
+    return RunData(data, used, standing(), own, inputs, columns, told or sigma, told > 0, rho, aside)
 
 
 def noise_of_repeats(data: Measurements, axes: Sequence[int]) -> float:
@@ -150,7 +150,7 @@ def growth_of(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Eff
 
 
 def _possible(model: ModelWithEffects, effect: Effect, runs: Sequence[Measurements]) -> bool:
-    return all(bool(model.can_be_tried([effect], data)[0]) for data in runs)
+    return all(bool(model.is_testable([effect], data)[0]) for data in runs)
 
 
 def columns_of(

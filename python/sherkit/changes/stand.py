@@ -26,7 +26,7 @@ _ROUNDS, _FAR = 4, 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class RunPose:
     """How a run is seen: its ``residual`` (n, m) to the model once the sensor is where it stands, the ``columns``
     (n, m, s) of what is left to move it by, and how far it was moved, by name with its unit."""
 
@@ -35,7 +35,9 @@ class Stand:
     moved: dict[str, float]
 
 
-def stand_of(model: ModelWithEffects, data: Measurements, values: Floats, axes: tuple[int, ...], used: Bools) -> Stand:
+def stand_of(
+    model: ModelWithEffects, data: Measurements, values: Floats, axes: tuple[int, ...], used: Bools
+) -> RunPose:
     """The stand from which these rows were read, of a model at these values. Raises
     :class:`~sherkit.errors.FitError` for rows that are too few to tell it."""
     if len(parts := _set_ups(data)) > 1:
@@ -57,7 +59,7 @@ def stand_of(model: ModelWithEffects, data: Measurements, values: Floats, axes: 
     )
     columns = np.broadcast_to(np.eye(len(axes)), (len(seen), len(axes), len(axes))).copy()
     moved = {f"zero_{bare(name)}_{unit_in(name)}": float(v) for name, v in zip(names, zero, strict=True)}
-    return Stand(np.where(used, seen - predicted - zero, 0.0), columns, moved)
+    return RunPose(np.where(used, seen - predicted - zero, 0.0), columns, moved)
 
 
 def _set_ups(data: Measurements) -> list[Ints]:
@@ -68,7 +70,7 @@ def _set_ups(data: Measurements) -> list[Ints]:
     return [np.flatnonzero(data.set_up == name) for name in (*every, data.last_set_up)]
 
 
-def _each(parts: Sequence[Ints], stands: Sequence[Stand], used: Bools) -> Stand:
+def _each(parts: Sequence[Ints], stands: Sequence[RunPose], used: Bools) -> RunPose:
     """The stands of set-ups as one: each moves its own rows alone; how far, is said of the last."""
     residual = np.zeros(used.shape)
     columns = np.zeros((*used.shape, sum(one.columns.shape[2] for one in stands)))
@@ -77,10 +79,10 @@ def _each(parts: Sequence[Ints], stands: Sequence[Stand], used: Bools) -> Stand:
         end = first + one.columns.shape[2]
         residual[rows], columns[rows, :, first:end] = one.residual, one.columns
         first = end
-    return Stand(residual, columns, stands[-1].moved)
+    return RunPose(residual, columns, stands[-1].moved)
 
 
-def _rigid(predicted: Floats, seen: Floats, whole: Bools) -> Stand:
+def _rigid(predicted: Floats, seen: Floats, whole: Bools) -> RunPose:
     """Readings turned and shifted onto what is predicted."""
     from scipy.spatial.transform import Rotation
 
@@ -99,13 +101,13 @@ def _rigid(predicted: Floats, seen: Floats, whole: Bools) -> Stand:
     columns = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
     told = [*(middle - there), *(1e3 * Rotation.from_matrix(turn).as_rotvec())]
     names = [*(f"shift_{a}_mm" for a in "xyz"), *(f"turn_{a}_mrad" for a in "xyz")]
-    return Stand(at - predicted, columns, dict(zip(names, map(float, told), strict=True)))
+    return RunPose(at - predicted, columns, dict(zip(names, map(float, told), strict=True)))
 
 
 def _camera(
     model: ModelWithEffects, data: Measurements, values: Floats, axes: list[int], seen: Floats, used: Bools,
     at: list[int],
-) -> Stand:  # fmt: skip
+) -> RunPose:  # fmt: skip
     """The pose of the camera alone, from where it stood."""
     size = np.array([model.parameters[k].size for k in at])
 
@@ -128,4 +130,4 @@ def _camera(
         lambda by: left(by)[used], np.zeros(len(at)), lambda by: -columns(by)[used] * size, xtol=1e-10, ftol=1e-12
     ).x
     told = zip((model.parameters[k] for k in at), by * size, strict=True)
-    return Stand(left(by), columns(by), {f"{p.name.removeprefix('sensor_')}_{p.unit}": float(v) for p, v in told})
+    return RunPose(left(by), columns(by), {f"{p.name.removeprefix('sensor_')}_{p.unit}": float(v) for p, v in told})

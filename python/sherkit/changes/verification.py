@@ -19,7 +19,7 @@ from ..adaptive.gate import Power, Silent, power_of, silence, still
 from ..adaptive.region import Region, planned
 from ..base import linalg
 from ..base.answer import AFTER, TARGET, Answer, Bar, ToDo
-from ..base.arguments import Count, Seed, as_annotated
+from ..base.arguments import Count, Seed, validate_arguments
 from ..base.figures import finite, number
 from ..base.names import listed
 from ..base.notebook import Shown
@@ -40,12 +40,12 @@ from ..model.kinds import kind_of, required_um
 from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
-from .comparison import Moved
+from .comparison import ParameterChange
 from .joined import estimated, rows_as_run
 from .pool import told_ties
 from .promise import broken, shows
 from .runs import candidates_of, columns_of, noise_of_repeats
-from .stand import Stand, stand_of
+from .stand import RunPose, stand_of
 from .vouching import Work, sights_of, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
@@ -71,7 +71,7 @@ class Verification(Shown):
     unit: str
     changed: tuple[str, ...]
     indistinguishable: tuple[tuple[str, ...], ...]
-    parameters: tuple[Moved, ...]
+    parameters: tuple[ParameterChange, ...]
     evidence: float
     stand: dict[str, float]
     would_show: tuple[str, ...]
@@ -165,7 +165,7 @@ class _Known:
         return cls(calibration, model, values, vector * np.sqrt(value.clip(0.0)))
 
 
-@as_annotated
+@validate_arguments
 @linalg.one_thread()
 def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Verification:
     """Whether a calibration still holds, by a run of a dozen poses or more. Raises
@@ -315,7 +315,7 @@ def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> float
 
 
 def _evidence(
-    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], used: Any, stand: Stand, noise: float
+    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], used: Any, stand: RunPose, noise: float
 ) -> tuple[Base, float]:
     """Of every change beside what the calibration does not know, and what readings scatter by, in its unit."""
     rows, values = np.flatnonzero(used.all(axis=1)), known.values
@@ -358,7 +358,7 @@ def _of_lead(base: Base, stand: Floats) -> float:
     return float(shows((columns @ value)[: len(stand), None], orthonormal(stand))[0])
 
 
-def _moved(base: Base) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[Moved, ...]]:
+def _moved(base: Base) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[ParameterChange, ...]]:
     """What has moved, what that cannot be told from, and by how much; nothing where the evidence does not say so."""
     blocks, each = base.family.blocks, base.each
     if base.evidence < ALARM:
@@ -371,7 +371,7 @@ def _moved(base: Base) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tu
     ties = tuple(blocks[i].name for i in ordered if each[i] > each[ordered[0]] - TIED)
     value, std, _ = estimated(_columns(base, lead.name), base.basis, base.residual)
     moved = tuple(
-        Moved(p.name, float(v * p.size), float(s * p.size), p.unit)
+        ParameterChange(p.name, float(v * p.size), float(s * p.size), p.unit)
         for p, v, s in zip(lead.effect.qualified(), value, std, strict=True) if s > 0
     )  # fmt: skip
     return (lead.name,), (ties,) if len(ties) > 1 else (), moved
@@ -411,7 +411,7 @@ def _advice(
     return "calibrate again; these poses are too few to say what has moved"
 
 
-@as_annotated
+@validate_arguments
 @linalg.one_thread()
 def verifying_poses(
     calibration: Calibration | str | PathLike[str], count: Count = 12, *, seed: Seed = 0

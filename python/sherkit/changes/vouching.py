@@ -21,7 +21,7 @@ from ..data import Measurements
 from ..errors import SherkitError
 from ..evidence.whitening import orthonormal
 from .joined import Joined
-from .runs import SeenRun
+from .runs import RunData
 from .stand import stand_of
 
 #: Places that stand for the workspace.
@@ -179,7 +179,7 @@ def unable(power: Power, noise: float, unit: str) -> Silent:
     return Silent(f"its noise is {number(noise)} {unit}: {why}", f"take {more}, or measure with less noise")
 
 
-def _unknown(run: SeenRun, sizes: Floats, covariance: Floats) -> float:
+def _unknown(run: RunData, sizes: Floats, covariance: Floats) -> float:
     """The root mean square of a row's reading that is unknown (in its unit), beside the stand of the sensor."""
     basis = orthonormal(np.where(run.used[:, :, None], run.stand.columns, 0.0))
     own = (np.where(run.used[:, :, None], run.own, 0.0) * sizes).reshape(-1, len(sizes))
@@ -188,7 +188,7 @@ def _unknown(run: SeenRun, sizes: Floats, covariance: Floats) -> float:
     return float(np.sqrt(max(total, 0.0) / max(int(run.used.any(axis=1).sum()), 1)))
 
 
-def error_of(run: SeenRun) -> float:
+def error_of(run: RunData) -> float:
     """How far the model of the first run is off in another (root mean square of a row), as people read it."""
     left = np.where(run.used, run.stand.residual, 0.0)
     rows = max(int(run.used.any(axis=1).sum()), 1)

@@ -39,7 +39,7 @@ _FIRST_OF = {"opencv-python-headless": "cv2", "pyserial": "serial"}
 
 
 @dataclass(frozen=True)
-class Finding:
+class InstallationCheck:
     """One line: what was looked at, whether it is ok, what was found, and how to fix it."""
 
     what: str
@@ -49,21 +49,21 @@ class Finding:
     needed: bool = False
 
 
-def findings() -> Iterator[Finding]:
+def findings() -> Iterator[InstallationCheck]:
     """Everything that is looked at; nothing is opened, moved or fetched."""
-    yield Finding("sherkit", True, f"{_core.__version__} in {Path(__file__).resolve().parents[1]}")
-    yield Finding("Python", True, f"{platform.python_version()} ({platform.machine()}, {platform.system()})")
+    yield InstallationCheck("sherkit", True, f"{_core.__version__} in {Path(__file__).resolve().parents[1]}")
+    yield InstallationCheck("Python", True, f"{platform.python_version()} ({platform.machine()}, {platform.system()})")
     for extra, packages in _extras().items():
         missing = [name for name in packages if _version(name) is None]
         found = ", ".join(f"{name} {_version(name)}" for name in packages if name not in missing)
         needed = extra == ""
         title = "core" if needed else f"extra {extra}"
         if not missing:
-            yield Finding(title, True, found, needed=needed)
+            yield InstallationCheck(title, True, found, needed=needed)
             continue
         fix = "pip install --force-reinstall sherkit" if needed else f'pip install "sherkit[{extra}]"'
         purpose = "" if needed else f", for {_PURPOSE[extra]}"
-        yield Finding(title, False, f"missing: {', '.join(missing)}{purpose}", fix, needed)
+        yield InstallationCheck(title, False, f"missing: {', '.join(missing)}{purpose}", fix, needed)
     yield _sqlite()
     yield _browser()
     yield _ports()
@@ -97,41 +97,43 @@ def _version(package: str) -> str | None:
         return "of unknown version" if find_spec(module) is not None else None
 
 
-def _sqlite() -> Finding:
+def _sqlite() -> InstallationCheck:
     if find_spec("_sqlite3") is not None:
-        return Finding("SQLite", True, "runs of experiments, bags of ROS 2")
+        return InstallationCheck("SQLite", True, "runs of experiments, bags of ROS 2")
     said = "this Python was built without it: no experiment is run, and no bag of ROS 2 read"
     fix = "sudo apt-get install libsqlite3-dev, then build Python again" if sys.platform == "linux" else ""
-    return Finding("SQLite", False, said, fix or "install Python from python.org")
+    return InstallationCheck("SQLite", False, said, fix or "install Python from python.org")
 
 
-def _browser() -> Finding:
+def _browser() -> InstallationCheck:
     found = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
     if found is not None:
-        return Finding("browser", True, f"{found}: pictures as PNG and SVG")
+        return InstallationCheck("browser", True, f"{found}: pictures as PNG and SVG")
     fix = {"linux": "sudo apt-get install chromium", "darwin": "brew install --cask chromium"}.get(sys.platform, "")
     said = "no Chromium: pictures are written as HTML, not as PNG and SVG"
-    return Finding("browser", False, said, fix or "install Chromium or Chrome")
+    return InstallationCheck("browser", False, said, fix or "install Chromium or Chrome")
 
 
-def _ports() -> Finding:
+def _ports() -> InstallationCheck:
     if find_spec("serial") is None:
-        return Finding("serial ports", False, "cannot be listed without pyserial", 'pip install "sherkit[lab]"')
+        return InstallationCheck(
+            "serial ports", False, "cannot be listed without pyserial", 'pip install "sherkit[lab]"'
+        )
     from serial.tools.list_ports import comports
 
     paths = sorted(port.device for port in comports())
     closed = [path for path in paths if not os.access(path, os.R_OK | os.W_OK)] if os.name == "posix" else []
     if closed:
         fix = "sudo usermod -aG dialout $USER, then log in again"
-        return Finding("serial ports", False, f"{', '.join(closed)} cannot be opened by you", fix)
-    return Finding("serial ports", True, ", ".join(paths) or "none is plugged in")
+        return InstallationCheck("serial ports", False, f"{', '.join(closed)} cannot be opened by you", fix)
+    return InstallationCheck("serial ports", True, ", ".join(paths) or "none is plugged in")
 
 
-def _c_library() -> Finding:
+def _c_library() -> InstallationCheck:
     try:
-        return Finding("C library", True, str(archive()))
+        return InstallationCheck("C library", True, str(archive()))
     except SherkitError:
-        return Finding(
+        return InstallationCheck(
             "C library", False, "not shipped with this installation", "pip install --force-reinstall sherkit"
         )
 

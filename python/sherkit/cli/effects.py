@@ -10,7 +10,7 @@ import click
 import tomli_w
 from click.core import ParameterSource
 
-from ..base.extensions import SIMULATIONS, brought_beside
+from ..base.extensions import SIMULATIONS, plugins
 from ..base.figures import sized
 from ..base.names import listed
 from ..data import Measurements
@@ -164,7 +164,7 @@ class Simulation(Protocol):
 
 
 def _simulations() -> list[Simulation]:
-    return [*brought_beside((), SIMULATIONS, object).values()]  # type: ignore[list-item]
+    return [*plugins((), SIMULATIONS, object).values()]  # type: ignore[list-item]
 
 
 def _ways_of_others() -> list[Any]:

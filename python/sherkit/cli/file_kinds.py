@@ -24,7 +24,7 @@ _ROWS = 20
 PLANTED_BY = "# The errors that sherkit simulate planted\n"
 
 
-class Look:
+class FileContent:
     """What stands in a file, as far as it is asked for. One that cannot be read is of no kind."""
 
     def __init__(self, path: Path) -> None:
@@ -73,11 +73,11 @@ class FileKind:
 
     called: str
     endings: tuple[str, ...]
-    holds: Callable[[Look], bool]
+    holds: Callable[[FileContent], bool]
     #: Whether a file of this kind is written under these endings alone, also where nothing stands there.
     only: bool = False
 
-    def replaces(self, look: Look) -> bool:
+    def replaces(self, look: FileContent) -> bool:
         """Whether a file that is there may be replaced by one of this kind: it holds nothing, or is one by its name and
         by what is in it."""
         ending = look.path.suffix.lower()
@@ -88,7 +88,7 @@ class FileKind:
 # -- What they look like ---------------------------------------------------------------------------------------------
 
 
-def _is_table(look: Look) -> bool:
+def _is_table(look: FileContent) -> bool:
     """Parquet, or rows that all have as many cells as the first."""
     if look.head[:4] == b"PAR1":
         return True
@@ -104,33 +104,33 @@ def _is_table(look: Look) -> bool:
     return cells[0] > 1 and {*cells} == {cells[0]} and (len(cells) > 1 or look.path.suffix.lower() in TABLE.endings)
 
 
-def _is_page(look: Look) -> bool:
+def _is_page(look: FileContent) -> bool:
     return look.begin.lstrip().lower().startswith(("<!doctype html", "<html"))
 
 
-def _is_svg(look: Look) -> bool:
+def _is_svg(look: FileContent) -> bool:
     begin = look.begin.lstrip()
     return begin.startswith("<svg") or (begin.startswith("<?xml") and "<svg" in begin)
 
 
-def _is_picture(look: Look) -> bool:
+def _is_picture(look: FileContent) -> bool:
     return _is_page(look) or _is_svg(look) or _is_png(look)
 
 
-def _is_png(look: Look) -> bool:
+def _is_png(look: FileContent) -> bool:
     return look.head.startswith(b"\x89PNG")
 
 
-def _is_robot(look: Look) -> bool:
+def _is_robot(look: FileContent) -> bool:
     return isinstance(look.toml.get("kind"), str) and not CALIBRATION.holds(look) and not TOOL.holds(look)
 
 
-def _is_ports(look: Look) -> bool:
+def _is_ports(look: FileContent) -> bool:
     ports = look.json
     return isinstance(ports, dict) and all(isinstance(one, dict) and "address" in one for one in ports.values())
 
 
-def _is_results(look: Look) -> bool:
+def _is_results(look: FileContent) -> bool:
     """The lines of a study of simulated robots: what it is about stands in the first."""
     with suppress(ValueError, RecursionError):
         first = json.loads(look.text.partition("\n")[0])
@@ -138,33 +138,33 @@ def _is_results(look: Look) -> bool:
     return False
 
 
-def _is_study(look: Look) -> bool:
+def _is_study(look: FileContent) -> bool:
     return isinstance(look.json, dict) and isinstance(look.json.get("format"), int)
 
 
-def _is_begun_from(look: Look) -> bool:
+def _is_begun_from(look: FileContent) -> bool:
     return isinstance(look.json, dict) and {"robot", "run", "run_bytes"} <= {*look.json}
 
 
-def _is_klipper(look: Look) -> bool:
+def _is_klipper(look: FileContent) -> bool:
     return bool(re.search(r"^\[printer\]", look.text, re.M) and re.search(r"^\[stepper_a\]", look.text, re.M))
 
 
-def _is_commands(look: Look) -> bool:
+def _is_commands(look: FileContent) -> bool:
     lines = [line for line in look.text.splitlines() if line.strip()]
     return bool(lines) and all(re.match(r"M(665|666|500)\b", line) for line in lines)
 
 
-def _is_urdf(look: Look) -> bool:
+def _is_urdf(look: FileContent) -> bool:
     """One robot in XML, a xacro too."""
     return bool(re.match(r"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<robot\b", look.begin, re.S))
 
 
-def _is_kinematics(look: Look) -> bool:
+def _is_kinematics(look: FileContent) -> bool:
     return bool(re.search(r"^kinematics:\s*$", look.begin, re.M))
 
 
-def _is_compensation(look: Look) -> bool:
+def _is_compensation(look: FileContent) -> bool:
     """Lines of three numbers each, and nothing else."""
     try:
         return bool(look.text.strip()) and all(len([*map(float, one.split())]) == 3 for one in look.text.splitlines())
@@ -172,7 +172,7 @@ def _is_compensation(look: Look) -> bool:
         return False
 
 
-def _is_run(look: Look) -> bool:
+def _is_run(look: FileContent) -> bool:
     return look.head.startswith(_SQLITE)
 
 
@@ -214,7 +214,7 @@ KINDS = (
 _ENDINGS = {ending for kind in KINDS for ending in kind.endings}
 
 
-def called(look: Look) -> str:
+def called(look: FileContent) -> str:
     """What a file is, in words."""
     return next((kind.called for kind in KINDS if kind.holds(look)), "a file of another kind")
 
@@ -227,7 +227,7 @@ def run_of(path: Path) -> Path | None:
     real = Path(os.path.realpath(path))
     for end in ("-wal", "-shm", "-journal", ".lock"):
         of = real.with_name(real.name.removesuffix(end) or real.name)
-        if of != real and (_is_run(Look(of)) or (end != ".lock" and os.path.isfile(of))):
+        if of != real and (_is_run(FileContent(of)) or (end != ".lock" and os.path.isfile(of))):
             return of
     newest = any(os.path.exists(f"{real}{end}") for end in ("-wal", "-journal"))
-    return real if _is_run(Look(real)) or (newest and os.path.isfile(real)) else None
+    return real if _is_run(FileContent(real)) or (newest and os.path.isfile(real)) else None

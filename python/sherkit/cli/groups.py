@@ -6,7 +6,7 @@ from importlib import import_module
 
 import click
 
-from ..base.extensions import brought, brought_beside, declared, is_own
+from ..base.extensions import brought, declared, is_own, plugins
 from ..base.names import nearest
 
 
@@ -39,7 +39,7 @@ class OpenGroup(click.Group):
     @property
     def brought(self) -> dict[str, click.Command]:
         """Those that are declared, loaded now."""
-        return brought_beside(self.commands, self.declared, click.Command)
+        return plugins(self.commands, self.declared, click.Command)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         # names of sherkit's own are known without what they lead to, which would take a second to load
@@ -49,7 +49,7 @@ class OpenGroup(click.Group):
     @property
     def brought_by_others(self) -> dict[str, click.Command]:
         """Those of other packages, loaded now."""
-        return brought_beside(self.commands, self.declared, click.Command, others_alone=True)
+        return plugins(self.commands, self.declared, click.Command, others_alone=True)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         found = self.commands.get(cmd_name) or brought(self.declared, cmd_name, click.Command)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import click
 
-from ..base.extensions import MACHINES, brought, brought_beside
+from ..base.extensions import MACHINES, brought, plugins
 
 if TYPE_CHECKING:
     from ..data import Measurements
@@ -100,7 +100,7 @@ class OtherMachine(Protocol):
 
 def other_machines() -> dict[str, type[OtherMachine]]:
     """All of them by kind, loaded now."""
-    return brought_beside((), MACHINES, type)
+    return plugins((), MACHINES, type)
 
 
 def _other(path: Path) -> type[MachineFile] | None:

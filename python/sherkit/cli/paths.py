@@ -19,7 +19,7 @@ import click
 
 from ..data.files import bag_in, refuse_device
 from ..errors import SherkitError
-from .file_kinds import RUN, FileKind, Look, called, run_of
+from .file_kinds import RUN, FileContent, FileKind, called, run_of
 
 _KEY = "sherkit.paths"
 
@@ -145,7 +145,7 @@ def require_kind(path: Path, option: str, kinds: Sequence[FileKind]) -> None:
         endings = [ending for kind in kinds for ending in kind.endings]
         wanted = " or ".join(([", ".join(endings[:-1])] if endings[1:] else []) + endings[-1:])
         raise SherkitError(f"{path}: expected a name that ends in {wanted}; {option} writes {made}")
-    look = Look(path)
+    look = FileContent(path)
     if os.path.isfile(path) and not any(kind.replaces(look) for kind in kinds):
         raise SherkitError(f"{path}: is {called(look)} and would be replaced by {made}; give {option} another name")
 

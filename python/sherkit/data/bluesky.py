@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.names import listed, nearest
 from ..errors import MeasurementError
 from .columns import POSE, TIME, Columns, bare
@@ -15,7 +15,7 @@ from .frames import from_frame
 from .rows import Measurements
 
 
-@as_annotated
+@validate_arguments
 def from_bluesky(
     documents: Any, *, columns: Columns | None = None, stream: str = "primary", poses: bool = False
 ) -> Measurements:

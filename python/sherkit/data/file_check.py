@@ -21,7 +21,7 @@ from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, known_la
 from .doubts import doubts
 from .frames import clean
 from .head import is_number
-from .raw_table import NOTHING, WITH_UNIT, RawTable, Wrong, raw_table
+from .raw_table import NOTHING, WITH_UNIT, Problem, RawTable, raw_table
 from .reader import checked
 from .rows import Measurements
 from .tables import PARQUET, read_parquet
@@ -52,7 +52,7 @@ class FileCheck:
     """
 
     source: str
-    wrong: Sequence[Wrong]
+    wrong: Sequence[Problem]
     columns: Columns
     further: Sequence[str]
     unused: Mapping[str, str]
@@ -135,7 +135,7 @@ class _Checking:
             if theirs not in self.cells:
                 said = f"is missing, which is to be read as '{ours}' by the robot's file"
                 cure = "name it there as it is here, or leave it out there"
-                self.wrong.append(Wrong(said, cure, column=theirs, mended=False))
+                self.wrong.append(Problem(said, cure, column=theirs, mended=False))
 
     def result(self) -> FileCheck:
         """All of it."""
@@ -159,11 +159,11 @@ class _Checking:
                 columns, further = others, [*further, *guessed.values()]
                 for ours, theirs in guessed.items():
                     why = f"is not read as '{ours}': {refused.removeprefix(f'{self.source}: ')}"
-                    self.wrong.append(Wrong(why, f"name it '{ours}' if it is", column=theirs))
+                    self.wrong.append(Problem(why, f"name it '{ours}' if it is", column=theirs))
             refused = refused if data is None else ""
         if data is not None:
             told = (doubt.sentence for doubt in doubts(data) if not doubt.poses)
-            self.wrong += [Wrong(one, "look at it; it is read as it stands", mended=False) for one in told]
+            self.wrong += [Problem(one, "look at it; it is read as it stands", mended=False) for one in told]
         return FileCheck(
             self.source, tuple(self.wrong), columns, further,
             {name: what for name, what in unused.items() if name in self.words or what}, data, refused,
@@ -204,7 +204,7 @@ class _Checking:
         doubts = [str(w.message) for w in said if issubclass(w.category, SherkitWarning)]
         for one in doubts:
             if "converted from the units" not in one:
-                self.wrong.append(Wrong(one.removeprefix(f"{self.source}: "), "look at it; it is read as it stands"))
+                self.wrong.append(Problem(one.removeprefix(f"{self.source}: "), "look at it; it is read as it stands"))
         return data, ""
 
     # -- cells ---------------------------------------------------------------------------------------------
@@ -236,11 +236,11 @@ class _Checking:
         if seconds is None:
             said = f"'{brief(texts[bad])}' is no time that is known"
             line = self.table.line[bad]
-            self.wrong.append(Wrong(said, "write seconds, counted from any moment", (line,), timed, mended=False))
+            self.wrong.append(Problem(said, "write seconds, counted from any moment", (line,), timed, mended=False))
             self.words.append(timed)
             return
         said = f"holds {'dates with times' if both or day else 'times of day'}; as {TIME} they count from the first row"
-        self.wrong.append(Wrong(said, f"write seconds under {TIME}", column=timed))
+        self.wrong.append(Problem(said, f"write seconds under {TIME}", column=timed))
         self.cells = {TIME if n == timed else n: v for n, v in self.cells.items() if n != day or both is not None}
         self.cells[TIME] = [f"{v:.10g}" for v in seconds]
 
@@ -253,7 +253,7 @@ class _Checking:
                 continue
             unit = units.pop()
             self.wrong.append(
-                Wrong(
+                Problem(
                     f"every cell ends in '{brief(unit)}'",
                     f"write the unit once: '{brief(name)} [{brief(unit)}]'",
                     (),
@@ -276,12 +276,12 @@ class _Checking:
             nothing = [cell.lower() in NOTHING for cell in cells]
             if any(nothing):
                 said = f"'{brief(cells[nothing.index(True)])}' is no number; it says that nothing was read"
-                self.wrong.append(Wrong(said, "leave the cell empty", self._lines(nothing), name))
+                self.wrong.append(Problem(said, "leave the cell empty", self._lines(nothing), name))
                 self.cells[name] = ["" if no else cell for cell, no in zip(cells, nothing, strict=True)]
             bad = [bool(cell) and not no and not is_number(cell) for cell, no in zip(cells, nothing, strict=True)]
             if any(bad):
                 said = f"'{brief(cells[bad.index(True)])}' is not a number"
-                self.wrong.append(Wrong(said, "write the number, or leave the cell empty", self._lines(bad), name,
+                self.wrong.append(Problem(said, "write the number, or leave the cell empty", self._lines(bad), name,
                                         mended=False))  # fmt: skip
 
     def _marks(self) -> None:
@@ -295,19 +295,19 @@ class _Checking:
                 if len(proven) != 1 or mark == ".":
                     some = [bool(re.search(r",\d{3}$", cell)) for cell in cells]
                     said = f"'{brief(cells[some.index(True)])}' may be a thousand or have a decimal comma"
-                    self.wrong.append(Wrong(said, "write numbers with a decimal point", self._lines(some), name,
+                    self.wrong.append(Problem(said, "write numbers with a decimal point", self._lines(some), name,
                                             mended=False))  # fmt: skip
                     continue
             if mark == "!":
                 some = ["," in cell and "." not in cell for cell in cells]
-                self.wrong.append(Wrong("has decimal commas and decimal points", "write one of them",
+                self.wrong.append(Problem("has decimal commas and decimal points", "write one of them",
                                         self._lines(some), name, mended=False))  # fmt: skip
                 continue
             other = "," if mark == "." else "."
             thousands = [other in cell for cell in cells]
             if any(thousands):
                 said = f"'{brief(cells[thousands.index(True)])}' has marks between its thousands"
-                self.wrong.append(Wrong(said, "leave them out", self._lines(thousands), name))
+                self.wrong.append(Problem(said, "leave them out", self._lines(thousands), name))
             self.cells[name] = [cell.replace(other, "").replace(mark, ".") for cell in cells]
 
     def _in_celsius(self, name: str, unit: str) -> None:
@@ -315,7 +315,7 @@ class _Checking:
         scale = {"K": "K", "kelvin": "K", "°F": "F", "F": "F", "degF": "F"}.get(unit)
         if scale is None:
             return
-        self.wrong.append(Wrong(f"is in {'kelvin' if scale == 'K' else 'Fahrenheit'}", "write °C", column=name))
+        self.wrong.append(Problem(f"is in {'kelvin' if scale == 'K' else 'Fahrenheit'}", "write °C", column=name))
         with suppress(ValueError):  # what is no number is said already
             self.cells[name] = [f"{_celsius(float(c), scale):.10g}" if c else c for c in self.cells[name]]
 

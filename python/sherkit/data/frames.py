@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.names import brief
 from ..base.types import Ints
 from ..errors import MeasurementError
@@ -24,7 +24,7 @@ _LARGEST = 1e100
 _LARGEST_WHOLE = 2**53
 
 
-@as_annotated
+@validate_arguments
 def from_frame(frame: Any, source: str = "frame", *, columns: Columns | None = None) -> Measurements:
     """Measurements from a polars or pandas frame, a mapping of columns to sequences, or a dict for each row.
 

@@ -16,7 +16,7 @@ MIN_FREEDOM = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class ReadingNoise:
     """Standard deviation of every reading (n, m), in its own unit, and its origin; an error of the pose that the rows
     declare is in it.
 
@@ -28,29 +28,29 @@ class Noise:
     origin: str
 
 
-def noise_of(data: Measurements) -> Noise:
+def noise_of(data: Measurements) -> ReadingNoise:
     """The noise of each reading: declared where the file says, else from repeats, else unknown (one unit each)."""
-    known: Noise | None = vars(data).get("_noise")
+    known: ReadingNoise | None = vars(data).get("_noise")
     if known is None:
         known = vars(data)["_noise"] = _with_poses(data, _of_readings(data))
     return known
 
 
-def _with_poses(data: Measurements, noise: Noise) -> Noise:
+def _with_poses(data: Measurements, noise: ReadingNoise) -> ReadingNoise:
     """The same with the errors of poses that the rows declare."""
     if not data.pose_sigma.any():
         return noise
     # an error of the pose that is declared alone is all the noise that is known
     alone = noise.origin == "unknown"
     sigma = np.hypot(np.where(alone & (data.pose_sigma > 0), 0.0, noise.sigma), data.pose_sigma)
-    return Noise(sigma, "declared" if (data.pose_sigma > 0)[data.taken].all() else noise.origin)
+    return ReadingNoise(sigma, "declared" if (data.pose_sigma > 0)[data.taken].all() else noise.origin)
 
 
-def _of_readings(data: Measurements) -> Noise:
+def _of_readings(data: Measurements) -> ReadingNoise:
     """The noise without what repeats of a pose share."""
     sigma, needed = data.sigma, data.taken
     if (np.isfinite(sigma) | ~needed).all():
-        return Noise(np.where(needed, sigma, 1.0), "declared")
+        return ReadingNoise(np.where(needed, sigma, 1.0), "declared")
     repeats = data.repeatability
     if repeats is not None:
         columns = np.full(len(data.layout.readings), np.nan)
@@ -59,8 +59,8 @@ def _of_readings(data: Measurements) -> Noise:
                 columns[k] = repeats.sigma[name]
         filled = np.where(np.isfinite(sigma), sigma, columns)
         if np.isfinite(filled[needed]).all():
-            return Noise(np.where(needed, filled, 1.0), "repeats")
-    return Noise(np.ones_like(sigma), "unknown")
+            return ReadingNoise(np.where(needed, filled, 1.0), "repeats")
+    return ReadingNoise(np.ones_like(sigma), "unknown")
 
 
 # -- Columns that stand in steps: how many digits a file has of them -----------------------------------------------

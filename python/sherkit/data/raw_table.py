@@ -37,7 +37,7 @@ _MOST_LINES = 100
 
 
 @dataclass(frozen=True)
-class Wrong:
+class Problem:
     """Something that is wrong with a file: what, in which ``lines`` and ``column``, and the ``cure``; ``mended`` where
     the table that is made of it is without."""
 
@@ -62,7 +62,7 @@ class RawTable:
     names: tuple[str, ...]
     rows: list[list[str]]
     line: list[int]
-    wrong: list[Wrong] = field(default_factory=list)
+    wrong: list[Problem] = field(default_factory=list)
 
     def column(self, name: str) -> list[str]:
         """The cells of a column."""
@@ -79,7 +79,7 @@ class RawTable:
 def raw_table(path: Path) -> RawTable:
     """Reads a CSV with all that is wrong with it. Raises :class:`~sherkit.errors.MeasurementError` where it holds no
     table at all."""
-    wrong: list[Wrong] = []
+    wrong: list[Problem] = []
     texts = _text(path, wrong).splitlines()
     lines = [(n, s) for n, s in enumerate(texts, start=1) if s.strip() and not s.lstrip().startswith("#")]
     if not lines:
@@ -91,7 +91,7 @@ def raw_table(path: Path) -> RawTable:
     if called:
         head, units = list(called), list[str]()
         if first:
-            wrong.append(Wrong("above the rows", "put # before it", tuple(n for n, _ in cells[:first])))
+            wrong.append(Problem("above the rows", "put # before it", tuple(n for n, _ in cells[:first])))
     else:
         above = _noted(texts, cells[first:]) + cells[:first]
         head, units = _head(path, above, cells[first:], wrong)
@@ -108,24 +108,24 @@ def raw_table(path: Path) -> RawTable:
             rows.append(row[: len(head)])
             line.append(number)
     for why, numbers in out.items():
-        wrong.append(Wrong(why, "take the line out", tuple(numbers)))
+        wrong.append(Problem(why, "take the line out", tuple(numbers)))
     for count, numbers in short.items():
         said = f"has {count} cell{'s' if count > 1 else ''}, the header has {len(head)}"
-        wrong.append(Wrong(said, "complete the row, or take it out", tuple(numbers), mended=False))
+        wrong.append(Problem(said, "complete the row, or take it out", tuple(numbers), mended=False))
     table = RawTable(names, rows, line, wrong)
     unnamed = [name for name in names if name.startswith("\0")]
     for k, name in enumerate(names):
         if name in unnamed and any(table.column(name)):
-            wrong.append(Wrong(f"column {k + 1} holds cells and has no name: it is not used", "give it a name"))
+            wrong.append(Problem(f"column {k + 1} holds cells and has no name: it is not used", "give it a name"))
     return table.without(unnamed)
 
 
-def _text(path: Path, wrong: list[Wrong]) -> str:
+def _text(path: Path, wrong: list[Problem]) -> str:
     """The file as text, in the encoding that it shows."""
     content = path.read_bytes()
     for mark, encoding in ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16")):
         if content.startswith(mark):
-            wrong.append(Wrong("the file is UTF-16", "save it as UTF-8"))
+            wrong.append(Problem("the file is UTF-16", "save it as UTF-8"))
             return content.decode(encoding, errors="replace")
     if b"\0" in content[:4096]:
         raise MeasurementError(f"{path}: is not text; expected CSV as UTF-8, or Parquet in a file named .parquet")
@@ -134,7 +134,7 @@ def _text(path: Path, wrong: list[Wrong]) -> str:
     except UnicodeDecodeError as error:
         number = content.count(b"\n", 0, error.start) + 1
         said = f"is not UTF-8 (byte {content[error.start]:#04x}); it reads as Windows-1252"
-        wrong.append(Wrong(said, "save the file as UTF-8", (number,)))
+        wrong.append(Problem(said, "save the file as UTF-8", (number,)))
         return content.decode("cp1252", errors="replace")
 
 
@@ -233,7 +233,7 @@ def _is_none(row: Sequence[str], head: Sequence[str], units: Sequence[str]) -> s
 
 
 def _head(
-    path: Path, above: list[tuple[int, list[str]]], rows: list[tuple[int, list[str]]], wrong: list[Wrong]
+    path: Path, above: list[tuple[int, list[str]]], rows: list[tuple[int, list[str]]], wrong: list[Problem]
 ) -> tuple[list[str], list[str]]:
     """The names of the columns, and the units below them; what stands above them are notes."""
     if not above or (rows and (_is_data(above[-1][1]) or len([c for c in above[-1][1] if c]) < 2 <= len(rows[0][1]))):
@@ -242,18 +242,18 @@ def _head(
     units: list[str] = []
     number, row = above[-1]
     if len(above) > 1 and any(row) and all(is_unit(cell.strip("[]()")) for cell in row if cell):
-        wrong.append(Wrong("is a row of units", "write each unit behind its name: 'x [mm]'", (number,)))
+        wrong.append(Problem("is a row of units", "write each unit behind its name: 'x [mm]'", (number,)))
         units, above = row, above[:-1]
         number, row = above[-1]
     notes = tuple(n for n, _ in above[:-1])
     if notes:
-        wrong.append(Wrong("above the names of the columns", "put # before it, as before every note", notes))
+        wrong.append(Problem("above the names of the columns", "put # before it, as before every note", notes))
     while row and not row[-1]:
         row = row[:-1]
     return row, units
 
 
-def _names(head: Sequence[str], units: Sequence[str], wrong: list[Wrong]) -> tuple[str, ...]:
+def _names(head: Sequence[str], units: Sequence[str], wrong: list[Problem]) -> tuple[str, ...]:
     """Names of columns, each once, with their units; those without a name are numbered behind a zero byte."""
     out: list[str] = []
     for k, name in enumerate(head):
@@ -261,7 +261,7 @@ def _names(head: Sequence[str], units: Sequence[str], wrong: list[Wrong]) -> tup
         full = f"{name} [{unit}]" if name and unit else name or f"\0{k}"
         if full in out:
             wrong.append(
-                Wrong(f"'{brief(full)}' is the name of two columns", "give each a name of its own", mended=False)
+                Problem(f"'{brief(full)}' is the name of two columns", "give each a name of its own", mended=False)
             )
             full = f"{full} ({k + 1})"
         out.append(full)

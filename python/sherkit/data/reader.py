@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 import numpy as np
 import polars as pl
 
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.names import brief
 from ..base.types import Ints
 from ..errors import MeasurementError
@@ -178,7 +178,7 @@ _HEAD = 4096
 _RUN_FILE = b"SQLite format 3"
 
 
-@as_annotated
+@validate_arguments
 def read_measurements(path: str | Path, *, columns: Columns | None = None) -> Measurements:
     """Reads a run. Cells are parted by comma, semicolon, tab or spaces (all but the first with decimal comma); lines
     starting with ``#`` are notes, columns without a name are left out.

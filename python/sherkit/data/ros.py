@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.names import brief, listed, nearest
 from ..base.types import Floats
 from ..errors import MeasurementError, SherkitWarning
@@ -23,7 +23,7 @@ _JOINT_UNITS = {"mm": "m", "rad": "rad"}
 _NANOSECONDS = 1e9
 
 
-@as_annotated
+@validate_arguments
 def from_rosbag(
     path: str | Path,
     joints: Mapping[str, str],

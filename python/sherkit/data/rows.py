@@ -20,7 +20,7 @@ from . import columns as c
 from .in_time import begin_of, directions, order_in_time, velocities
 from .lagged import Room
 from .row_checks import check_rows
-from .set_up import SetUp, names_of
+from .set_up import JoinedSetUp, names_of
 from .tables import write_table
 
 
@@ -94,7 +94,7 @@ class Measurements:
     #: The clock at the begin of that run; zero where no times are known.
     begins_s: float = 0.0
     #: Set-ups before the last whose readings were brought into its axes.
-    set_ups: tuple[SetUp, ...] = ()
+    set_ups: tuple[JoinedSetUp, ...] = ()
 
     # -- making ------------------------------------------------------------------------------------------
 

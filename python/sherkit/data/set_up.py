@@ -17,7 +17,7 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class SetUp:
+class JoinedSetUp:
     """A set-up whose readings were brought into the axes of the last one: ``turn`` (3, 3) and ``shift_mm`` (3,) took
     them there, ``middle_mm`` (3,) is the middle of where they are then."""
 

@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 import polars as pl
 
-from ..base.arguments import Count, as_annotated
+from ..base.arguments import Count, validate_arguments
 from ..base.names import listed
 from ..base.types import Ints
 from ..errors import MeasurementError, SherkitWarning
@@ -36,7 +36,7 @@ class MeasurementStream:
     source: str
 
 
-@as_annotated
+@validate_arguments
 def stream_measurements(path: str | Path, block_rows: Count = BLOCK_ROWS) -> MeasurementStream:
     """Streams a CSV or Parquet file of any length through the fit in constant memory.
 

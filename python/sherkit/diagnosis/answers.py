@@ -15,7 +15,7 @@ from ..base.names import state_with
 from ..base.notebook import Shown
 from ..base.types import Ints
 from ..fit.error import ErrorSize
-from ..fit.forms import Known, known
+from ..fit.forms import SimplestForm, known
 from ..fit.identify import Fit
 from ..fit.regions import Elsewhere
 from ..model.kinds import required_um
@@ -334,7 +334,7 @@ class Diagnosis(Shown):
         return float(np.linalg.norm(list(self.noise.values())))
 
     @cached_property
-    def known(self) -> dict[str, Known]:
+    def known(self) -> dict[str, SimplestForm]:
         """What is really known of the effects in :attr:`fit` that have a number for each limb, by name."""
         return known(self.fit)
 

@@ -11,7 +11,7 @@ from ..base.figures import number
 from ..base.names import listed
 from ..base.types import Floats
 from ..data.columns import bare
-from ..data.doubts import Doubt
+from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
 from ..evidence.sizes import ABSURD, PLAUSIBLE, largest, sizes_of
@@ -29,8 +29,8 @@ from .answers import (
     STANDS,
     Check,
 )  # fmt: skip
-from .held_out import PRAISE, FewEnough, HeldOutGain
-from .named import Named
+from .held_out import PRAISE, Elimination, HeldOutGain
+from .named import Selection
 from .repeats import Repeats
 from .rounded import Rounded, rounded
 from .sensor_pose import KNOWN_LEVEL, known_stand
@@ -42,20 +42,20 @@ _COUNTS = 0.3
 
 def checks_of(
     final: FittedRun,
-    found: Named,
+    found: Selection,
     sigma: Floats,
     origin: str,
     needed: Sequence[HeldOutGain],
     level: float,
     wrong: Sequence[Check],
     mistakes: Sequence[Mistake],
-    table: Sequence[Doubt],
+    table: Sequence[DataWarning],
     digits: Rounded | None,
     slow_drift: SlowDrift | None,
     repeats: Repeats | None,
     contradicted: Mapping[str, tuple[float, float]],
     by_noise: Callable[[], float],
-    enough: Callable[[], FewEnough | None],
+    enough: Callable[[], Elimination | None],
 ) -> tuple[Check, ...]:
     """Every check about a final fit, those that decide first.
 
@@ -129,7 +129,7 @@ def _set_up(mistakes: Sequence[Mistake], final: FittedRun) -> Check:
     return Check("set_up", tested, f"all {len(final.data)} rows", told, holds=not mistakes, fails=told)
 
 
-def _table(table: Sequence[Doubt], final: FittedRun) -> list[Check]:
+def _table(table: Sequence[DataWarning], final: FittedRun) -> list[Check]:
     """Said where there is something to be said."""
     told = "; ".join(doubt.sentence for doubt in table)
     tested = "the poses can tell what the model asks of them"
@@ -290,7 +290,7 @@ def _small(final: FittedRun, error: float, sigma: Floats, origin: str, by_noise:
 
 
 def _loosely(
-    final: FittedRun, small: Check, error: float, sigma: Floats, enough: Callable[[], FewEnough | None]
+    final: FittedRun, small: Check, error: float, sigma: Floats, enough: Callable[[], Elimination | None]
 ) -> Check | None:
     """Said of poses whose fit predicts others worse than they were read, though nothing is missing; and of so few that
     their fit goes through all of them. Where the noise is not known, it is what the fit leaves for each reading that it

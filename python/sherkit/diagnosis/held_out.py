@@ -53,7 +53,7 @@ def squares_of(view: Linearised, fold: Ints, known: Floats | None = None) -> Flo
     return np.concatenate(parts, axis=1) ** 2
 
 
-def by_noise_alone(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints], level: float, seed: int) -> float:
+def noise_quantile(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints], level: float, seed: int) -> float:
     """Root of the mean square, in noises, below which rows held out stay with a chance of 1 - ``level`` where the model
     lacks nothing.
 
@@ -171,7 +171,7 @@ _WORTH = 0.7
 
 
 @dataclass(frozen=True)
-class FewEnough:
+class Elimination:
     """``names`` of the parameters that are enough, of ``every`` many; what they leave on rows held out, ``error``, and
     what all of them leave, ``of_all``, in ``unit``."""
 
@@ -189,7 +189,7 @@ class FewEnough:
         )
 
 
-def few_enough(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> FewEnough | None:
+def backward_elimination(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> Elimination | None:
     """The fewest parameters that predict rows held out as well as any set, to first order; None where nearly all are
     needed. ``sigma`` (columns,) weighs the readings.
 
@@ -222,7 +222,7 @@ def few_enough(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) ->
     if len(few) > _WORTH * len(off):
         return None
     names = tuple(run.fit.parameters[k].name for k in few)
-    return FewEnough(names, len(off), error, steps[0][0], run.unit)
+    return Elimination(names, len(off), error, steps[0][0], run.unit)
 
 
 def _rms(folds: Folds, scale: Floats, run: FittedRun) -> float:

@@ -13,7 +13,7 @@ from ..base.types import Floats, Ints
 from ..errors import EffectError
 from ..evidence.base import Base
 from ..evidence.blocks import Block
-from ..evidence.described import MOST, Described
+from ..evidence.described import MOST, ShapeDescription
 from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
 from ..evidence.names import Names, names_of
@@ -33,7 +33,7 @@ _SURE_OF = 3.0
 
 
 @dataclass(eq=False)
-class Named:
+class Selection:
     """What the evidence of a run says: the ``added`` effects that it names, in the order in which the error falls, the
     full fit with them, ``final``, and what each of them earns.
 
@@ -44,7 +44,7 @@ class Named:
 
     first: Base
     base: Base
-    left: Described
+    left: ShapeDescription
     names_judged: Names | None
     final: FittedRun
     added: list[Block] = field(default_factory=list)
@@ -89,7 +89,7 @@ def searched(
     level: float,
     step: Callable[[str], None],
     look: bool,
-) -> Named:
+) -> Selection:
     """Asks the evidence of these rows what is missing, and names what may be named. Nothing is looked for where there
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
     inside = tuple(e.name for e in run.model.effects if e.name not in run.model.within)
@@ -97,7 +97,7 @@ def searched(
     step("evidence")
     base = base_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma), effects)
     sets = Sets(base.family, base, step)
-    nothing = Named(base, base, Described((), 0.0, base), None, run, steps=(first,))
+    nothing = Selection(base, base, ShapeDescription((), 0.0, base), None, run, steps=(first,))
     if run.is_exact or not look or base.evidence < -np.log(level):
         return nothing
     names = names_of(sets)
@@ -140,7 +140,9 @@ def searched(
             kept, judged = wider, more
             names = replace(names, lead=kept, beside=sets.described(kept.base, MOST, 1))
     left = names.beside if kept is names.lead else sets.described(kept.base, MOST, 1)
-    return Named(base, kept.base, left, names, judged.final, judged.added, judged.gains, judged.steps, [*notes, *told])
+    return Selection(
+        base, kept.base, left, names, judged.final, judged.added, judged.gains, judged.steps, [*notes, *told]
+    )
 
 
 def _too_many(run: FittedRun, final: FittedRun) -> str:
@@ -187,7 +189,7 @@ def _going_with(run: FittedRun) -> list[Effect]:
         if abs(value) > _SURE_OF * std
     }  # fmt: skip
     those = [e for e in run.catalogue if any(f"{e.goes_with}.{p.name}" in sure for p in e.parameters)]
-    return run.model.can_be_tried(those, run.data)[0] if those else []
+    return run.model.is_testable(those, run.data)[0] if those else []
 
 
 def _judged(

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from ..base import linalg
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.figures import number
 from ..base.names import spans
 from ..base.types import Bools, Floats, Ints
@@ -74,7 +74,7 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect], keep: Sequence[i
     return run, outliers
 
 
-@as_annotated
+@validate_arguments
 @linalg.one_thread()
 def gross_errors(fit: Fit, effects: Sequence[Effect] = (), *, keep: Sequence[int] = ()) -> Ints:
     """Rows (k,), by number from 0, that a diagnosis of this fit would leave out as gross errors, but those to ``keep``.

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..base import linalg
-from ..base.arguments import Level, Seed, as_annotated
+from ..base.arguments import Level, Seed, validate_arguments
 from ..base.types import Floats
 from ..data.doubts import doubts
 from ..data.reader import RunLike
@@ -29,8 +29,8 @@ from .candidates import candidates_of, strongest, unnamed
 from .checked import checks_of
 from .findings import findings_of
 from .gathered import checks_of_outliers
-from .held_out import by_noise_alone, few_enough
-from .named import Named, not_needed, searched
+from .held_out import backward_elimination, noise_quantile
+from .named import Selection, not_needed, searched
 from .next_poses import Proposal, next_poses
 from .outliers import is_first_by_side, sentences, without_outliers
 from .repeats import contradicted, in_repeats
@@ -43,7 +43,7 @@ from .where import confounded_with, neighbour_correlation, slow_drift_of, smalle
 LEVEL = 0.01
 
 
-@as_annotated
+@validate_arguments
 @linalg.one_thread()
 def diagnose(
     fit: Fit | RobotLike | Model,
@@ -150,8 +150,8 @@ def diagnose(
     slow_drift = slow_drift_of(of_all)
     checks = checks_of(
         final, found, sigma, origin, needed, level, wrong, mistakes, table, rounded, slow_drift,
-        repeats, declared, lambda: by_noise_alone(final, sigma, repeated_folds, level, seed),
-        lambda: few_enough(final, sigma, repeated_folds),
+        repeats, declared, lambda: noise_quantile(final, sigma, repeated_folds, level, seed),
+        lambda: backward_elimination(final, sigma, repeated_folds),
     )  # fmt: skip
     verdict = verdict_of(checks, found.names)
     caveats = [told] if (told := implausible(final.fit, found.names)) else []
@@ -215,7 +215,7 @@ def diagnose(
     return replace(said, findings=findings_of(said))
 
 
-def _next(found: Named, sigma: Floats) -> Proposal:
+def _next(found: Selection, sigma: Floats) -> Proposal:
     """Poses that would tell what is named from the sets tied with it."""
     rivals = [other.run.of.fit for other in found.ties]
     return next_poses(found.final.fit, rivals, sigma) if rivals else Proposal()
@@ -226,7 +226,7 @@ def _spread(run: FittedRun) -> Floats:
     return np.maximum(run.scatter, run.digits)
 
 
-def _ties(found: Named) -> tuple[tuple[str, ...], ...]:
+def _ties(found: Selection) -> tuple[tuple[str, ...], ...]:
     """Groups of effects each of which could stand in for the first, everything else as it is."""
     groups: dict[str, list[str]] = {}
     for other in found.ties:

@@ -16,7 +16,7 @@ from ..base.types import Floats, Ints
 from ..data.columns import bare
 from ..evidence.base import Base
 from ..evidence.blocks import Block
-from ..evidence.described import Described
+from ..evidence.described import ShapeDescription
 from ..evidence.fitted_run import FittedRun
 from .template import course
 
@@ -40,7 +40,7 @@ class Repeats:
         return listed(list(self.held)) if self.held else "nothing that follows time, the way there, or a column"
 
 
-def in_repeats(before: Base, left: Described, every: FittedRun) -> Repeats | None:
+def in_repeats(before: Base, left: ShapeDescription, every: FittedRun) -> Repeats | None:
     """What the shapes that describe what a model leaves, ``left`` beside it ``before``, say of repeats; where these
     hold nothing their scatter is that of ``every`` row. None where too few poses were repeated."""
     run = before.family.run

@@ -98,7 +98,7 @@ def rounded(run: FittedRun, beyond: float, sigma: Floats, *, noise_known: bool) 
 
 
 @dataclass(frozen=True)
-class Steps:
+class RoundingSteps:
     """What columns in steps leave, what a fit ``left`` in all, and where the columns fit better ``put_back`` by half a
     step, that fit."""
 
@@ -113,7 +113,7 @@ class Steps:
         return _SHARE[0] * self.left**2 <= self.rounded.size**2 <= _SHARE[1] * self.left**2
 
 
-def steps_in(run: FittedRun) -> Steps | None:
+def steps_in(run: FittedRun) -> RoundingSteps | None:
     """Columns whose steps are most of all that a fit leaves, noise and all, or which were cut off to them; else None.
 
     On a grid such errors repeat from place to place and look like physics. Digits that were cut off leave four times as
@@ -139,7 +139,7 @@ def steps_in(run: FittedRun) -> Steps | None:
             if there is not None and readings * np.log(best / max(_rms(there), 1e-300)) > _LIKELIER / 2.0:
                 best, put_back = _rms(there), there
         told = Rounded(_told(parts, size**2), size, run.unit, joints, put_back is not None)
-        out.append(Steps(told, best, put_back))
+        out.append(RoundingSteps(told, best, put_back))
     return next((one for one in out if one.alone), next((one for one in out if one.put_back), None))
 
 

@@ -57,7 +57,7 @@ def taken_by_pose(
     fitted = _flat(data, model.derivatives(data, values))
     others, whole = orthonormal(fitted[:, ~of_pose]), orthonormal(fitted)
     # what is searched for besides is a moment, a lag or a period: no pose that stays
-    asked = [one for one in model.can_be_tried(effects, data)[0] if one.search is None]
+    asked = [one for one in model.is_testable(effects, data)[0] if one.search is None]
     tried = model.tried(data, values, asked)
     every = _flat(data, tried.columns(slice(None)))
     out = {}

@@ -16,7 +16,7 @@ from ..base.types import Floats, Ints
 from .blocks import Block
 from .design import power
 from .family import Family, log_weights
-from .reference import Reference, Sort, sorts_of
+from .reference import ReferenceRows, Sort, sorts_of
 from .run import Run
 from .thresholds import HELD_EFFECT, HELD_SHAPE, SCALES
 from .whitening import independent, orthonormal
@@ -284,10 +284,10 @@ def _down(family: Family, grams: Sequence[Floats], products: Floats) -> tuple[Fl
     return tuple(out)
 
 
-def reference_of(run: Run, cuts: Ints) -> Reference:
+def reference_of(run: Run, cuts: Ints) -> ReferenceRows:
     """What rows over all of a region and a span fix for those that will be read there; a step is tried from the rows
     ``cuts`` (c,) on. What the model fits anyway is not in it, nor are shapes that an effect is."""
-    family = Family(run, Reference(run.view, cuts))
+    family = Family(run, ReferenceRows(run.view, cuts))
     base, n = Base.of(family, run), len(run) * run.axes
     there, left = np.zeros(len(family)), np.zeros(len(family))
     squares: dict[int, Floats] = {}
@@ -306,7 +306,7 @@ def reference_of(run: Run, cuts: Ints) -> Reference:
     # of several settings the middle one stands for all
     middle = {sort: some[len(some) // 2] for sort, some in sorts.items()}
     scale = {sort: float(np.sqrt(n / there[kept[k]])) for sort, k in middle.items()}
-    return Reference(
+    return ReferenceRows(
         run.view, cuts, scale, {sort: float(weights[k]) for sort, k in middle.items()},
         {sort: scale[sort] ** 2 * squares[kept[k]] / n for sort, k in middle.items()},
     )  # fmt: skip

@@ -99,7 +99,7 @@ class Visits:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ColumnPart:
     """Columns: each of ``functions`` (r, f) times each of the ``carriers``, of r rows, or poses where it is ``posed``.
 
     Carriers are (r, c), each on every one of ``axes`` axes alone, or (r, m, c), on all axes at once. Numbers run over
@@ -152,7 +152,7 @@ class Columns:
     ``length`` (K,) is what they were divided by.
     """
 
-    def __init__(self, run: Run, visits: Visits, parts: Iterable[Part]) -> None:
+    def __init__(self, run: Run, visits: Visits, parts: Iterable[ColumnPart]) -> None:
         self.run, self.visits = run, visits
         self.parts = tuple(parts)
         self.starts = np.concatenate([[0], np.cumsum([len(part) for part in self.parts])]).astype(np.int64)
@@ -216,20 +216,20 @@ class Columns:
     def _per_length(self) -> Floats:
         return np.where(self.length > 0, 1.0 / np.where(self.length > 0, self.length, 1.0), 0.0)
 
-    def _rows(self, part: Part) -> int:
+    def _rows(self, part: ColumnPart) -> int:
         return len(self.visits) if part.posed and self.run.white.is_plain else len(self.run)
 
-    def _white(self, part: Part, values: Floats) -> Floats:
+    def _white(self, part: ColumnPart, values: Floats) -> Floats:
         """Of values (r, …) at rows or poses, those of all rows under the filter."""
         return self.run.white(values[self.visits.pose] if part.posed else values)
 
-    def _weighed(self, part: Part, values: Floats) -> Floats:
+    def _weighed(self, part: ColumnPart, values: Floats) -> Floats:
         """Values whose products are those of all rows under the filter, one for each pose where that is enough."""
         if part.posed and self.run.white.is_plain:
             return np.asarray(values * np.sqrt(self.visits.count).reshape((-1,) + (1,) * (values.ndim - 1)))
         return self._white(part, values)
 
-    def _lengths(self, part: Part) -> Floats:
+    def _lengths(self, part: ColumnPart) -> Floats:
         """Lengths of a part's columns, zero where they are rounding."""
         weights = self.visits.count if part.posed else np.ones(len(self.run))
         carried = np.square(part.carriers) if part.alone else np.square(part.carriers).sum(axis=1)

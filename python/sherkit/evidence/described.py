@@ -17,7 +17,7 @@ _LIKELIEST = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Described:
+class ShapeDescription:
     """``shapes`` in the order in which they were found, by how much the readings favour all of them together,
     ``evidence`` with their prior weights, and the ``base`` with them in the model."""
 
@@ -26,14 +26,14 @@ class Described:
     base: Base
 
 
-def described(base: Base, most: int = MOST, starts: int = 1) -> Described:
+def described(base: Base, most: int = MOST, starts: int = 1) -> ShapeDescription:
     """At most so many shapes that describe what a base leaves; none where nothing is left.
 
     The likeliest is taken first, then the likeliest beside it. The first need not be the right one: of several
     ``starts`` with shapes of different causes the description that says most is taken.
     """
     if total(base.shapes) < ALARM:
-        return Described((), 0.0, base)
+        return ShapeDescription((), 0.0, base)
     first: dict[tuple[object, ...], int] = {}
     for i in np.argsort(-base.shapes)[:_LIKELIEST].tolist():
         first.setdefault(base.family.blocks[i].cause, i)
@@ -42,7 +42,7 @@ def described(base: Base, most: int = MOST, starts: int = 1) -> Described:
     return max((_from(base, i, most) for i in first.values()), key=lambda one: one.evidence)
 
 
-def _from(base: Base, first: int, most: int) -> Described:
+def _from(base: Base, first: int, most: int) -> ShapeDescription:
     shapes: list[Block] = []
     evidence, now, i = 0.0, base, first
     while True:
@@ -54,4 +54,4 @@ def _from(base: Base, first: int, most: int) -> Described:
         i = int(np.argmax(now.shapes))
         if now.shapes[i] < 0:
             break
-    return Described(tuple(shapes), evidence, now)
+    return ShapeDescription(tuple(shapes), evidence, now)

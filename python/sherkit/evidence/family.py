@@ -13,7 +13,7 @@ from ..base.types import Bools, Floats, Ints
 from .blocks import Block, Columns, Visits, apart
 from .effects import blocks_of_effects
 from .made import Maker
-from .reference import Reference, sizes_of
+from .reference import ReferenceRows, sizes_of
 from .run import Run
 from .shapes import blocks_of_shapes
 from .thresholds import HELD_EFFECT, HELD_SHAPE, TWIN
@@ -50,7 +50,7 @@ class Family:
     def __init__(
         self,
         run: Run,
-        reference: Reference | None = None,
+        reference: ReferenceRows | None = None,
         *,
         shapes: bool = True,
         made: tuple[Columns, Sequence[Block]] | None = None,
@@ -165,7 +165,7 @@ class Family:
 
 
 def _everything(
-    run: Run, reference: Reference | None, waves: Sequence[Waves], *, shapes: bool
+    run: Run, reference: ReferenceRows | None, waves: Sequence[Waves], *, shapes: bool
 ) -> tuple[Columns, Sequence[Block]]:
     """All effects and shapes of a run: their columns, and the blocks."""
     made = Maker(run, Visits.of(run), reference)

@@ -15,12 +15,12 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare
 from ..data.lagged import DRAWN_C, Room
-from ..data.noise import Noise, noise_of
+from ..data.noise import ReadingNoise, noise_of
 from ..errors import FitError
 from ..fit.error import axes_of
 from ..fit.folds import BLOCK
 from ..fit.identify import Fit, identify
-from ..model.base import Derivatives, ModelWithEffects, beside_one_another
+from ..model.base import Derivatives, ModelWithEffects, column_slices
 from ..model.effect import Effect, Setting
 from .linearised import Linearised, last_asked
 
@@ -176,7 +176,7 @@ class FittedRun(Saved):
         this one."""
         data = self.data.select(rows)
         each = self.fit.noise.sigma[rows] if sigma is None else np.where(data.taken, sigma, 1.0)
-        noise = Noise(each, self.fit.noise.origin)
+        noise = ReadingNoise(each, self.fit.noise.origin)
         every = np.array_equal(rows, np.arange(len(self.data)))
         if every and self._is_minimum and np.allclose(each, self.fit.noise.sigma, rtol=_SAME, atol=0.0):
             return self
@@ -231,7 +231,7 @@ class FittedRun(Saved):
             return last[3]
         axes, over = list(self.axes), sigma[:, None]
         part = self.data.select(rows)
-        tried, untestable = self.model.can_be_tried(effects, part)
+        tried, untestable = self.model.is_testable(effects, part)
         periodic = [(e, self.model.setting_of(e)) for e in tried if e.function is None and e.is_periodic]
         unknown = [e for e, period in periodic if period is None]
         asked = [e for e in tried if e not in unknown]
@@ -240,7 +240,7 @@ class FittedRun(Saved):
         # those that step at a searched time behind the others
         ordered = sorted(every.effects, key=lambda one: one[0].search == "time_s")
         order = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in ordered)])
-        columns = beside_one_another((effect, at.stop - at.start) for effect, at in ordered)
+        columns = column_slices((effect, at.stop - at.start) for effect, at in ordered)
         # a step of a point whose coordinates are read is one of each reading alone
         alone = [effect.link == "body" and every.reads_point for effect, _ in columns]
         known = self.model.inputs_known

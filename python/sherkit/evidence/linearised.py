@@ -35,7 +35,7 @@ def last_asked(function: Callable[[Any, slice], T]) -> Callable[[Any, slice], T]
     return remembered
 
 
-class Derivatives(Protocol):
+class WhitenedDerivatives(Protocol):
     """Derivatives of any stretch of rows, over the noise; every call computes them anew."""
 
     def fitted(self, rows: slice) -> tuple[Floats, Floats | None]:
@@ -68,7 +68,7 @@ class Linearised:
     variables: Mapping[str, Floats]
     group: Ints
     repeated: Ints
-    derivatives: Derivatives
+    derivatives: WhitenedDerivatives
     pattern_of: Mapping[str, str] = field(default_factory=dict)
     place: tuple[str, ...] = ()
     inputs: Mapping[str, Floats] = field(default_factory=dict)

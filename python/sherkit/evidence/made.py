@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ..base.types import Floats, Ints
-from .blocks import Block, Part, Visits
-from .reference import Reference
+from .blocks import Block, ColumnPart, Visits
+from .reference import ReferenceRows
 from .run import Run
 from .waves import table_of
 
@@ -27,7 +27,7 @@ class Maker:
     ``moments`` are those from which on a step is tried, each with its row.
     """
 
-    def __init__(self, run: Run, visits: Visits, reference: Reference | None = None) -> None:
+    def __init__(self, run: Run, visits: Visits, reference: ReferenceRows | None = None) -> None:
         self.run, self.view, self.visits, self.reference = run, run.view, visits, reference
         self.like = run.view if reference is None else reference.view
         n = len(run)
@@ -39,7 +39,7 @@ class Maker:
         self._blocks: list[tuple[dict[str, Any], list[Piece]]] = []
         # functions on axes and whole columns, each by row and by pose
         self._gathered: tuple[list[Floats], ...] = ([], [], [], [])
-        self._parts: list[Part] = []
+        self._parts: list[ColumnPart] = []
 
     def since(self, moment: float) -> Floats:
         """One (n,) from a moment on, zero before."""
@@ -87,7 +87,9 @@ class Maker:
         posed = self.visits.same(functions) and self.visits.same(carriers)
         rows = self.visits.first if posed else slice(None)
         self._parts.append(
-            Part(np.ascontiguousarray(functions[rows]), np.ascontiguousarray(carriers[rows]), self.view.axes, posed)
+            ColumnPart(
+                np.ascontiguousarray(functions[rows]), np.ascontiguousarray(carriers[rows]), self.view.axes, posed
+            )
         )
         return 3 + len(self._parts)
 
@@ -104,7 +106,7 @@ class Maker:
                 self.add(shape, depends_on, [(part, at[a : a + 1]) for part, at in functions], axis=a, **about)
         self.add(shape, depends_on, functions, **about)
 
-    def done(self) -> tuple[list[Part], list[Block]]:
+    def done(self) -> tuple[list[ColumnPart], list[Block]]:
         """All parts, and the blocks with the numbers of their columns."""
         n, p, m = len(self.run), len(self.visits), self.view.axes
         parts = []
@@ -113,10 +115,10 @@ class Maker:
             rows = p if posed else n
             if k in _FUNCTIONS:
                 values = np.stack(gathered, axis=1) if gathered else np.zeros((rows, 0))
-                parts.append(Part(values, np.ones((rows, 1)), m, posed))
+                parts.append(ColumnPart(values, np.ones((rows, 1)), m, posed))
             else:
                 columns = np.concatenate([np.zeros((rows, m, 0)), *gathered], axis=2)
-                parts.append(Part(np.ones((rows, 1)), columns, m, posed))
+                parts.append(ColumnPart(np.ones((rows, 1)), columns, m, posed))
         parts += self._parts
         starts = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64)
         blocks = [

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .base import Base, log_bayes
-from .described import MOST, Described
+from .described import MOST, ShapeDescription
 from .sets import EffectSet, Sets
 from .sizes import ABSURD, PLAUSIBLE, sizes_of
 from .thresholds import ALARM, NEEDED, PLAINLY, SURE, TELLS, TIED
@@ -43,8 +43,8 @@ class Names:
     told: tuple[Told, ...]
     refused: dict[str, str]
     ties: tuple[EffectSet, ...]
-    beside: Described
-    alone: Described
+    beside: ShapeDescription
+    alone: ShapeDescription
     #: What is left without any effect.
     without: Base
 
@@ -98,7 +98,7 @@ def names_of(sets: Sets) -> Names:
     return replace(judged, told=tuple(told.values()), refused=refused)
 
 
-def _told(sets: Sets, lead: EffectSet, beside: Described, alone: Described, k: int) -> Told:
+def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDescription, k: int) -> Told:
     block = lead.blocks[k]
     assert block.effect is not None, "shapes are not named"
     fit = lead.run.of
@@ -137,12 +137,12 @@ def _refused(lead: EffectSet, one: Told, *, partly: bool) -> str:
 
 def _ties(lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSet, ...]:
     """Sets of no more effects that say as much, or come as near the data, and leave as little."""
-    as_near = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
+    equivalent_models = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
     return tuple(
         one
         for one in found
         if one is not lead
         and len(one.blocks) <= len(lead.blocks)
-        and (one.value > lead.value - TIED or (one.explains and one.base.rss < as_near))
+        and (one.value > lead.value - TIED or (one.explains and one.base.rss < equivalent_models))
         and one.rest < max(lead.rest, ALARM) + TIED
     )

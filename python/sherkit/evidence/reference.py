@@ -25,7 +25,7 @@ Sort = tuple[object, ...] | None
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class ReferenceRows:
     """A ``view`` of rows over the whole region and span, with rows ``cuts`` (c,) from which on a step is tried.
 
     ``scale`` is that of each sort of block, ``log_weight`` the logarithm of the prior weight of each of its settings;

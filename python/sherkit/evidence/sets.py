@@ -15,7 +15,7 @@ from ..model.effect import Effect, Setting
 from ..model.sensor_pose import SLIP
 from .base import Base, total
 from .blocks import Block
-from .described import Described, described
+from .described import ShapeDescription, described
 from .family import Family
 from .fitted_run import FittedRun
 from .run import Run
@@ -86,7 +86,7 @@ class Sets:
         if family.reference is None:
             family.without_twins(base.basis, left)
         self._fitted: dict[tuple[_Key, ...], EffectSet | None] = {}
-        self._described: dict[tuple[int, int, int], Described] = {}
+        self._described: dict[tuple[int, int, int], ShapeDescription] = {}
 
     @cached_property
     def _of_effects(self) -> Base:
@@ -121,7 +121,7 @@ class Sets:
         blocks = (*one.blocks, Block("effect", effect=effect))
         return EffectSet(blocks, run, base, one.log_bf + bf, value, one.plausible)
 
-    def described(self, base: Base, most: int, starts: int) -> Described:
+    def described(self, base: Base, most: int, starts: int) -> ShapeDescription:
         """As :func:`~.described.described`, remembered."""
         key = (id(base), most, starts)
         if key not in self._described:
@@ -181,8 +181,8 @@ class Sets:
             step = beside.family.blocks[int(np.argmax(each))]
             assert step.effect is not None, "it is one"
             other = self.fitted([*others, refined(beside, step)]) if block.effect.link != step.effect.link else None
-            as_near = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
-            if other is not None and other.base.rss < as_near and (other.explains or not lead.explains):
+            equivalent_models = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
+            if other is not None and other.base.rss < equivalent_models and (other.explains or not lead.explains):
                 # it stands in the other's place: its numbers more are those of where it was put
                 other = replace(other, value=max(other.value, lead.value))
                 self._fitted[_key(other.blocks)] = other

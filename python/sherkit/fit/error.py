@@ -21,7 +21,7 @@ from ..base import linalg
 from ..base.figures import finite, number
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
-from ..data.noise import Noise
+from ..data.noise import ReadingNoise
 from ..errors import FitError
 from .folds import Folds, blocks, blocks_of
 
@@ -92,7 +92,7 @@ class ErrorSize:
         }  # fmt: skip
 
 
-class Fitted(Protocol):
+class FitLike(Protocol):
     """What is asked of a fit."""
 
     @property
@@ -108,7 +108,7 @@ class Fitted(Protocol):
         """Its parameters (p,)."""
 
     @property
-    def noise(self) -> Noise:
+    def noise(self) -> ReadingNoise:
         """The noise of each reading."""
 
     @property
@@ -141,7 +141,7 @@ def of_residuals(data: Measurements, residuals: Floats, *, held_out: bool) -> Er
     )
 
 
-def repeated_folds_of(fit: Fitted, seed: int) -> list[Ints]:
+def repeated_folds_of(fit: FitLike, seed: int) -> list[Ints]:
     """Folds (n,) of all rows of a fit, of each repetition."""
     data, place = fit.data, fit.model.place(fit.data, fit.predicted, fit.values)
     return [blocks_of(data, place, _FOLDS, _REPETITIONS * seed + k) for k in range(_REPETITIONS)]
@@ -149,7 +149,7 @@ def repeated_folds_of(fit: Fitted, seed: int) -> list[Ints]:
 
 @linalg.one_thread()
 def held_out_error(
-    fit: Fitted,
+    fit: FitLike,
     seed: int = 0,
     *,
     refit: Callable[[Measurements], Floats] | None = None,
@@ -196,7 +196,7 @@ def held_out_error(
     return ErrorSize.of(squares, data.layout.unit, held_out=True, names=data.layout.readings, together=axes_of(data))
 
 
-def known_of(fit: Fitted) -> Floats | None:
+def known_of(fit: FitLike) -> Floats | None:
     """What is known of how far the parameters are off their fitted values, as :class:`~.folds.Folds` has it; None where
     nothing is."""
     known = np.array([p.known or fit.priors > 0.0 for p in fit.model.parameters], dtype=bool)
@@ -206,7 +206,7 @@ def known_of(fit: Fitted) -> Floats | None:
     return np.stack([precision, -precision * fit.values])
 
 
-def _refitted(fit: Fitted, refit: Callable[[Measurements], Floats], rows: Ints, fold: Ints) -> ErrorSize:
+def _refitted(fit: FitLike, refit: Callable[[Measurements], Floats], rows: Ints, fold: Ints) -> ErrorSize:
     """By fits of their own without each block of these rows."""
     left = np.full(fit.residuals.shape, np.nan)
     for one in np.unique(fold):
@@ -221,7 +221,7 @@ def _refitted(fit: Fitted, refit: Callable[[Measurements], Floats], rows: Ints, 
     return of_residuals(fit.data, left, held_out=True)
 
 
-def sigma_of(fit: Fitted, used: Bools) -> Floats:
+def sigma_of(fit: FitLike, used: Bools) -> Floats:
     """The noise (columns,) that weighs readings; where it is not known, what the fit leaves."""
     known = fit.noise.origin != "unknown"
     each = np.where(used, fit.noise.sigma if known else fit.residuals, np.nan)

@@ -54,7 +54,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Known:
+class SimplestForm:
     """What is known of one effect.
 
     ``form`` is ``common``, ``one``, ``opposite`` or ``combination``; ``at`` the numbers of the limbs or joints that it
@@ -116,14 +116,14 @@ class Known:
         }
 
 
-def known(fit: Any) -> dict[str, Known]:
+def known(fit: Any) -> dict[str, SimplestForm]:
     """What is known of each effect of a :class:`~sherkit.fit.identify.Fit`, by its name; effects whose numbers each
     stand for themselves are left out."""
     found = {e.name: known_of(fit, e) for e in fit.model.effects}
     return {name: one for name, one in found.items() if one is not None}
 
 
-def known_of(fit: Any, effect: Effect) -> Known | None:
+def known_of(fit: Any, effect: Effect) -> SimplestForm | None:
     """What is known of an effect that is in a fit; None where it has no number for each limb, or each of them is."""
     kinds = _by_limb(effect.parameters)
     if not kinds:
@@ -173,7 +173,7 @@ def known_of(fit: Any, effect: Effect) -> Known | None:
     first = kinds[form.kinds[0]]
     smallest = min(_shown(effect.parameters[k])[0] * float(single[k]) for k in first.values())
     also = tuple(dict.fromkeys(_where(f.name, f.at, _place(effect)).rstrip(":") for f in others))
-    return Known(effect, form.name, form.at, tuple(values), smallest, p, also)
+    return SimplestForm(effect, form.name, form.at, tuple(values), smallest, p, also)
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ def _forms(kinds: dict[str, dict[int, int]]) -> list[_Form]:
     return out
 
 
-def _combination(effect: Effect, theta: Floats, c: Floats, size: Floats) -> Known | None:
+def _combination(effect: Effect, theta: Floats, c: Floats, size: Floats) -> SimplestForm | None:
     """The combinations that are known, where not every single number is. ``theta``, ``c`` in plausible sizes."""
     std = np.sqrt(np.diag(c))
     if (std < _KNOWN).all():
@@ -243,7 +243,9 @@ def _combination(effect: Effect, theta: Floats, c: Floats, size: Floats) -> Know
     if not values:
         return None
     top = int(np.argmin(std))
-    return Known(effect, "combination", (), tuple(values), _shown(effect.parameters[top])[0] * float(std[top]), 1.0)
+    return SimplestForm(
+        effect, "combination", (), tuple(values), _shown(effect.parameters[top])[0] * float(std[top]), 1.0
+    )
 
 
 def _part(part: float, name: str, first: bool) -> str:

@@ -18,11 +18,11 @@ import numpy as np
 import polars as pl
 
 from ..base import linalg
-from ..base.arguments import Count, NotNegative, Seed, as_annotated
+from ..base.arguments import Count, NotNegative, Seed, validate_arguments
 from ..base.notebook import Shown
 from ..base.types import Floats, Ints
 from ..data import Measurements
-from ..data.noise import Noise, noise_of
+from ..data.noise import ReadingNoise, noise_of
 from ..data.reader import RunLike
 from ..data.rows import Repeatability
 from ..errors import FitError
@@ -33,7 +33,7 @@ from ..model.kinds import Robot, model_of
 from ..model.robot_file import RobotLike, load_robot, run_for
 from .error import ErrorSize, held_out_error, of_residuals
 from .folds import blocks_of
-from .least_squares import LOSSES, LeastSquares, reached, scale, spread
+from .least_squares import LOSSES, LeastSquaresProblem, reached, scale, spread
 from .minimum import NEAR, ROUGHLY, beginning, noise_ratio, over_the_wall
 from .regions import Elsewhere, errors_elsewhere
 from .repeats import noise_beside, repeatability_of
@@ -124,7 +124,7 @@ class Fit(Identified, Shown):
     """
 
     data: Measurements
-    noise: Noise
+    noise: ReadingNoise
     loss: str
     #: The part of the plausible sizes within which the drawing counts as known; 0 where it does not.
     priors: float
@@ -200,7 +200,7 @@ class Fit(Identified, Shown):
         return self.rank - int(np.count_nonzero(told > (0.5 if self.priors else 1.0)))
 
     @property
-    def crowded(self) -> str | None:
+    def overparametrised(self) -> str | None:
         """A sentence on how many parameters the rows support, where that is not all they observe; else None."""
         beyond = self.rank - self.supported
         if not beyond:
@@ -253,7 +253,7 @@ def residuals(model: ModelWithEffects, data: Measurements, values: Floats) -> Fl
     return np.where(data.taken, data.readings - model.predict(data, values), np.nan)
 
 
-@as_annotated
+@validate_arguments
 def identify(
     robot: RobotLike | Model | ModelWithEffects,
     data: RunLike,
@@ -264,7 +264,7 @@ def identify(
     priors: bool | NotNegative | None = None,
     linear: bool = False,
     start: Sequence[float] | Floats | None = None,
-    noise: Noise | None = None,
+    noise: ReadingNoise | None = None,
 ) -> Fit:
     """Fits the free parameters of a robot, or of any other machine's model, to the readings.
 
@@ -351,7 +351,7 @@ def _contradict(plain: Fit, drawn: Fit) -> bool:
 def _fitted(
     model: ModelWithEffects,
     data: Measurements,
-    noise: Noise,
+    noise: ReadingNoise,
     start: Sequence[float] | Floats | None,
     *,
     loss: str,
@@ -360,7 +360,7 @@ def _fitted(
 ) -> Fit:
     """With the drawing known within a ``part`` of the plausible sizes; 0 where it does not count."""
     weights, priors = np.where(data.used, 1.0 / noise.sigma, 0.0), part > 0.0
-    problem = LeastSquares(model, data, scaled_sizes(model, part or 1.0))
+    problem = LeastSquaresProblem(model, data, scaled_sizes(model, part or 1.0))
     known = priors or any(p.known for p in model.parameters)
     try:
         values = beginning(model, data, weights) if start is None else model.starting_at(start)
@@ -448,7 +448,7 @@ class HeldOut:
     block: Ints
 
 
-@as_annotated
+@validate_arguments
 def hold_out(
     robot: Robot | Model | ModelWithEffects,
     data: Measurements,

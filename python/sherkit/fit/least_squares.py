@@ -115,7 +115,7 @@ def _influence(u: Floats, loss: str) -> tuple[Floats, Floats]:
 # -- The rows --------------------------------------------------------------------------------------------------------
 
 
-class LeastSquares:
+class LeastSquaresProblem:
     """A model and rows: what the solver is asked, by the core where the model is compiled throughout.
 
     ``sizes`` (p,) are the plausible sizes of the parameters, unless others are given.

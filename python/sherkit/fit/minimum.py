@@ -11,7 +11,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..errors import FitError, RobotError
 from ..model.base import ModelWithEffects
-from .least_squares import LeastSquares, reached, scale
+from .least_squares import LeastSquaresProblem, reached, scale
 
 #: Evaluations of a fit that begins at the minimum of another: it is near its own, or has none.
 NEAR = 25
@@ -29,13 +29,13 @@ def beginning(model: ModelWithEffects, data: Measurements, weights: Floats) -> F
         plain = plain.without_effect(name)
     if plain is model:
         return model.start(data)
-    before, _ = LeastSquares(plain, data).solve(weights, plain.start(data))
+    before, _ = LeastSquaresProblem(plain, data).solve(weights, plain.start(data))
     known = dict(zip((p.name for p in plain.parameters), before.trial.tolist(), strict=True))
     return np.array([known.get(p.name, 0.0) for p in model.parameters])
 
 
 def noise_ratio(
-    problem: LeastSquares, weights: Floats, values: Floats, *, loss: str, priors: bool, linear: bool, most: int
+    problem: LeastSquaresProblem, weights: Floats, values: Floats, *, loss: str, priors: bool, linear: bool, most: int
 ) -> tuple[float, Floats]:
     """By how much the noise is larger than was assumed, where only residuals tell it: a prior is weighed against it;
     and where a fit with it begins. ``most`` evaluations are allowed in each round."""
@@ -54,7 +54,7 @@ def noise_ratio(
 
 
 def over_the_wall(
-    problem: LeastSquares, weights: Floats, solver: _core.Solver, ended: str, *, priors: bool
+    problem: LeastSquaresProblem, weights: Floats, solver: _core.Solver, ended: str, *, priors: bool
 ) -> tuple[_core.Solver, str]:
     """Goes on from behind a small step of the cost, where a model is not smooth: a whole step from where every damped
     one went up. Where that leads nowhere better, all stays."""

@@ -18,7 +18,7 @@ from ..data.noise import MAD
 from ..errors import SherkitError
 from ..model.base import ModelWithEffects
 from ..model.chain import ChainModel
-from .least_squares import LeastSquares
+from .least_squares import LeastSquaresProblem
 
 #: As many readings as all rows together count for: their residuals are not independent where something is wrong.
 COUNTED = 20.0
@@ -96,7 +96,7 @@ def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rou
     ]
     freed = np.where(datum, far, sizes)
     counted = np.sqrt(min(1.0, COUNTED / max(int(used.sum()), 1)))
-    problem = LeastSquares(model, data, counted * freed)
+    problem = LeastSquaresProblem(model, data, counted * freed)
     values = model.start(data)
     elsewhere = part_elsewhere(model, data)
     taken = used.any(axis=0)

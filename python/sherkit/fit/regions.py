@@ -21,7 +21,7 @@ from ..base.figures import finite, number
 from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..errors import FitError
-from .error import ErrorSize, Fitted, axes_of, known_of, sigma_of
+from .error import ErrorSize, FitLike, axes_of, known_of, sigma_of
 from .folds import Folds, blocks
 
 #: How often poses are halved, into how many regions; and the poses that each must have.
@@ -149,7 +149,7 @@ def _halved(points: Floats, times: int) -> Ints:
 
 
 @linalg.one_thread()
-def errors_elsewhere(fit: Fitted) -> Elsewhere | None:
+def errors_elsewhere(fit: FitLike) -> Elsewhere | None:
     """The errors of a fit and of the drawing in each region that is left out; None where there are too few poses, or no
     joint that moved."""
     model, data = fit.model, fit.data

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..data.noise import MIN_FREEDOM, Noise
+from ..data.noise import MIN_FREEDOM, ReadingNoise
 from ..data.rows import Repeatability, pure_error
 
 #: A noise that differs by less than this part is the same.
@@ -20,7 +20,7 @@ def repeatability_of(fit: Any) -> Repeatability | None:
     return pure_error(data.layout.readings, fit.residuals, data.used, data.groups)
 
 
-def noise_beside(fit: Any) -> Noise | None:
+def noise_beside(fit: Any) -> ReadingNoise | None:
     """The noise of each reading where repeats tell it, with what the model explains of them taken off; None where that
     is the noise that the fit was weighed with."""
     found = repeatability_of(fit) if fit.noise.origin == "repeats" else None
@@ -33,4 +33,4 @@ def noise_beside(fit: Any) -> Noise | None:
     if np.abs(now - 1.0).max() < _SAME:
         return None
     declared = np.isfinite(fit.data.sigma)
-    return Noise(np.where(declared, fit.noise.sigma, fit.noise.sigma * now), "repeats")
+    return ReadingNoise(np.where(declared, fit.noise.sigma, fit.noise.sigma * now), "repeats")

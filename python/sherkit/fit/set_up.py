@@ -25,7 +25,7 @@ from .plausible import (
     sizes_of,
     thinned,
 )
-from .set_up_hypotheses import SetUp, hypotheses, turned_frame
+from .set_up_hypotheses import SetUpHypothesis, hypotheses, turned_frame
 
 # -- Readings that are the same in every row, and such as no row holds ----------------------------------------------
 
@@ -264,7 +264,7 @@ def _wrong(
 
 def _much_better(
     model: ModelWithEffects, data: Measurements, datum: Bools, stands: float, now: Plausible | None
-) -> list[tuple[SetUp, Plausible]]:
+) -> list[tuple[SetUpHypothesis, Plausible]]:
     """The set-up that explains the run much better than it ``stands`` or fits ``now``, first, and those that are as
     good: every coordinate that it touches gets better, and none worse."""
     every = list(hypotheses(model, data))
@@ -301,8 +301,8 @@ def _much_better(
 
 
 def _handed(
-    as_good: list[tuple[SetUp, Plausible]], model: ModelWithEffects, data: Measurements
-) -> list[tuple[SetUp, Plausible]]:
+    as_good: list[tuple[SetUpHypothesis, Plausible]], model: ModelWithEffects, data: Measurements
+) -> list[tuple[SetUpHypothesis, Plausible]]:
     """Two columns exchanged, or one of the wrong sign, are one thing to a sensor that may stand anywhere: those are
     said with which it stands as the robot does, or else that the readings are left-handed."""
     mirrors = [pair for pair in as_good if _is_columns(pair[0], model, data)]
@@ -319,7 +319,7 @@ def _handed(
     return [*others, (replace(one, looks=looks, advice="swap two of these columns, or change the sign of one"), found)]
 
 
-def _nowhere_worse(one: SetUp, found: Plausible, now: Plausible, data: Measurements) -> bool:
+def _nowhere_worse(one: SetUpHypothesis, found: Plausible, now: Plausible, data: Measurements) -> bool:
     """Whether each coordinate that a set-up changes is fitted better with it, and none worse.
 
     All are touched by another robot, other joints and other rows, but not all at once may be wrong: what is absurd
@@ -337,12 +337,12 @@ def _nowhere_worse(one: SetUp, found: Plausible, now: Plausible, data: Measureme
     return not worse[np.isfinite(was)].any()
 
 
-def _is_columns(one: SetUp, model: ModelWithEffects, data: Measurements) -> bool:
+def _is_columns(one: SetUpHypothesis, model: ModelWithEffects, data: Measurements) -> bool:
     """Whether a set-up changes columns of readings alone."""
     return one.model is model and one.data.joints is data.joints and not one.farther
 
 
-def _is_nearly(one: SetUp, frame: SetUp) -> bool:
+def _is_nearly(one: SetUpHypothesis, frame: SetUpHypothesis) -> bool:
     """Whether a set-up puts the readings where a turned frame has them, but for a shift and a small angle."""
     use = one.data.used.all(axis=1) if one.data.layout.distance is None else one.data.used[:, :-1].all(axis=1)
     a, b = (each.data.readings[use, : each.data.coordinates] for each in (one, frame))
@@ -352,9 +352,9 @@ def _is_nearly(one: SetUp, frame: SetUp) -> bool:
 
 def _turned(
     model: ModelWithEffects, data: Measurements, datum: Bools, *, mirrored: bool
-) -> tuple[SetUp, Plausible | None]:
+) -> tuple[SetUpHypothesis, Plausible | None]:
     """The frame turned onto the drawing, then onto what the model predicts with the parameters that this gives."""
-    one: SetUp | None = None
+    one: SetUpHypothesis | None = None
     found: Plausible | None = None
     values = np.zeros(len(datum))
     try:
@@ -366,12 +366,12 @@ def _turned(
             values = found.values
     except NOT_COMPUTED:
         found = None
-    return one or SetUp("", "", model, data), found
+    return one or SetUpHypothesis("", "", model, data), found
 
 
 def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:
     """Parameters that only shift readings; by the first set-up that can be computed."""
-    for one in (SetUp("", "", model, data), *hypotheses(model, data)):
+    for one in (SetUpHypothesis("", "", model, data), *hypotheses(model, data)):
         try:
             return may_be_anything(one.model, one.data)
         except NOT_COMPUTED:
@@ -398,7 +398,7 @@ def _is_physics(model: ModelWithEffects, data: Measurements, datum: Bools, now: 
 
 def _with_an_effect(model: ModelWithEffects, data: Measurements, datum: Bools) -> Iterator[Plausible]:
     """Fits with plausible parameters, each with one known effect."""
-    for effect in model.can_be_tried(tuple(model.known_effects.values()), data)[0]:
+    for effect in model.is_testable(tuple(model.known_effects.values()), data)[0]:
         if effect.search is None:
             more = model.with_effect(effect)
             found = plausible_fit(more, data, np.append(datum, np.zeros(len(effect.parameters), dtype=bool)))

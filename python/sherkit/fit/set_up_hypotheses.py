@@ -51,7 +51,7 @@ _FEW = 3
 
 
 @dataclass(frozen=True, eq=False)
-class SetUp:
+class SetUpHypothesis:
     """Robot and rows as they may have been meant: what looks wrong, what to change, and both as they would be then.
     ``farther`` is how much less likely this is from the outset than a single slip."""
 
@@ -62,14 +62,14 @@ class SetUp:
     farther: float = 0.0
 
 
-def hypotheses(model: ModelWithEffects, data: Measurements) -> Iterator[SetUp]:
+def hypotheses(model: ModelWithEffects, data: Measurements) -> Iterator[SetUpHypothesis]:
     """Every mistake that may have been made, the usual ones first."""
     for looks, advice, changed in _of_columns(model, data):
-        yield SetUp(looks, advice, model, changed)
+        yield SetUpHypothesis(looks, advice, model, changed)
     for looks, advice, changed in _of_rows(data):
-        yield SetUp(looks, advice, model, changed)
+        yield SetUpHypothesis(looks, advice, model, changed)
     for looks, advice, other in _of_robot(model):
-        yield SetUp(looks, advice, other, data)
+        yield SetUpHypothesis(looks, advice, other, data)
 
 
 # -- columns -------------------------------------------------------------------------------------------------------
@@ -328,7 +328,9 @@ def _written(changed: dict[str, list[float]]) -> str:
 # -- the instrument's frame ----------------------------------------------------------------------------------------
 
 
-def turned_frame(model: ModelWithEffects, data: Measurements, values: Floats, *, mirrored: bool) -> SetUp | None:
+def turned_frame(
+    model: ModelWithEffects, data: Measurements, values: Floats, *, mirrored: bool
+) -> SetUpHypothesis | None:
     """The readings turned, or mirrored and turned, so that they come to lie on what the model predicts for ``values``;
     those of a picture shifted as well, which is cropped where it is hardly turned. None where readings are neither
     three lengths nor two of a picture.
@@ -354,7 +356,7 @@ def turned_frame(model: ModelWithEffects, data: Measurements, values: Floats, *,
     if what is None:
         return None
     looks, advice, farther = what
-    return SetUp(looks, advice, model, replace(data, readings=np.where(data.taken, readings, 0.0)), farther)
+    return SetUpHypothesis(looks, advice, model, replace(data, readings=np.where(data.taken, readings, 0.0)), farther)
 
 
 def _turned_space(names: Sequence[str], turn: Floats, mirrored: bool) -> tuple[str, str, float]:

@@ -16,7 +16,7 @@ import scipy
 from ..base import linalg
 from ..base.types import Bools, Floats
 from ..model.base import ModelWithEffects
-from .error import Fitted
+from .error import FitLike
 from .folds import blocks
 from .regions import frame_of, some_of
 
@@ -49,7 +49,7 @@ def drawn_by(model: ModelWithEffects) -> Bools:
     return drawn
 
 
-def part_of(fit: Fitted) -> float:
+def part_of(fit: FitLike) -> float:
     """The part of the plausible sizes that the readings of a fit find most likely."""
     own = drawn_by(fit.model)
     if not own.any():
@@ -84,7 +84,7 @@ def part_of(fit: Fitted) -> float:
     return float(np.clip(ratio * np.sqrt(noise_at(ratio)), _LEAST, _MOST))
 
 
-def _projected(fit: Fitted, own: Bools) -> tuple[Floats, Floats, float, int]:
+def _projected(fit: FitLike, own: Bools) -> tuple[Floats, Floats, float, int]:
     """Products of the columns of these parameters (k,) with each other (k, k) and with what was read beside the drawing
     (k,), its square, and how many numbers are left, over the noise; without what the other columns take."""
     model, data = fit.model, fit.data

@@ -144,7 +144,7 @@ def table_of(fit: Any) -> str:
         ("noise", f"{origin[fit.noise.origin]}; reduced χ² {fit.scale**2:.3g}"
          if fit.noise.origin != "unknown" else origin["unknown"]),
         ("rank", f"{fit.rank} of {len(fit.parameters)}{condition}"),
-        *([("supported", fit.crowded)] if fit.crowded else []),
+        *([("supported", fit.overparametrised)] if fit.overparametrised else []),
         ("converged", f"{'yes' if fit.converged else 'NO'}, {fit.evaluations} evaluations"),
     ]  # fmt: skip
     drawn = _nominal(fit.model)

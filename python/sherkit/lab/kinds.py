@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.extensions import INSTRUMENTS as OF_PACKAGES
-from ..base.extensions import brought_beside
+from ..base.extensions import plugins
 from ..data.files import write_whole
 from ..data.toml import Table
 from ..errors import ExperimentError
@@ -377,7 +377,7 @@ INSTRUMENTS: Mapping[str, InstrumentKind] = {
 @cache
 def instrument_kinds() -> Mapping[str, InstrumentKind]:
     """Every kind of instrument by name: those here, then those of other packages."""
-    return {**INSTRUMENTS, **brought_beside(INSTRUMENTS, OF_PACKAGES, InstrumentKind)}
+    return {**INSTRUMENTS, **plugins(INSTRUMENTS, OF_PACKAGES, InstrumentKind)}
 
 
 # -- files of ports: kind and address by name, written by a laboratory and read by an experiment ----------------

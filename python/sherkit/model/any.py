@@ -16,9 +16,9 @@ import numpy as np
 from ..base.types import Floats
 from ..data import Measurements
 from ..errors import EffectError, ShapeError
-from .base import Derivatives, ModelWithEffects, Tried, beside_one_another
+from .base import CandidateColumns, Derivatives, ModelWithEffects, column_slices
 from .effect import Effect, Parameter
-from .rows import Rows
+from .rows import EffectRows
 
 
 @runtime_checkable
@@ -106,15 +106,15 @@ class Extended(ModelWithEffects):
         del effect
         return data.readings.shape[1]
 
-    def rows(self, data: Measurements, values: Floats) -> Rows:
+    def rows(self, data: Measurements, values: Floats) -> EffectRows:
         """The rows, whose position is what the model predicts without effects."""
-        return Rows(data, lambda: self.plain.predict(data, values[: len(self.bare)]))
+        return EffectRows(data, lambda: self.plain.predict(data, values[: len(self.bare)]))
 
     def linearised(self, data: Measurements, values: Floats) -> Derivatives:
         """By what is identified; the inputs are not known."""
         return Derivatives(self.derivatives(data, values), None)
 
-    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Tried:
+    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> CandidateColumns:
         """Each effect by itself: what it adds does not pass through the model."""
         rows = self.rows(data, values)
         columns: list[tuple[Effect, Floats]] = []
@@ -127,5 +127,5 @@ class Extended(ModelWithEffects):
                 refused[effect.name] = str(error)
         none = np.empty((*data.readings.shape, 0))
         beside = np.concatenate([none, *(one for _, one in columns)], axis=2)
-        at = beside_one_another([(effect, one.shape[2]) for effect, one in columns])
-        return Tried(beside.__getitem__, at, refused)
+        at = column_slices([(effect, one.shape[2]) for effect, one in columns])
+        return CandidateColumns(beside.__getitem__, at, refused)

@@ -17,7 +17,7 @@ from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
 from .effect import Effect, Parameter, Setting, check_user_effect
 from .relations import Apart
-from .rows import Rows
+from .rows import EffectRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Derivatives:
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class CandidateColumns:
     """Derivatives of the readings by effects that are not in the model.
 
     ``columns`` gives those of any stretch of rows (b, m, c), by the parameters of all of them at zero, those of a step
@@ -49,7 +49,7 @@ class Tried:
     reads_point: bool = True
 
 
-def beside_one_another(widths: Iterable[tuple[Effect, int]]) -> list[tuple[Effect, slice]]:
+def column_slices(widths: Iterable[tuple[Effect, int]]) -> list[tuple[Effect, slice]]:
     """Where the columns of effects stand, each so many, one after the other."""
     at, out = 0, []
     for effect, width in widths:
@@ -139,7 +139,7 @@ class ModelWithEffects(Saved, ABC):
         """How many numbers a NumPy effect gives for a row."""
 
     @abstractmethod
-    def rows(self, data: Measurements, values: Floats) -> Rows:
+    def rows(self, data: Measurements, values: Floats) -> EffectRows:
         """The rows as a user's effect sees them."""
 
     @abstractmethod
@@ -147,7 +147,7 @@ class ModelWithEffects(Saved, ABC):
         """Derivatives by what is identified and by the inputs."""
 
     @abstractmethod
-    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Tried:
+    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> CandidateColumns:
         """Derivatives by effects that are not in the model: effects see all rows, so that stretches are parts of one
         whole."""
 
@@ -318,7 +318,7 @@ class ModelWithEffects(Saved, ABC):
         """The same model without the effect of that name, and without what goes with it."""
         return replace(self, effects=tuple(e for e in self.effects if name not in (e.name, e.goes_with)))  # type: ignore[type-var]
 
-    def can_be_tried(self, effects: Sequence[Effect], data: Measurements) -> tuple[list[Effect], dict[str, str]]:
+    def is_testable(self, effects: Sequence[Effect], data: Measurements) -> tuple[list[Effect], dict[str, str]]:
         """Effects that are not in the model and whose columns these rows have; the others with the reason, but for
         those that go with an effect which is not in it."""
         active = {e.name for e in self.effects}
@@ -384,7 +384,7 @@ class Stretches:
 
 
 @dataclass(frozen=True, eq=False)
-class OfModel(Stretches):
+class ModelColumns(Stretches):
     """By what is identified; ``own`` are the user's effects that are in the model."""
 
     own: Sequence[tuple[Effect, Floats]]
@@ -397,7 +397,7 @@ class OfModel(Stretches):
 
 
 @dataclass(frozen=True, eq=False)
-class OfEffects(Stretches):
+class EffectColumns(Stretches):
     """By effects that are tried: built-in ones, which this model has beside its own, and the user's."""
 
     built_in: Sequence[Effect]

@@ -22,9 +22,9 @@ from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
-from .base import Derivatives, OfEffects, OfModel, Reachable, Tried, beside_one_another, carry
+from .base import CandidateColumns, Derivatives, EffectColumns, ModelColumns, Reachable, carry, column_slices
 from .effect import WITHIN, Effect, Parameter, Setting, freeing, parameters_of_core
-from .rows import Rows
+from .rows import EffectRows
 from .seen import SeenModel
 
 #: Joints (n, k), other ends of distances, covariates (n, 3 + 2 k), displacements of the measured point (n, 3).
@@ -334,7 +334,7 @@ class ChainModel(SeenModel):
             return data.joints.shape[1]
         return 3 if effect.link == "body" else data.coordinates
 
-    def rows(self, data: Measurements, values: Floats) -> Rows:
+    def rows(self, data: Measurements, values: Floats) -> EffectRows:
         """The rows, with the position that the built-in model gives. It raises as :meth:`predict`; of outliers out of
         reach it is NaN."""
 
@@ -344,7 +344,7 @@ class ChainModel(SeenModel):
             self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
             return out[:, : data.coordinates]
 
-        return Rows(data, position)
+        return EffectRows(data, position)
 
     def linearised(self, data: Measurements, values: Floats) -> Derivatives:
         """All at once by the core; the user's effects carried from their link to the readings."""
@@ -354,9 +354,9 @@ class ChainModel(SeenModel):
         """The core computes each stretch; the user's effects are computed once, at their link."""
         rows, values = self.rows(data, values), np.asarray(values)
         own = [(e, e.columns(rows, values[self.owns(e)], self.axes_of(e, data))) for e in self.own]
-        return OfModel(self, data, values, own)
+        return ModelColumns(self, data, values, own)
 
-    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> Tried:
+    def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> CandidateColumns:
         """Likewise; of the core only what is tried is asked."""
         everything = self
         for effect in (built_in := [e for e in effects if e.function is None]):
@@ -376,11 +376,11 @@ class ChainModel(SeenModel):
                 refused[effect.name] = str(error)
         widths = [(e, len(e.parameters)) for e in (*built_in, *(effect for effect, _ in tried))]
         reads_point = int(data.taken[:, : data.coordinates].any(axis=0).sum()) == 3
-        columns = OfEffects(everything, data, start, built_in, tried)
-        return Tried(columns, beside_one_another(widths), refused, reads_point)
+        columns = EffectColumns(everything, data, start, built_in, tried)
+        return CandidateColumns(columns, column_slices(widths), refused, reads_point)
 
     def own_columns(
-        self, data: Measurements, rows: Rows, values: Floats, by_joints: Floats, by_body: Floats
+        self, data: Measurements, rows: EffectRows, values: Floats, by_joints: Floats, by_body: Floats
     ) -> list[Floats]:
         """Derivatives (n, m, p) by the parameters of each of the user's effects."""
         return [

@@ -24,7 +24,7 @@ Draw = Callable[[Any, Measurements, Floats, "Floats | None"], "Drawing"]
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class DrawnPart:
     """A line (n, k, 3), mm, base frame, at each of n poses, or one point where k is 1; ``look`` is one of
     :data:`LOOKS`."""
 
@@ -41,7 +41,7 @@ class Drawing:
     A machine of which no places are known stands in the unit of its readings: ``unit``.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[DrawnPart, ...]
     target_mm: Floats
     shown_mm: Floats
     unit: str = "mm"
@@ -64,15 +64,15 @@ def line(*points_mm: Floats) -> Floats:
     return np.stack(np.broadcast_arrays(*map(np.atleast_2d, points_mm)), axis=1)
 
 
-def with_target(parts: Sequence[Part], target_mm: Floats, shown_mm: Floats, unit: str = "mm") -> Drawing:
+def with_target(parts: Sequence[DrawnPart], target_mm: Floats, shown_mm: Floats, unit: str = "mm") -> Drawing:
     """A drawing of these parts, the measured point and where it is taken to be, joined by a line."""
     last = (
-        Part("from the measured point to what is read", "ray", line(target_mm, shown_mm)),
-        Part("measured point", "target", line(target_mm)),
-        Part("as it is read", "shown", line(shown_mm)),
+        DrawnPart("from the measured point to what is read", "ray", line(target_mm, shown_mm)),
+        DrawnPart("measured point", "target", line(target_mm)),
+        DrawnPart("as it is read", "shown", line(shown_mm)),
     )
     n = len(target_mm)
-    every = [Part(p.name, p.look, np.broadcast_to(p.path_mm, (n, *p.path_mm.shape[1:]))) for p in (*parts, *last)]
+    every = [DrawnPart(p.name, p.look, np.broadcast_to(p.path_mm, (n, *p.path_mm.shape[1:]))) for p in (*parts, *last)]
     return Drawing(tuple(every), target_mm, shown_mm, unit)
 
 
@@ -87,7 +87,7 @@ def drawing_of_readings(model: Any, data: Measurements, values: Floats, readings
     shown = target if readings is None else _as_places(readings, len(names))
     reach = float(np.nanmax(np.abs(target), initial=0.0)) or 1.0
     axes = [
-        Part(f"{name.rpartition('_')[0]} axis", "frame", line(np.zeros(3), reach * np.eye(3)[k]))
+        DrawnPart(f"{name.rpartition('_')[0]} axis", "frame", line(np.zeros(3), reach * np.eye(3)[k]))
         for k, name in enumerate(names)
     ]
     return with_target(axes, target, shown, names[0].rpartition("_")[2])

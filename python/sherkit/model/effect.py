@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.figures import stated
 from ..base.names import listed, nearest
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data.columns import unit_in
 from ..errors import EffectError, SherkitError
-from .python_file import Named, named, run_python
+from .python_file import NamedObject, named, run_python
 from .rows import run_of
 
 #: What is searched for besides parameters: a moment, a lag, a period, or a period for each joint that has waves.
@@ -225,7 +225,7 @@ def _made(values: dict[str, Any]) -> Effect:
     return Effect(**values)
 
 
-def _found(place: Named, others: dict[str, Any]) -> Effect:
+def _found(place: NamedObject, others: dict[str, Any]) -> Effect:
     """The effect of this place, but for what differs."""
     return replace(place.found(), **others)
 
@@ -307,7 +307,7 @@ def check_user_effect(effect: Effect, rows: Any, axes: int) -> None:
             raise EffectError(f"effect '{effect.name}': its derivative does not agree with a difference")
 
 
-@as_annotated
+@validate_arguments
 def effect(
     *,
     at: str,

@@ -169,7 +169,7 @@ class SeenInPictures(Protocol):
 
 
 @dataclass(frozen=True)
-class Asked:
+class RequiredSetting:
     """A setting of a robot file that may be left out, but not in silence: ``key`` of ``table``.
 
     ``without`` says what cannot be tried or is assumed without it, ``instead`` what to write, also by whoever has none.
@@ -224,7 +224,7 @@ class Kind:
     signature: Callable[[Effect, Any], tuple[Floats, Floats]] | None = None
     called: str = ""
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    asks: tuple[Asked, ...] = ()
+    asks: tuple[RequiredSetting, ...] = ()
     example: Any = None
     spelt: tuple[Mapping[str, Mapping[str, Any]], ...] = ()
     own_layouts: Callable[[Any], tuple[Layout, ...]] | None = None

@@ -52,7 +52,7 @@ def _module(name: str, path: str | Path) -> ModuleType:
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedObject:
     """Something at the top of a module, in whatever process: its module's file is run where it cannot be imported."""
 
     module: str
@@ -72,12 +72,12 @@ class Named:
         return getattr(there, self.name)
 
 
-def named(module: str, name: str) -> Named | None:
+def named(module: str, name: str) -> NamedObject | None:
     """What stands under a name at the top of a loaded module; None where nothing does."""
     there = sys.modules.get(module)
     if not hasattr(there, name):
         return None
-    return Named(module, getattr(there, "__file__", None), name)
+    return NamedObject(module, getattr(there, "__file__", None), name)
 
 
 def portable(value: Any) -> Any:
@@ -90,4 +90,4 @@ def portable(value: Any) -> Any:
 
 def carried(value: Any) -> Any:
     """What :func:`portable` was given."""
-    return value.found() if isinstance(value, Named) else value
+    return value.found() if isinstance(value, NamedObject) else value

@@ -10,7 +10,7 @@ from typing import Any
 
 import tomli_w
 
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.names import listed
 from ..data import Measurements
 from ..data.columns import Columns, Layout, check_columns, is_known
@@ -26,7 +26,7 @@ _COLUMNS = "columns"
 RobotLike = Robot | str | os.PathLike[str]
 
 
-@as_annotated
+@validate_arguments
 def load_robot(path: str | os.PathLike[str]) -> Robot:
     """Reads a robot from TOML. Raises :class:`~sherkit.errors.RobotError` naming file, table and key.
 
@@ -108,7 +108,7 @@ def _columns_in(tables: dict[str, Any], path: str | os.PathLike[str]) -> Columns
         return {name: t.words(name) for name in t.names()}
 
 
-@as_annotated
+@validate_arguments
 def save_robot(robot: Robot, path: str | os.PathLike[str]) -> None:
     """Writes a robot file that :func:`load_robot` reads. Raises :class:`~sherkit.errors.NotWritten`, and
     :class:`~sherkit.errors.RobotError` for what is no robot.

@@ -12,7 +12,7 @@ from ..data import Measurements
 from ..errors import EffectError
 
 
-class Rows:
+class EffectRows:
     """The rows of a run as a user's effect sees them.
 
     ``joints`` (n, k), mm or rad; ``time`` (n,) s; ``direction`` (n, k) sign of the last motion; ``position`` (n, m),
@@ -60,6 +60,6 @@ class Rows:
         return self._data.covariates[found]
 
 
-def run_of(rows: Rows | Measurements) -> Measurements:
+def run_of(rows: EffectRows | Measurements) -> Measurements:
     """The run itself, which a model may hand on as it is; as an attribute its name would hide a column of the file."""
     return rows if isinstance(rows, Measurements) else rows._data

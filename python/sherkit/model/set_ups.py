@@ -13,10 +13,10 @@ from ..base.names import listed
 from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import SETUP
-from ..data.set_up import SetUp, Triple
+from ..data.set_up import JoinedSetUp, Triple
 from ..errors import FitError
 from .effect import Effect
-from .rows import Rows, run_of
+from .rows import EffectRows, run_of
 from .sensor_link import left_jacobian, rotation_matrix
 from .sensor_pose import POSE, SHIFTS, Registered, in_space
 
@@ -38,7 +38,7 @@ class InSetUp:
     name: str
     middle_mm: Triple
 
-    def __call__(self, rows: Rows, p: Any) -> Floats:
+    def __call__(self, rows: EffectRows, p: Any) -> Floats:
         """(n, m) mm."""
         mine, at, turn = self._seen(rows, p)
         out = np.zeros_like(rows.position)
@@ -46,7 +46,7 @@ class InSetUp:
         out[mine] = off[:, : out.shape[1]]
         return out
 
-    def derivative(self, rows: Rows, p: Any) -> Floats:
+    def derivative(self, rows: EffectRows, p: Any) -> Floats:
         """(n, m, k) by the numbers that are free, in their order."""
         mine, at, turn = self._seen(rows, p)
         size, names = rows.position.shape[1], list(vars(p))
@@ -56,7 +56,7 @@ class InSetUp:
         out[mine] = by[:, :size, [POSE.index(f"sensor_{name}") for name in names]]
         return out
 
-    def _seen(self, rows: Rows, p: Any) -> tuple[Bools, Floats, Floats]:
+    def _seen(self, rows: EffectRows, p: Any) -> tuple[Bools, Floats, Floats]:
         """Rows of this set-up, where they are seen from its middle (k, 3), and the turn (3,)."""
         names = run_of(rows).set_up
         mine = np.zeros(len(rows), dtype=bool) if names is None else np.asarray(names == self.name)
@@ -67,7 +67,7 @@ class InSetUp:
         return mine, at - self.middle_mm, turn
 
 
-def effect_of(model: Any, one: SetUp) -> Effect:
+def effect_of(model: Any, one: JoinedSetUp) -> Effect:
     """The numbers of a set-up that are free, or known, as an effect of its rows. What is known of the pose of each of
     two set-ups is known of where one stands from the other with the variance of both."""
     made = [
@@ -123,7 +123,7 @@ def seen_from_the_last(model: Any, data: Measurements) -> Measurements:
         square = np.square(turn[:size, :size]).T
         variances[:, rows, :size] = variances[:, rows, :size] @ square
         middle = in_space(readings[rows[used[rows]], :size]).mean(axis=0)
-        made.append(SetUp(name, last, _rows_of(turn), _triple(shift), _triple(middle)))
+        made.append(JoinedSetUp(name, last, _rows_of(turn), _triple(shift), _triple(middle)))
     sigma, pose_sigma = np.sqrt(variances)
     return replace(data, readings=readings, sigma=sigma, pose_sigma=pose_sigma, set_ups=tuple(made))
 

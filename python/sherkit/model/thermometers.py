@@ -14,7 +14,7 @@ from ..data.columns import TEMPERATURE
 from ..data.lagged import DRAWN_C
 from .base import ModelWithEffects
 from .effect import Effect
-from .rows import Rows
+from .rows import EffectRows
 
 _SHIFT = "thermal_shift"
 
@@ -52,5 +52,5 @@ def with_thermometers(
     return (*own.values(), *(one for one in thermometers_of(model, data) if one.name not in own))
 
 
-def _shift(column: str, rows: Rows, p: SimpleNamespace) -> Floats:
+def _shift(column: str, rows: EffectRows, p: SimpleNamespace) -> Floats:
     return np.multiply.outer(rows[column] - DRAWN_C, np.array(list(vars(p).values())))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base import linalg
-from ..base.arguments import Positive, Seed, as_annotated
+from ..base.arguments import Positive, Seed, validate_arguments
 from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..errors import FitError, ShapeError
@@ -41,7 +41,7 @@ class PoseDesign:
     rank: int
 
 
-@as_annotated
+@validate_arguments
 @linalg.one_thread()
 def choose_poses(
     model: ChainModel,

@@ -27,7 +27,7 @@ from ..base.workers import processes, run_tasks
 from ..data import Measurements
 from ..data.columns import Layout
 from ..data.files import write_whole
-from ..data.noise import Noise
+from ..data.noise import ReadingNoise
 from ..errors import ExperimentError, FitError, SherkitError
 from ..fit.identify import identify
 from ..model.chain import ChainModel
@@ -50,7 +50,7 @@ class EffectSize:
 
 
 @dataclass(frozen=True)
-class Found:
+class DetectionCount:
     """In how many of ``runs`` simulated runs an effect was found, beside the ``power`` that the plan promises."""
 
     name: str
@@ -65,7 +65,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class _Task:
+class _PowerTask:
     """What a worker needs: plain values, so that any executor can send them."""
 
     robot: Mapping[str, Any]
@@ -93,7 +93,7 @@ def study_power(
     workers: int | None = None,
     path: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Found, ...]:
+) -> tuple[DetectionCount, ...]:
     """Simulates ``runs`` runs for each of the effects, and counts how often each is found.
 
     ``errors`` is the size of the robots' own errors, 1 = plausible. ``executor`` runs them (a pool of ``workers``
@@ -130,7 +130,7 @@ def study_power(
             if progress is not None:
                 progress(done, total)
     return tuple(
-        Found(one.name, power, sum(p_values[k, r] < planning.level for r in range(runs)), runs)
+        DetectionCount(one.name, power, sum(p_values[k, r] < planning.level for r in range(runs)), runs)
         for k, (one, power) in enumerate(zip(sought, promised, strict=True))
     )
 
@@ -138,14 +138,14 @@ def study_power(
 # -- one run -------------------------------------------------------------------------------------------------
 
 
-def _task(planning: Planning, sought: EffectSize, seed: int, errors: float, runs: tuple[int, ...]) -> _Task:
+def _task(planning: Planning, sought: EffectSize, seed: int, errors: float, runs: tuple[int, ...]) -> _PowerTask:
     rows = planning.rows
     columns = {f"direction_{k + 1}": d for k, d in enumerate(rows.direction.T) if np.isfinite(d).all()}
     columns |= dict(rows.covariates)
     if rows.time_s is not None:
         columns["time_s"] = rows.time_s
     model = planning.with_effect(planning.effect(sought.name))
-    return _Task(
+    return _PowerTask(
         robot=model.robot.to_tables(),
         free=model.free,
         effects=tuple(e.name for e in planning.model.effects),
@@ -161,7 +161,7 @@ def _task(planning: Planning, sought: EffectSize, seed: int, errors: float, runs
     )
 
 
-def _simulated(task: _Task) -> list[float]:
+def _simulated(task: _PowerTask) -> list[float]:
     """p values of the runs. Runs in a worker."""
     robot = robot_from_tables(dict(task.robot), "study")
     plain = model_of(robot, task.free)
@@ -174,7 +174,7 @@ def _simulated(task: _Task) -> list[float]:
     return [_p_value(task, base, full, rows, run) for run in task.runs]
 
 
-def _p_value(task: _Task, base: ChainModel, full: ChainModel, rows: Measurements, run: int) -> float:
+def _p_value(task: _PowerTask, base: ChainModel, full: ChainModel, rows: Measurements, run: int) -> float:
     effect = next(e for e in full.effects if e.name == task.sought.name)
     m = rows.coordinates
     sigma = np.ones(rows.readings.shape)
@@ -187,7 +187,7 @@ def _p_value(task: _Task, base: ChainModel, full: ChainModel, rows: Measurements
             readings = full.predict(rows, values)
             readings[:, :m] += rng.normal(size=(len(rows), m)) * task.sigma
             data = replace(rows, readings=np.where(rows.taken, readings, 0.0))
-            noise = Noise(sigma, "declared")
+            noise = ReadingNoise(sigma, "declared")
             fits = [identify(model, data, noise=noise) for model in (base, full)]
         except SherkitError:
             # a robot that cannot go where the plan sends it is none that would be measured: another one is drawn

@@ -23,7 +23,7 @@ from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError
-from ..fit.forms import Known, known
+from ..fit.forms import SimplestForm, known
 from ..fit.identify import Fit
 from ..model.any import Model
 from ..model.base import ModelWithEffects, missing_columns
@@ -313,7 +313,7 @@ def what_it_is(effect: Effect, fit: Fit | None) -> str:
     return "".join(f"<h4>{title}</h4><p>{escape(text)}</p>" for title, text in told if text)
 
 
-def _known(effect: Effect, fit: Fit | None) -> Known | None:
+def _known(effect: Effect, fit: Fit | None) -> SimplestForm | None:
     return None if fit is None or _fitted(effect, fit) is None else known(fit).get(effect.name)
 
 

@@ -37,7 +37,7 @@ from .picture import Picture
 from .residual_against import ResidualAgainst, noise_picture, residual_against, run_in_time
 from .residual_arrows import Change
 from .residual_map import residual_map, still
-from .residuals import Residuals, State, drawn, residuals_of, said
+from .residuals import ModelState, Residuals, drawn, residuals_of, said
 from .scene import space_of
 from .states import error_history, error_history_of, packed, states_of
 from .style import number, quantity
@@ -178,8 +178,8 @@ def _cards(report: Report, atlas: Atlas | None) -> tuple[list[str], list[tuple[s
 
 def _space(report: Report) -> str:
     """The errors before and after in three dimensions; nothing where the run says no places."""
-    last = State(state_with(report.study.effects), report.study.fit)
-    scene = space_of(State(CALIBRATED, report.found.base), last, report.calibration)
+    last = ModelState(state_with(report.study.effects), report.study.fit)
+    scene = space_of(ModelState(CALIBRATED, report.found.base), last, report.calibration)
     return "" if scene is None else scene.html()
 
 
@@ -228,7 +228,7 @@ def _in_time(found: Diagnosis) -> bool:
     return wanders or bool(found.correlation_in_time) or bool(len(found.outliers))
 
 
-def _states(report: Report, base: Fit) -> tuple[list[State], int]:
+def _states(report: Report, base: Fit) -> tuple[list[ModelState], int]:
     """What a reader can switch between, and which of them the study stands at: the first one where nothing was added
     to the model that was diagnosed, ``base`` on the rows that are drawn."""
     states = states_of(report.study, report.found, base)

@@ -36,7 +36,7 @@ from .parameters import accuracy_map, accuracy_of, parameters
 from .picture import Picture
 from .residual_arrows import Change
 from .residual_map import residual_map
-from .residuals import State
+from .residuals import ModelState
 from .scene import script as scenes
 from .states import error_history, error_history_of, states_so_far
 
@@ -97,11 +97,11 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
         return [error_history(error_history_of(value)), _map(states[0], states[-1])]
     if isinstance(value, Diagnosis):
         shown: list[Picture[Any]] = [candidates(value)] if value.candidates else []
-        return [*shown, _map(State(CALIBRATED, value.base), State(state_with(value.effects), value.fit))]
+        return [*shown, _map(ModelState(CALIBRATED, value.base), ModelState(state_with(value.effects), value.fit))]
     if isinstance(value, Calibration):
         return [accuracy_map(accuracy_of(value))]
     if isinstance(value, Fit):
-        return [_map(one := State("left by the fit", value), one), parameters(value)]
+        return [_map(one := ModelState("left by the fit", value), one), parameters(value)]
     drawn_by: str = getattr(value, "drawn_by", "")
     if drawn_by:
         module, _, name = drawn_by.partition(":")
@@ -109,7 +109,7 @@ def pictures_of(value: Any) -> list[Picture[Any]]:
     raise TypeError(f"no picture is known for {type(value).__name__}")
 
 
-def _map(before: State, after: State) -> Picture[Change]:
+def _map(before: ModelState, after: ModelState) -> Picture[Change]:
     """What two fits leave, or the one where they leave the same."""
     same = np.array_equal(before.fit.residuals, after.fit.residuals, equal_nan=True)
     return residual_map(Change(before.left, after.left, before.title, after.title), alone=same)

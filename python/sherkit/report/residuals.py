@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
-from ..data.noise import Noise
+from ..data.noise import ReadingNoise
 from ..evidence.fitted_run import FittedRun
 from ..fit.identify import Fit
 
@@ -88,7 +88,7 @@ def at_the_rim(left: Residuals, values: Floats) -> tuple[Floats, list[str]]:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class ModelState:
     """A fit to look at, under its title, and what it leaves."""
 
     title: str
@@ -189,7 +189,7 @@ def drawn(fit: Fit, most: int = MOST_ROWS) -> Fit:
 
 def on_rows(fit: Fit, rows: Ints) -> Fit:
     """A fit with the same values on some rows of its run."""
-    return replace(fit, data=fit.data.select(rows), noise=Noise(fit.noise.sigma[rows], fit.noise.origin))
+    return replace(fit, data=fit.data.select(rows), noise=ReadingNoise(fit.noise.sigma[rows], fit.noise.origin))
 
 
 def said(count: int, of: int) -> str:

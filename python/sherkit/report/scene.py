@@ -30,7 +30,7 @@ from ..robots.calibrated import Calibration
 from ..robots.deployed import BASE, SENSOR
 from .picture import thinned
 from .residual_arrows import round_number
-from .residuals import State
+from .residuals import ModelState
 
 _STILL_PX = 640
 #: Turn about the vertical and height of the eye above the horizon, rad.
@@ -278,7 +278,12 @@ _PLANES, _SLABS = 12, 6
 
 
 def space_of(
-    before: State, after: State, calibration: Calibration | None = None, *, moment: int = 0, whole: bool = False
+    before: ModelState,
+    after: ModelState,
+    calibration: Calibration | None = None,
+    *,
+    moment: int = 0,
+    whole: bool = False,
 ) -> Scene | None:
     """The scene of two fits of one run: errors of the one and of the other, mean of the repeats of a pose. Where both
     are the same, its errors once. It begins with the errors of the fit of this number, ``moment``, and shows the

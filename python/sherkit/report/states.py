@@ -24,21 +24,21 @@ from ..study import Study, StudyStep
 from .picture import Picture, Table, Tables, single, sources_of
 from .residual_against import Windows, gained, means, points, shown
 from .residual_arrows import Change
-from .residuals import Residuals, State, drawn
+from .residuals import ModelState, Residuals, drawn
 from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend
 
 #: Effects that a reader can see added alone: those that would bring most.
 _MOST_SINGLE = 5
 
 
-def states_of(study: Study, found: Diagnosis, base: Fit) -> list[State]:
+def states_of(study: Study, found: Diagnosis, base: Fit) -> list[ModelState]:
     """The model as diagnosed, each single addition that could be fitted, then the steps of the study that have more.
 
     ``base`` is the diagnosed fit on the rows that are drawn. An effect that cannot be fitted alone is left out.
     """
     run, known = FittedRun(base), [e.name for e in base.model.effects]
     path = {s.effects: drawn(s.fit) for s in study.history if s.fit is not None and set(s.effects) > set(known)}
-    out = [State(state_with(known), base)]
+    out = [ModelState(state_with(known), base)]
     named = {e.name: e for e in (*run.catalogue, *study.own.values())}
     taken = {frozenset(added) for added in path}
     for candidate in found.candidates[:_MOST_SINGLE]:
@@ -50,13 +50,13 @@ def states_of(study: Study, found: Diagnosis, base: Fit) -> list[State]:
         try:
             if effect.search is not None:
                 setting = setting_for(base, effect)
-            out.append(State(title, run.refit([(effect, setting)]).fit))
+            out.append(ModelState(title, run.refit([(effect, setting)]).fit))
         except SherkitError:
             continue
-    return out + [State(state_with(added), fit) for added, fit in path.items()]
+    return out + [ModelState(state_with(added), fit) for added, fit in path.items()]
 
 
-def packed(states: Sequence[State], maps: Picture[Change]) -> dict[str, Any]:
+def packed(states: Sequence[ModelState], maps: Picture[Change]) -> dict[str, Any]:
     """What a page needs to move both pictures to any of the states, and the lower one to any variable.
 
     Keys are names of sources; only columns that change are held. Numbers are base64 of little-endian float32.
@@ -163,7 +163,7 @@ def current_path(history: Sequence[StudyStep]) -> list[int]:
     return path
 
 
-def states_so_far(study: Study) -> dict[int, State]:
+def states_so_far(study: Study) -> dict[int, ModelState]:
     """By the number of its step, what a reader compares: the states of the current path whose rows are those of today,
     under names that tell them apart. The last is where the study stands."""
     path = current_path(study.history)
@@ -171,7 +171,7 @@ def states_so_far(study: Study) -> dict[int, State]:
     fits = {k: study.history[k].fit for k in path} | {path[-1]: study.fit}
     known = {k: fit for k, fit in fits.items() if fit and len(fit.data) == len(study.data)}
     names = told_apart([study.history[k].action for k in known])
-    return {k: State(name, fit) for (k, fit), name in zip(known.items(), names, strict=True)}
+    return {k: ModelState(name, fit) for (k, fit), name in zip(known.items(), names, strict=True)}
 
 
 def error_history_of(study: Study, found: Diagnosis | None = None) -> ErrorHistory:

@@ -20,8 +20,8 @@ from ..fit.error import radius_95
 from ..model.batch import Batch, matrix
 from ..model.effect import Effect
 from .deployed import BASE, SENSOR
-from .part import Part, UnobservedEffect, at_rest, by_effect
-from .unobserved_effects import Asked, Counted
+from .part import BiasBound, IdentifiedModel, at_rest, by_effect
+from .unobserved_effects import AccuracyQuery, Counted
 from .where_measured import WhereMeasured
 
 # -- What is promised of a place ----------------------------------------------------------------------------------
@@ -197,20 +197,20 @@ class Accurate(WhereMeasured):
     """A deployed robot of which it is known how far off it may be."""
 
     @abstractmethod
-    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+    def by_values(self, part: IdentifiedModel, joints: Floats, now: list[float]) -> Floats:
         """Derivatives (n, d, p) by the identified values of a part of where the robot is with ``joints`` (n, j) at the
         covariates ``now`` of a loop, as :attr:`frame` sees it. In units of which one makes :attr:`reach_mm` at the
         tool.
         """
 
-    def counted(self, part: Part, frame: str) -> Bools:
+    def counted(self, part: IdentifiedModel, frame: str) -> Bools:
         """Which identified values (p,) of a part move places in a frame: in that of the base none of the instrument's,
         where there are two."""
         model = part.model(self.robot)
         others = model.of_sensor if frame == BASE and len(self.frames) > 1 else ()
         return np.array([p.name not in others for p in model.parameters[: len(part.values)]], dtype=bool)
 
-    def left_at(self, part: Part, coordinates: Floats) -> Floats:
+    def left_at(self, part: IdentifiedModel, coordinates: Floats) -> Floats:
         """Covariance (n, d, d) of what a part leaves at ``coordinates`` (n, k) of :attr:`frame`; by default the same
         everywhere."""
         return np.broadcast_to(part.residual_covariance, (len(coordinates), *part.residual_covariance.shape))
@@ -363,7 +363,7 @@ class Accurate(WhereMeasured):
             beyond=outside,
         )  # fmt: skip
 
-    def _when(self, parts: Sequence[Part], now: Sequence[float]) -> tuple[float | None, float | None]:
+    def _when(self, parts: Sequence[IdentifiedModel], now: Sequence[float]) -> tuple[float | None, float | None]:
         """Temperature and time that a promise is for, None where nothing that is known of the parts depends on it."""
         needs: set[str] = set()
         for part in parts:
@@ -372,7 +372,7 @@ class Accurate(WhereMeasured):
             needs |= {name for effect in (*model.effects, *hidden) for name in effect.needs}
         return now[1] if TEMPERATURE in needs else None, now[0] if TIME in needs else None
 
-    def _either_side(self, part: Part, joints: Floats, now: Sequence[float]) -> Floats:
+    def _either_side(self, part: IdentifiedModel, joints: Floats, now: Sequence[float]) -> Floats:
         """Covariance (n, d, d) of not knowing from which side ``joints`` (n, j) are reached: of lost motion that is in
         the model half the width, joint by joint."""
         d, model = len(self.coordinates), part.model(self.robot)
@@ -387,11 +387,11 @@ class Accurate(WhereMeasured):
         return out
 
     def _beyond(
-        self, part: Part, x: Floats, joints: Floats, frame: str, now: Sequence[float]
-    ) -> dict[str, tuple[list[UnobservedEffect], Floats]]:
+        self, part: IdentifiedModel, x: Floats, joints: Floats, frame: str, now: Sequence[float]
+    ) -> dict[str, tuple[list[BiasBound], Floats]]:
         """By effect what the poses could not show at each place: at which setting it is worst there, and its
         covariance (n, d, d). In the frame of the base what the sensor's pose took of it is missed too."""
-        out: dict[str, tuple[list[UnobservedEffect], Floats]] = {}
+        out: dict[str, tuple[list[BiasBound], Floats]] = {}
         model, functions, counted = part.model(self.robot), part.functions(x), self.counted(part, frame)
         for one in part.unobserved_effects:
             effect = model.known_effects[one.effect]
@@ -419,7 +419,7 @@ class Accurate(WhereMeasured):
         two."""
         return effect.link != SENSOR or frame == SENSOR or len(self.frames) == 1
 
-    def asked(self, part: Part) -> Asked:
+    def asked(self, part: IdentifiedModel) -> AccuracyQuery:
         """Where a part is asked how far off it could be: at random over the box that was measured, within reach."""
         rng = np.random.default_rng(0)
         x = rng.uniform(part.low, part.high, (_ASKED, len(part.low)))
@@ -439,4 +439,4 @@ class Accurate(WhereMeasured):
             )
             for frame in self.frames
         )
-        return Asked(x, joints, now, counted, self.carried)
+        return AccuracyQuery(x, joints, now, counted, self.carried)

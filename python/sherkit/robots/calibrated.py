@@ -16,7 +16,7 @@ import tomli_w
 
 import sherkit._core as _core
 
-from ..base.arguments import as_annotated
+from ..base.arguments import validate_arguments
 from ..base.names import listed
 from ..base.notebook import Shown
 from ..base.types import Bools
@@ -27,7 +27,7 @@ from ..fit.identify import Fit
 from ..model.kinds import Robot, kind_of, known_kinds, robot_from_table
 from .calibration_run import CalibrationRun, Corrected
 from .moves import Moving
-from .part import Part
+from .part import IdentifiedModel
 from .unobserved_effects import Search
 
 # -- Files --------------------------------------------------------------------------------------------------------
@@ -105,11 +105,11 @@ class Calibration(Shown, Moving):
     """A calibrated robot: made from runs, deployed, asked how accurate it is, kept in a file."""
 
     #: How its parts are read from files, and which there may be; the first one must be.
-    part: ClassVar[type[Part]] = Part
+    part: ClassVar[type[IdentifiedModel]] = IdentifiedModel
     parts: ClassVar[tuple[str, ...]] = ("whole",)
 
     @property
-    def parts_made(self) -> tuple[Part, ...]:
+    def parts_made(self) -> tuple[IdentifiedModel, ...]:
         """The parts that there are."""
         return tuple(part for name in self.parts if (part := getattr(self, name)) is not None)
 
@@ -241,7 +241,7 @@ def calibration_class(robot: Robot) -> type[Calibration]:
     return made
 
 
-@as_annotated
+@validate_arguments
 def load_calibration(path: str | Path) -> Calibration:
     """Reads a calibration of any robot.
 

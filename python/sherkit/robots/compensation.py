@@ -81,7 +81,9 @@ def axis_table(made: Calibration, axis: str | None = None, points: int = 101) ->
             f"no error of an axis by itself is in this calibration ({what}); calibrate with --effect joint_scale, "
             "encoder_cyclic or backlash, or write a grid"
         )
-    at = _Axis(made, replace(made, whole=replace(made.whole, values=np.where(own, 0.0, made.whole.values))), box, k)
+    at = _CompensatedAxis(
+        made, replace(made, whole=replace(made.whole, values=np.where(own, 0.0, made.whole.values))), box, k
+    )
     sent = np.linspace(box[k, 0], box[k, 1], points)
     # what the controller adds is what makes it right there
     trims = {side: at.trim(sent, side) for side in (1.0, -1.0)}
@@ -99,7 +101,7 @@ def axis_table(made: Calibration, axis: str | None = None, points: int = 101) ->
 
 
 @dataclass(frozen=True, eq=False)
-class _Axis:
+class _CompensatedAxis:
     """Axis ``k`` of a machine whose others stand in the middle of their ``box``: as it was ``made``, and ``without``
     the errors of its axes by themselves."""
 

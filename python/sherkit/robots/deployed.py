@@ -18,7 +18,7 @@ from ..data.columns import unit_in
 from ..errors import CalibrationError, SherkitWarning
 from ..model.batch import Batch, matrix, vector
 from ..model.kinds import Robot
-from .part import Part
+from .part import IdentifiedModel
 
 #: Where places are counted from: the base of the robot, as its drawing has it; or the instrument, where that stood.
 BASE, SENSOR = "base", "sensor"
@@ -50,7 +50,7 @@ class Deployed(Saved, ABC):
     called: ClassVar[tuple[str, str]]
 
     robot: Robot
-    whole: Part
+    whole: IdentifiedModel
 
     def __post_init__(self) -> None:
         _ = self.core  # refuses numbers that do not fit together

@@ -1,13 +1,13 @@
 """Which kinds of robot there are: sherkit's own and those of other packages, each declared in its package's
 ``pyproject.toml``, under ``[project.entry-points."sherkit.robots"]``."""
 
-from ..base.extensions import ROBOTS, brought_beside, declared, leave_out
+from ..base.extensions import ROBOTS, declared, leave_out, plugins
 from ..model.kinds import Kind, register
 
 #: Where columns fit no robot, messages speak of the first.
 _FIRST = ("delta", "spherical")
 
-_found = brought_beside((), ROBOTS, Kind)
+_found = plugins((), ROBOTS, Kind)
 for _name in sorted(_found, key=lambda one: _FIRST.index(one) if one in _FIRST else len(_FIRST)):
     _kind = _found[_name]
     if _kind.name != _name:

@@ -15,7 +15,7 @@ from ..fit.error import radius_95
 from ..model.batch import vector
 from .accuracy import Accurate
 from .deployed import BASE, SENSOR
-from .part import Part, by_effect
+from .part import IdentifiedModel, by_effect
 
 #: What the place is called from which moves begin.
 MIDDLE = "middle of the run"
@@ -87,7 +87,9 @@ class Moving(Accurate):
             out.append(BesideBase(name, *sizes))
         return out
 
-    def _unseen_on(self, part: Part, x: Floats, joints: Floats, frame: str, counted: Bools, now: list[float]) -> Floats:
+    def _unseen_on(
+        self, part: IdentifiedModel, x: Floats, joints: Floats, frame: str, counted: Bools, now: list[float]
+    ) -> Floats:
         """Covariance (1, d, d) of what the effect that could do most to the way between two places does to it."""
         size, model, functions = len(self.coordinates), part.model(self.robot), part.functions(x)
         worst = np.zeros((1, size, size))

@@ -37,7 +37,7 @@ from .poses_hull import outermost
 
 
 @dataclass(frozen=True, eq=False)
-class UnobservedEffect:
+class BiasBound:
     """What the poses of a run could not show of one effect.
 
     ``setting`` is its period or its moment, None where it has none. Per unit of its k parameters, ``absorbed`` (p, k)
@@ -82,7 +82,7 @@ class UnobservedEffect:
         }
 
     @classmethod
-    def from_table(cls, table: Table, model: ChainModel, functions: int, size: int) -> UnobservedEffect:
+    def from_table(cls, table: Table, model: ChainModel, functions: int, size: int) -> BiasBound:
         """Back from :meth:`to_table`: beside a model, with ``functions`` of a correction and ``size`` coordinates.
 
         Raises what the table raises, naming file and key.
@@ -199,7 +199,7 @@ _LARGEST_RESIDUAL = 1e4
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class IdentifiedModel:
     """One identified model: errors by name, their covariance, and what it leaves.
 
     ``free`` and ``effects`` say what was identified, ``settings`` the settings of the effects; effects given in NumPy
@@ -227,7 +227,7 @@ class Part:
     rows: int
     noise_covariance: Floats | None = field(default=None, kw_only=True)
     readings: tuple[str, ...] = field(default=(), kw_only=True)
-    unobserved_effects: tuple[UnobservedEffect, ...] = field(default=(), kw_only=True)
+    unobserved_effects: tuple[BiasBound, ...] = field(default=(), kw_only=True)
     untried: tuple[str, ...] = field(default=(), kw_only=True)
     #: Joints (k, j) of the outermost poses of the run, none where they are not known; and by how much the error of
     #: regions that were left out whole exceeds that of poses among others.
@@ -375,7 +375,7 @@ class Part:
             raise table.fail("readings", f"one of {listed(' '.join(one.coordinates) for one in model.layouts)}")
         functions = made.functions(low[None, :]).shape[1]
         unobserved_effects = tuple(
-            UnobservedEffect.from_table(one, model, functions, size) for one in table.tables("unobserved_effects")
+            BiasBound.from_table(one, model, functions, size) for one in table.tables("unobserved_effects")
         )
         for k, one in enumerate(unobserved_effects):
             sizes, far = one.largest(model)

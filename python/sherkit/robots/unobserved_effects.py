@@ -19,7 +19,7 @@ from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect
 from .calibration_run import CalibrationRun
-from .part import Part, UnobservedEffect, at_rest, by_effect, waves, with_effect
+from .part import BiasBound, IdentifiedModel, at_rest, by_effect, waves, with_effect
 
 # -- What a fit takes of an effect --------------------------------------------------------------------------------
 
@@ -47,7 +47,7 @@ class Counted:
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class AccuracyQuery:
     """Where a robot is asked how far off it could be: coordinates (q, d), joints (q, j), time, temperature and
     directions (q, 2 + j), and what is ``counted`` in each of its frames, its own first; ``carry`` turns readings into
     coordinates."""
@@ -64,8 +64,8 @@ class LinearFit:
     """A fit, the part that was made from it, where that is asked, and the rows (r,) of the run that count."""
 
     fit: Fit
-    part: Part
-    asked: Asked
+    part: IdentifiedModel
+    asked: AccuracyQuery
     rows: Ints
 
     @cached_property
@@ -196,7 +196,7 @@ class LinearFit:
 
     # -- one effect ----------------------------------------------------------------------------------------
 
-    def assess(self, effect: Effect, setting: float | None, rows: Floats) -> UnobservedEffect:
+    def assess(self, effect: Effect, setting: float | None, rows: Floats) -> BiasBound:
         """What the poses leave open of an effect with these columns, without advice."""
         k, d = rows.shape[2], self.asked.coordinates.shape[1]
         basis, change = self._moved
@@ -222,11 +222,11 @@ class LinearFit:
         by_joints = self._by_joints[self._full][:, : left.shape[1]]
         shown = self.asked.carry(self.joints[self._full], by_joints, left)
         seen = np.tensordot(shown @ moment, shown, ([0, 2], [0, 2])) / max(len(shown), 1)
-        return UnobservedEffect(
+        return BiasBound(
             effect.name, setting, absorbed[: len(self.part.values)], corrected, moment, seen, np.zeros((0, d)), 1.0
         )
 
-    def missed(self, one: UnobservedEffect, effect: Effect, places: Floats, frame: Counted | None = None) -> Floats:
+    def missed(self, one: BiasBound, effect: Effect, places: Floats, frame: Counted | None = None) -> Floats:
         """What coordinates miss at the asked places (q, d, k) of an effect whose columns there are ``places`` (q, m,
         k): in a frame, or as readings are."""
         by_values = self._there[0] if frame is None else np.where(frame.values, self._there[0], 0.0)
@@ -306,15 +306,15 @@ class Search:
     """The run that a part was made from, and where that is asked."""
 
     run: CalibrationRun
-    part: Part
-    asked: Asked
+    part: IdentifiedModel
+    asked: AccuracyQuery
 
-    def found(self) -> tuple[UnobservedEffect, ...]:
+    def found(self) -> tuple[BiasBound, ...]:
         """Effects that could do something between the poses, those that hide most first."""
         if not len(self.asked.joints):
             return ()
         least = [_LEAST * float(np.trace(one.spread.mean(axis=0))) for one in self.asked.counted]
-        out: list[tuple[float, UnobservedEffect]] = []
+        out: list[tuple[float, BiasBound]] = []
         # beside a wave in the model there may be another
         inside = [e for e in self._all.deployed.effects if e.is_periodic]
         for effect in (*self._choice[0], *inside):
@@ -333,7 +333,7 @@ class Search:
     @cached_property
     def _choice(self) -> tuple[list[Effect], dict[str, str]]:
         fit = self.run.fit
-        return fit.model.can_be_tried(tuple(self._all.deployed.known_effects.values()), fit.data)
+        return fit.model.is_testable(tuple(self._all.deployed.known_effects.values()), fit.data)
 
     @cached_property
     def _all(self) -> LinearFit:
@@ -344,7 +344,7 @@ class Search:
         """One row of each pose: enough to see which periods they show."""
         return replace(self._all, rows=rows_of(self.run.fit, one_each=True))
 
-    def told(self, effect: Effect, setting: float | None) -> tuple[Floats, UnobservedEffect]:
+    def told(self, effect: Effect, setting: float | None) -> tuple[Floats, BiasBound]:
         """How much is hidden in each frame (mean square at the asked places), and what of it."""
         rows, there = self._all.columns(effect, setting)
         made = self._all.assess(effect, setting, rows)

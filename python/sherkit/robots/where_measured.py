@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..base.types import Bools, Floats
 from ..model.batch import Batch
 from .deployed import Deployed
-from .part import Part
+from .part import IdentifiedModel
 from .poses_hull import beyond
 
 
@@ -55,13 +55,13 @@ class WhereMeasured(Deployed):
             out[here] = beyond(part.poses, joints[here])
         return out
 
-    def grown(self, part: Part, far: Floats) -> Floats:
+    def grown(self, part: IdentifiedModel, far: Floats) -> Floats:
         """By what factor (n,) the covariance of what a part leaves grows so ``far`` (n,) outside the poses: there it is
         at least what regions show that were left out whole, and farther out it grows with the distance, as that of
         differences does of what has no scale of its own (a linear variogram: Matheron, Economic Geology 1963)."""
         return np.where(far > 0.0, part.elsewhere**2 * (1.0 + far), 1.0)
 
-    def part_at(self, coordinates: Floats) -> Part:
+    def part_at(self, coordinates: Floats) -> IdentifiedModel:
         """The part that rules at ``coordinates`` (k,)."""
         del coordinates
         return self.whole

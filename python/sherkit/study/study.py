@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arguments import Level, NotNegative, Positive, Seed, as_annotated
+from ..base.arguments import Level, NotNegative, Positive, Seed, validate_arguments
 from ..base.names import CALIBRATED, NOMINAL, listed
 from ..base.notebook import Shown
 from ..base.types import Ints
@@ -46,7 +46,7 @@ class Study(Shown):
     rows cannot be fitted.
     """
 
-    @as_annotated
+    @validate_arguments
     def __init__(
         self,
         robot: RobotLike,
@@ -159,7 +159,7 @@ class Study(Shown):
         self._redone.clear()
         return step
 
-    @as_annotated
+    @validate_arguments
     def diagnose(self, *, level: Level = 0.01, step: Callable[[str], None] = lambda _: None) -> Diagnosis:
         """What is missing now. The answer is kept until something changes."""
         if self._diagnosis is None or self._diagnosis.level != level:
@@ -178,7 +178,7 @@ class Study(Shown):
             return self._fit
         return identify(self.model, self._with_outliers_at(self.left_out[:0]), loss=self.loss)
 
-    @as_annotated
+    @validate_arguments
     def add(
         self,
         effect: str | Effect,
@@ -214,7 +214,7 @@ class Study(Shown):
         action = chosen.name if chosen.frees else f"+ {chosen.name}"
         return self._change(self.model.adopting(chosen, at=at), self.data, action)
 
-    @as_annotated
+    @validate_arguments
     def remove(self, name: str) -> StudyStep:
         """Takes an effect out and refits. Raises :class:`~sherkit.errors.EffectError` where it is not in the model."""
         return self._change(self._model_without(name), self.data, f"− {name}")
@@ -270,14 +270,14 @@ class Study(Shown):
             return self._record(action)
         return self._take(replace(state.step, action=action), state.step.fit)
 
-    @as_annotated
+    @validate_arguments
     def extend(self, more: Measurements) -> StudyStep:
         """Joins new measurements to the study and refits: :func:`joined`."""
         step = self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
         wrong = gross_errors(self._with_all(), tuple(self.own.values()), keep=self._put_back)
         return self.history[-1] if self._leave_out(wrong) else step
 
-    @as_annotated
+    @validate_arguments
     def mark_outliers(self, rows: Sequence[int] | Ints) -> StudyStep:
         """Marks rows (by number from 0) as outliers: kept, listed, not fitted.
 
@@ -287,7 +287,7 @@ class Study(Shown):
         self._judged = np.setdiff1d(self._judged, which)
         return self._change(self.model, self.data.mark_outliers(which), f"{len(which)} rows marked as outliers")
 
-    @as_annotated
+    @validate_arguments
     def put_back(self, rows: Sequence[int] | Ints | None = None) -> StudyStep:
         """Takes rows (by number from 0) in that are left out, all that are :attr:`left_out` unless they are given: no
         diagnosis leaves them out again.
@@ -318,7 +318,7 @@ class Study(Shown):
             )
         return which
 
-    @as_annotated
+    @validate_arguments
     def follow(self, data: Measurements) -> StudyStep:
         """Takes the same run with the rows that were added to it since, keeps the marks, and refits.
 
@@ -357,7 +357,7 @@ class Study(Shown):
             CalibrationRun(self.fit, held.residuals, correction, made.in_region(self.fit), block=held.block)
         )
 
-    @as_annotated
+    @validate_arguments
     def register(self, effect: Effect) -> None:
         """Makes a user's effect one that diagnosis tries and :meth:`add` knows by name; a newer one replaces it.
 
@@ -373,7 +373,7 @@ class Study(Shown):
         plain.check_effect(effect, self.data, np.zeros(len(plain.parameters)))
         self.own[effect.name] = effect
 
-    @as_annotated
+    @validate_arguments
     def save(self, folder: str | Path) -> None:
         """Writes robot, rows and steps into a folder that :meth:`load` reads back without loss: all of it or nothing.
 
@@ -393,7 +393,7 @@ class Study(Shown):
         files.write_study(Path(folder), state, self.data)
 
     @classmethod
-    @as_annotated
+    @validate_arguments
     def load(cls, folder: str | Path, *, effects: Sequence[Effect] = ()) -> Study:
         """Reads a study, with what can be undone. User effects must be given again; no code is loaded from the folder.
 

@@ -52,7 +52,7 @@ _ENOUGH = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenMarker:
     """A marker's place ``u_px``, ``v_px`` with its standard deviation ``sigma_px``; NaN where there is none.
 
     ``why`` is empty where one marker was found, else a sentence: no marker, blurred, how many candidates, or a picture
@@ -70,13 +70,13 @@ class Seen:
         return not self.why
 
 
-def _none(why: str) -> Seen:
-    return Seen(float("nan"), float("nan"), float("nan"), why)
+def _none(why: str) -> SeenMarker:
+    return SeenMarker(float("nan"), float("nan"), float("nan"), why)
 
 
 def find_marker(
     given: str | Path | NDArray[Any] | CameraPicture, kind: str = "corner", identity: int | None = None
-) -> Seen:
+) -> SeenMarker:
     """The marker of a picture, or why there is none.
 
     ``identity`` is the number of the tag where several may be seen. Raises :class:`~sherkit.errors.SherkitError` for an
@@ -90,7 +90,7 @@ def find_marker(
     return _corner(picture.grey) if kind == "corner" else _tag(picture.grey, kind, identity)
 
 
-def _corner(grey: NDArray[np.uint8]) -> Seen:
+def _corner(grey: NDArray[np.uint8]) -> SeenMarker:
     proposed = cv2.goodFeaturesToTrack(
         grey, _MOST_PROPOSED, qualityLevel=0.05, minDistance=_SAME, blockSize=5, useHarrisDetector=True, k=0.04
     )
@@ -115,7 +115,7 @@ def _corner(grey: NDArray[np.uint8]) -> Seen:
         places = "; ".join(f"{u:.0f}, {v:.0f}" for _, u, v in sorted(best, reverse=True)[:4])
         return _none(f"{len(best)} candidates look like the marker, at {places}")
     _, u, v = best[0]
-    return Seen(*_refined(grey, u, v))
+    return SeenMarker(*_refined(grey, u, v))
 
 
 def _pyramid(grey: NDArray[np.uint8]) -> Iterator[NDArray[np.uint8]]:
@@ -199,7 +199,7 @@ def _refined(grey: NDArray[np.uint8], u: float, v: float) -> tuple[float, float,
     return float(place[1]), float(place[0]), float(np.sqrt(max(np.trace(spread) / 2.0, 1e-8)))
 
 
-def _tag(grey: NDArray[np.uint8], kind: str, identity: int | None) -> Seen:
+def _tag(grey: NDArray[np.uint8], kind: str, identity: int | None) -> SeenMarker:
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(DICTIONARIES[kind][1]), settings)
@@ -215,7 +215,7 @@ def _tag(grey: NDArray[np.uint8], kind: str, identity: int | None) -> Seen:
     u, v = _crossing(four)
     if min(edge_width(grey, a, b) for a, b in four) > _BLURRED:
         return _none("blurred: a tag is there, and its edges are too soft")
-    return Seen(u, v, _TAG_CORNER_PX / 2.0)
+    return SeenMarker(u, v, _TAG_CORNER_PX / 2.0)
 
 
 def _crossing(four: Floats) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from ..errors import MeasurementError, ShapeError, SherkitWarning
 from ..model.kinds import SeenInPictures
 from ..robots.spherical.robot import SPHERICAL_PIXELS
 from .camera import Intrinsics, View, draw_marker
-from .marker import Seen, find_marker
+from .marker import SeenMarker, find_marker
 from .pictures import CameraPicture
 
 TIME, U, V, WHY = "time_s", "u_px", "v_px", "why"
@@ -37,7 +37,7 @@ def marker_rows(pictures: Iterable[CameraPicture], kind: str = "corner", identit
     picture is left out.
     """
     times: list[float] = []
-    seen: list[Seen] = []
+    seen: list[SeenMarker] = []
     for picture in pictures:
         times.append(picture.time_s)
         seen.append(find_marker(picture, kind, identity))

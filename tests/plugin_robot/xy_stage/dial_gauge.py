@@ -6,7 +6,7 @@ from typing import Any
 
 from sherkit.data.toml import Table
 from sherkit.errors import Garbled
-from sherkit.lab.emulators import Fault, World
+from sherkit.lab.emulators import InjectedFault, World
 from sherkit.lab.emulators.server import LineEmulator
 from sherkit.lab.instruments.base import Identity, Instrument, Reading
 from sherkit.lab.instruments.transport import deadline_in
@@ -59,7 +59,7 @@ class DialGaugeEmulator(LineEmulator):
         super().__init__(world, seed=seed, **line)
         self.noise_mm = noise_mm
 
-    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+    def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """Both probes."""
         del fault
         if command != b"?\r":

@@ -15,7 +15,7 @@ from ...base.types import Bools, Floats
 from .. import columns as c
 from ..noise import MAD
 from ..rows import Measurements
-from .doubt import FEWEST, Doubt, some
+from .doubt import FEWEST, DataWarning, some
 
 # -- What the other rows make one expect of a reading, without a model of the machine -------------------------------
 
@@ -82,7 +82,7 @@ _OTHER = ("_c", "_k", "_f", "_kg", "_g", "_s", "_pct", "_hpa", "_pa", "_n", "_a"
 _OTHER_NAMES = ("temperature", "humidity", "pressure", "load", "payload", "time")
 
 
-def alike(data: Measurements) -> Iterator[Doubt]:
+def alike(data: Measurements) -> Iterator[DataWarning]:
     """Readings that are joints, times, temperatures or one another in every row; joints that are one another though the
     readings show that both moved. Noise alone keeps readings apart, so that rounding is all that may lie between."""
     if len(data) < FEWEST:
@@ -155,14 +155,14 @@ def _lacks(data: Measurements, name: str) -> bool:
     return any(one is not None and one[1] > _UNEXPLAINED * most for one in found)
 
 
-def _doubt(data: Measurements, one: str, another: str, line: tuple[float, float]) -> Doubt:
+def _doubt(data: Measurements, one: str, another: str, line: tuple[float, float]) -> DataWarning:
     factor, offset = line
     if line == (1.0, 0.0):
         what = f"{one} is the same as {another}"
     else:
         rest = f" {'-' if offset < 0 else '+'} {abs(offset):.6g}" if abs(offset) > 1e-9 else ""
         what = f"{one} is {factor:.6g} times {another}{rest}"
-    return Doubt(
+    return DataWarning(
         f"{what}, to the last digit, in all {len(data)} rows, though they are different quantities: one column was "
         "copied over the other, it seems; export both from the instruments again",
         columns=True,
@@ -184,7 +184,7 @@ _BEYOND = 0.8
 _POSES = 5
 
 
-def piled(data: Measurements) -> Iterator[Doubt]:
+def piled(data: Measurements) -> Iterator[DataWarning]:
     """Readings that are one value in many rows at places where the others make one expect another.
 
     Where a plan stands in a plane, or an instrument has few digits, many readings are equal as well; but then they are
@@ -217,7 +217,7 @@ def piled(data: Measurements) -> Iterator[Doubt]:
                 f"{names}, the end of its range, {rows} carry it on: the instrument is saturated (clipped), it seems; "
                 "leave these cells empty, or measure within its range"
             )
-        yield Doubt(sentence, columns=True)
+        yield DataWarning(sentence, columns=True)
 
 
 def _piled(joints: Floats, turning: Bools, values: Floats, used: Bools) -> tuple[str, float] | None:

@@ -15,7 +15,7 @@ FEWEST = 10
 
 
 @dataclass(frozen=True)
-class Doubt:
+class DataWarning:
     """One sentence: what stands in the table, what it looks like, what to do.
 
     Where ``poses`` is true nothing is wrong, but the rows cannot tell what a model would ask of them. Else the table is

@@ -12,7 +12,7 @@ from ...base.names import listed
 from ...base.types import Ints
 from ..noise import step_of
 from ..rows import Measurements
-from .doubt import Doubt
+from .doubt import DataWarning
 
 #: Repeats whose readings scatter by this many times the declared noise were not at one place.
 _SCATTER = 3.0
@@ -31,7 +31,7 @@ _THOUSAND = (300.0, 30_000.0)
 _REPEATS = 8
 
 
-def copied(data: Measurements) -> Iterator[Doubt]:
+def copied(data: Measurements) -> Iterator[DataWarning]:
     """Rows that are earlier ones once more, to the last digit: repeats that are none, by which noise would seem smaller
     than it is."""
     given = [data.joints, data.readings]
@@ -55,7 +55,7 @@ def copied(data: Measurements) -> Iterator[Doubt]:
         copies = np.concatenate([np.zeros(0, dtype=np.int64), *stretches])
     if len(copies) < _COPIED:
         return
-    yield Doubt(
+    yield DataWarning(
         f"{data.place(copies)} are copies of earlier rows, to the last digit of every reading: files that overlap were "
         "joined, it seems; leave the copies out, or the noise looks smaller than it is"
     )
@@ -65,7 +65,7 @@ def _moves(data: Measurements, rows: Ints) -> bool:
     return bool((np.ptp(data.joints[rows], axis=0) > 0).any())
 
 
-def averaged(data: Measurements) -> Iterator[Doubt]:
+def averaged(data: Measurements) -> Iterator[DataWarning]:
     """Repeats that are equal to the last digit in every reading, by an instrument whose digits show its noise."""
     every = data.used.any(axis=1)
     rows = np.flatnonzero(every)
@@ -84,14 +84,14 @@ def averaged(data: Measurements) -> Iterator[Doubt]:
             fine |= np.ptp(shown) > _DIGITS * step_of(shown)
     part = float(equal[count > 1].mean())
     if fine and part >= _EQUAL:
-        yield Doubt(
+        yield DataWarning(
             f"repeats are equal to the last digit at {int(equal[count > 1].sum())} of {int((count > 1).sum())} poses: "
             "averages written as repeats, or copies, it seems; give each reading as it was taken, or one row for each "
             "pose, or their scatter says nothing of the noise"
         )
 
 
-def declared(data: Measurements) -> Iterator[Doubt]:
+def declared(data: Measurements) -> Iterator[DataWarning]:
     """Deviations that cannot be those of the readings: far beyond their scatter, or a thousandth of it."""
     wrong: dict[float, list[str]] = {}
     for k, name in enumerate(data.layout.readings):
@@ -113,13 +113,13 @@ def declared(data: Measurements) -> Iterator[Doubt]:
             )
     for sign, told in wrong.items():
         far, other = ("larger", "smaller") if sign > 0 else ("smaller", "larger")
-        yield Doubt(
+        yield DataWarning(
             f"{listed(told)}: declared deviations are far {far} than the readings' own scatter: they look like another "
             f"unit ({other} by 1000?); divide them, multiply them, or leave these columns out"
         )
 
 
-def commanded(data: Measurements) -> Iterator[Doubt]:
+def commanded(data: Measurements) -> Iterator[DataWarning]:
     """Joints that are equal to the bit in all repeats of a pose while their readings scatter far beyond the declared
     noise."""
     if data.pose is None or not np.isfinite(data.sigma[data.used]).all():
@@ -143,7 +143,7 @@ def commanded(data: Measurements) -> Iterator[Doubt]:
     if not told:
         return
     joints = ", ".join(data.layout.joints)
-    yield Doubt(
+    yield DataWarning(
         f"joint readings ({joints}) look like commanded values, not read ones: they are equal to the last digit in "
         f"all repeats of a pose while {'; '.join(told)}; write what the encoders read, or declare the scatter as noise"
     )

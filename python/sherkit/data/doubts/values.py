@@ -12,7 +12,7 @@ from ...base.types import Floats, Ints
 from .. import columns as c
 from ..columns import TEMPERATURE, TIME, unit_in
 from ..rows import Measurements
-from .doubt import FEWEST, Doubt, some
+from .doubt import FEWEST, DataWarning, some
 
 # -- Times that no clock showed -------------------------------------------------------------------------------------
 
@@ -27,7 +27,7 @@ _EVEN = 1e-6
 _SMALL_STEPS = 20
 
 
-def time_in_milliseconds(data: Measurements) -> Iterator[Doubt]:
+def time_in_milliseconds(data: Measurements) -> Iterator[DataWarning]:
     """Times that would make a run of a few minutes last for days."""
     if data.time_s is None or len(data) < _FEWEST:
         return
@@ -40,7 +40,7 @@ def time_in_milliseconds(data: Measurements) -> Iterator[Doubt]:
         way = np.abs(np.diff(data.joints[order], axis=0)).sum()
         by_speed = (np.abs(np.column_stack(velocities)[order][1:]) * gaps[:, None]).sum()
         if by_speed > 0 and 500.0 < by_speed / max(float(way), 1e-300) < 2000.0:
-            yield Doubt(
+            yield DataWarning(
                 f"{TIME} looks like milliseconds (ms): at the speeds of the run its joints would have moved "
                 f"{by_speed / way:.0f} times as far as they did; divide {TIME} by 1000"
             )
@@ -48,13 +48,13 @@ def time_in_milliseconds(data: Measurements) -> Iterator[Doubt]:
     if usual < _SLOW_S or np.ptp(data.time_s) < _LONG_S:
         return
     hours = float(np.ptp(data.time_s)) / 3600.0
-    yield Doubt(
+    yield DataWarning(
         f"{TIME} looks like milliseconds (ms): {len(data)} readings would have taken {hours:.0f} hours, "
         f"{usual / 60:.0f} minutes each, instead of {usual / 1000:.1f} s; divide {TIME} by 1000"
     )
 
 
-def order_lost(data: Measurements) -> Iterator[Doubt]:
+def order_lost(data: Measurements) -> Iterator[DataWarning]:
     """Times that rise at even steps over rows that were sorted: by a reading, down to its noise, or by the pose's
     number with all repeats side by side. When what was read first is lost with them, and so are directions."""
     if data.time_s is None or len(data) < max(FEWEST, _SMALL_STEPS) or not (data.joints != data.joints[:1]).any():
@@ -68,7 +68,7 @@ def order_lost(data: Measurements) -> Iterator[Doubt]:
     if not by and np.abs(steps - usual).max() <= _EVEN * usual and _by_number(data, order):
         by = f"the number of the pose ({c.POSE})"
     if by:
-        yield Doubt(
+        yield DataWarning(
             f"{TIME} rises with {by} in every row: the table was sorted, it seems, and times were written anew; what "
             "depends on time, order or direction of motion then looks like anything else; give each row the time at "
             "which it was read, or leave the column out"
@@ -111,7 +111,7 @@ _BESIDE = 0.01
 _MOST = 0.8
 
 
-def on_a_line(data: Measurements) -> Iterator[Doubt]:
+def on_a_line(data: Measurements) -> Iterator[DataWarning]:
     """Poses along one line, of a machine with several joints."""
     if len(data.layout.joints) < 2 or len(data) < FEWEST or not data.layout.follows:
         return
@@ -125,7 +125,7 @@ def on_a_line(data: Measurements) -> Iterator[Doubt]:
     most = int(np.argmax(np.abs(along)))
     name = data.layout.coordinates[most]
     where = f"along {name}" if abs(along[most]) > 0.99 else f"mostly along {name}"
-    yield Doubt(
+    yield DataWarning(
         f"all poses stand on one line, {where}: they cannot tell what moves the robot across it, nor most of its "
         "parameters; measure poses in a plane, and at more than one height",
         poses=True,
@@ -147,7 +147,7 @@ def _line(places: Floats) -> Floats | None:
 _NEVER_STILL = {"mm": 1.0, "rad": 0.02, "deg": 1.0, "px": 20.0}
 
 
-def frozen(data: Measurements) -> Iterator[Doubt]:
+def frozen(data: Measurements) -> Iterator[DataWarning]:
     """Joints that are the same in every row while readings scatter from row to row as those of other places."""
     rows = np.flatnonzero(~data.outlier)
     if not data.joints.shape[1] or len(rows) < FEWEST or np.ptp(data.joints[rows], axis=0).any():
@@ -157,7 +157,7 @@ def frozen(data: Measurements) -> Iterator[Doubt]:
         least = _NEVER_STILL.get(unit_in(name) or "")
         # half of how far neighbours lie apart, so that no slow course counts
         if least is not None and len(values) >= FEWEST and np.median(np.abs(np.diff(values))) > 2.0 * least:
-            yield Doubt(
+            yield DataWarning(
                 f"{listed(list(data.layout.joints))}: the same in all {len(rows)} rows, while {name} scatters by "
                 f"{float(np.std(values)):.3g} {unit_in(name)}: the source of the joints froze, it seems; look at what "
                 "writes them (a topic that was not renewed, a stopped recorder), and measure again"
@@ -180,7 +180,7 @@ _AWAY, _AWAY_C = 3.0, 8.0
 _TWO_TURNS = 4 * np.pi
 
 
-def temperature(data: Measurements) -> Iterator[Doubt]:
+def temperature(data: Measurements) -> Iterator[DataWarning]:
     """Temperatures in kelvin or degrees Fahrenheit, and zeros of a thermometer that did not answer."""
     given = data.covariates.get(TEMPERATURE)
     if given is None or len(data) < FEWEST:
@@ -207,7 +207,7 @@ def temperature(data: Measurements) -> Iterator[Doubt]:
             "thermometer that were lost, it seems; fill them from their neighbours"
         )
     if looks:
-        yield Doubt(f"{TEMPERATURE} {looks} (or give it another name, where it was really so)")
+        yield DataWarning(f"{TEMPERATURE} {looks} (or give it another name, where it was really so)")
 
 
 def _lost(values: Floats) -> tuple[float, int] | None:
@@ -223,7 +223,7 @@ def _lost(values: Floats) -> tuple[float, int] | None:
     return None
 
 
-def angles(data: Measurements) -> Iterator[Doubt]:
+def angles(data: Measurements) -> Iterator[DataWarning]:
     """Angles of more than two turns, of joints and of coordinates."""
     layout = data.layout
     columns = [(name, data.joints[~data.outlier, k]) for k, name in enumerate(layout.joints)]
@@ -233,7 +233,7 @@ def angles(data: Measurements) -> Iterator[Doubt]:
             continue
         most = float(np.quantile(np.abs(values), 0.5))
         if most > _TWO_TURNS:
-            yield Doubt(
+            yield DataWarning(
                 f"{name} is beyond two turns in most rows ({most / (2 * np.pi):.3g} turns is usual): it does not look "
                 "like radians (degrees? divide by 57.2958)"
             )

@@ -10,16 +10,16 @@ from .keyence import KeyenceEmulator
 from .micron_optics import HyperionEmulator, Sm130Emulator
 from .scpi import ScpiEmulator
 from .server import Emulator
-from .world import FAULTS, Fault, Faults, Profile, StillRobot, VirtualRobot, World
+from .world import FAULTS, Faults, InjectedFault, Profile, StillRobot, VirtualRobot, World
 
 __all__ = [
     "FAULTS",
     "CameraEmulator",
     "Emulator",
-    "Fault",
     "Faults",
     "GalilEmulator",
     "HyperionEmulator",
+    "InjectedFault",
     "KeyenceEmulator",
     "NetFtEmulator",
     "NetworkCamera",

@@ -7,7 +7,7 @@ import time
 from typing import Any, Self
 
 from .server import Emulator, Page
-from .world import Fault, World
+from .world import InjectedFault, World
 
 _SATURATED = 0x8000_0002
 _FULL = (1 << 31) - 1
@@ -65,7 +65,7 @@ class NetFtEmulator(Emulator):
         """Datagrams are whole."""
         return None
 
-    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+    def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """One record, with the next numbers."""
         self.sample += 1
         self._sequence += 1

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .server import LineEmulator
-from .world import Braking, CutShort, Fault, Profile, World
+from .world import Braking, CutShort, InjectedFault, Profile, World
 
 _LETTERS = "ABCDEFGH"
 _TEXTS = {
@@ -32,7 +32,7 @@ class _Error(Exception):
         self.code = code
 
 
-class _Axis:
+class _GalilAxis:
     def __init__(self, joint: int, counts_per_unit: float, zero_counts: int, position: float) -> None:
         self.joint = joint
         self.counts_per_unit = counts_per_unit
@@ -88,7 +88,7 @@ class GalilEmulator(LineEmulator):
         scales = [counts_per_unit] * n if isinstance(counts_per_unit, int | float) else list(counts_per_unit)
         zeros = [zero_counts] * n if isinstance(zero_counts, int) else list(zero_counts)
         here = world.joints()
-        self.axes = {_LETTERS[k]: _Axis(k, scales[k], zeros[k], float(here[k])) for k in range(n)}
+        self.axes = {_LETTERS[k]: _GalilAxis(k, scales[k], zeros[k], float(here[k])) for k in range(n)}
         self.travel = travel
         self.lag_s = lag_s
         self.noise_counts = noise_counts
@@ -97,7 +97,7 @@ class GalilEmulator(LineEmulator):
         self.high_bit = True
         self.last_error = 0
 
-    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+    def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """One ``:`` or ``?`` for each command of the line."""
         self.tick()
         if fault is not None and fault.kind in ("limit_switch", "over_range"):
@@ -166,16 +166,16 @@ class GalilEmulator(LineEmulator):
                     axis.zero_counts -= round(axis.motion.at(now))
                     self._set_motion(axis, Braking(0.0, 0.0, 1.0, now))
 
-    def _ends(self, axis: _Axis) -> tuple[float, float]:
+    def _ends(self, axis: _GalilAxis) -> tuple[float, float]:
         if self.travel is None:
             return -math.inf, math.inf
         ends = sorted(mm * axis.counts_per_unit + axis.zero_counts for mm in self.travel[axis.joint])
         return ends[0], ends[1]
 
-    def _runs(self, axis: _Axis, now: float) -> bool:
+    def _runs(self, axis: _GalilAxis, now: float) -> bool:
         return now < axis.motion.end_s
 
-    def _brake(self, axis: _Axis, now: float, code: int) -> None:
+    def _brake(self, axis: _GalilAxis, now: float, code: int) -> None:
         if self._runs(axis, now) and not isinstance(axis.motion, Braking):
             self._set_motion(axis, axis.motion.stopped(now))
             axis.target = round(axis.motion.end)
@@ -188,7 +188,7 @@ class GalilEmulator(LineEmulator):
             if self._runs(axis, now):
                 self._brake(axis, now, 2 if axis.motion.speed_at(now) >= 0 else 3)
 
-    def _planned(self, axis: _Axis, now: float) -> Profile | CutShort:
+    def _planned(self, axis: _GalilAxis, now: float) -> Profile | CutShort:
         """The way to the target, cut short where a switch or soft limit lies on it."""
         s = axis.settings
         profile = Profile(axis.motion.at(now), axis.target, s["SP"], s["AC"], s["DC"], now)
@@ -201,12 +201,12 @@ class GalilEmulator(LineEmulator):
             return CutShort(profile, profile.passes_s(limit))
         return profile
 
-    def _set_motion(self, axis: _Axis, motion: Profile | CutShort | Braking) -> None:
+    def _set_motion(self, axis: _GalilAxis, motion: Profile | CutShort | Braking) -> None:
         axis.motion = motion
         scale, zero, lag = axis.counts_per_unit, axis.zero_counts, self.lag_s
         self.world.set_joint(axis.joint, lambda t: (motion.at(t - lag) - zero) / scale)
 
-    def _encoder(self, axis: _Axis) -> int:
+    def _encoder(self, axis: _GalilAxis) -> int:
         at = axis.motion.at(self.world.now_s() - self.lag_s)
         if self.noise_counts:
             at += self.random.gauss(0.0, self.noise_counts)
@@ -299,7 +299,7 @@ class GalilEmulator(LineEmulator):
             raise _Error(6)
         if any(asked):
             return ",".join(f" {self._setting(head, self.axes[x])}" for x, a in zip(letters, asked, strict=False) if a)
-        chosen: list[tuple[_Axis, int]] = []
+        chosen: list[tuple[_GalilAxis, int]] = []
         for letter, word in zip(letters, words, strict=False):
             if not word:
                 continue
@@ -329,7 +329,7 @@ class GalilEmulator(LineEmulator):
                 axis.settings[head] = max(number // step * step, step if step > 1 else number)
         return None
 
-    def _setting(self, head: str, axis: _Axis) -> int:
+    def _setting(self, head: str, axis: _GalilAxis) -> int:
         if head in ("PA", "PR"):
             return axis.target
         if head == "DP":
@@ -358,7 +358,7 @@ class GalilEmulator(LineEmulator):
             out.append(f" {value:.4f}")
         return "".join(out)
 
-    def _operand(self, head: str, axis: _Axis) -> int:
+    def _operand(self, head: str, axis: _GalilAxis) -> int:
         now = self.world.now_s()
         self.tick()
         at = axis.motion.at(now)

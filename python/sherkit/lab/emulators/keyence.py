@@ -7,7 +7,7 @@ import random
 from typing import Any
 
 from .server import LineEmulator
-from .world import Fault, World
+from .world import InjectedFault, World
 
 _OUTPUTS = 12
 #: Decimals, mm, to which a place of the joints is the same place.
@@ -45,7 +45,7 @@ class KeyenceEmulator(LineEmulator):
         self.range_mm = range_mm
         self.measuring = True
 
-    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+    def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """The reply, or ER with the command and a code."""
         text = command[:-1].decode("latin-1")
         head, *rest = text.split(",")

@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 from .server import Emulator, LineEmulator
-from .world import Fault, World
+from .world import InjectedFault, World
 
 
 class _InterrogatorEmulator(Emulator):
@@ -17,7 +17,7 @@ class _InterrogatorEmulator(Emulator):
         self.noise_nm = noise_nm
         self.serial = 0
 
-    def _peaks_nm(self, fault: Fault | None) -> list[list[float]]:
+    def _peaks_nm(self, fault: InjectedFault | None) -> list[list[float]]:
         self.serial += 1
         channels = self.world.wavelengths_nm()
         if fault is not None and fault.kind == "over_range":
@@ -31,7 +31,7 @@ class Sm130Emulator(LineEmulator, _InterrogatorEmulator):
     ending = b"\n"
     granularity = 1_000_000
 
-    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+    def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """Ten characters with the length, then the payload."""
         if command == b"#GET_DATA\n":
             payload = self._payload(self._peaks_nm(fault))
@@ -79,7 +79,7 @@ class HyperionEmulator(_InterrogatorEmulator):
         heard[8 + self.random.randrange(len(heard) - 8)] ^= 1 << self.random.randrange(7)
         return bytes(heard)
 
-    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+    def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """A header of eight bytes, a message, the content."""
         _, _, size, _ = struct.unpack_from("<BBHI", command)
         name = command[8 : 8 + size]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from .server import LineEmulator
-from .world import Fault, World
+from .world import InjectedFault, World
 
 
 class ScpiEmulator(LineEmulator):
@@ -32,7 +32,7 @@ class ScpiEmulator(LineEmulator):
         self.outputs = outputs
         self.noise_mm = noise_mm
 
-    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+    def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """Numbers in the form of a multimeter, or nothing."""
         asked = command.decode("latin-1").strip()
         if asked == "*IDN?":

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
 
-from .world import Fault, Faults, World
+from .world import Faults, InjectedFault, World
 
 LOOPBACK = "127.0.0.1"
 _TICK_S = 0.005
@@ -75,7 +75,7 @@ class Emulator(ABC):
         self.pieces = pieces
         self.gap_s = gap_s
         self.random = random.Random(seed)
-        self.log: list[tuple[bytes, bytes, Fault | None]] = []
+        self.log: list[tuple[bytes, bytes, InjectedFault | None]] = []
         self._where = (host, port)
         self._clients: list[Client] = []
         self._listener: socket.socket | None = None
@@ -97,7 +97,7 @@ class Emulator(ABC):
         """Cuts the next whole command off ``received``, None where it is not yet whole."""
 
     @abstractmethod
-    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+    def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """The answer to a command, "" for none; ``fault`` is the machine's (over_range, limit_switch), if any."""
 
     def tick(self) -> None:  # noqa: B027 - most have nothing to do by themselves
@@ -390,7 +390,7 @@ class Page(LineEmulator):
     def shown(self) -> bytes | None:
         """What is at its path now, None where that fails."""
 
-    def answer(self, command: bytes, fault: Fault | None) -> bytes:
+    def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """Of HTTP/1.0: what it shows, to a GET of its path alone."""
         there = command.startswith(f"GET {self.path} HTTP".encode())
         body = self.shown() if there else None

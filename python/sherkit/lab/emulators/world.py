@@ -274,7 +274,7 @@ FAULTS = ("drop", "garble", "stall", "disconnect", "misheard", "over_range", "li
 
 
 @dataclass(frozen=True)
-class Fault:
+class InjectedFault:
     """A fault of one of the ``FAULTS`` at answer number ``at``; ``seconds`` is how long a stall lasts."""
 
     kind: str
@@ -293,14 +293,14 @@ class Faults:
     rates: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
     stall_s: float = 1.0
-    happened: list[Fault] = field(default_factory=list)
+    happened: list[InjectedFault] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         unknown = [k for k in self.rates if k not in FAULTS]
         if unknown:
             raise ValueError(f"no fault is called {unknown[0]!r}; expected one of {', '.join(FAULTS)}")
         self._random = random.Random(self.seed)
-        self._planned: dict[int, Fault] = {}
+        self._planned: dict[int, InjectedFault] = {}
         self._count = 0
         self._lock = threading.Lock()
 
@@ -310,7 +310,7 @@ class Faults:
             raise ValueError(f"no fault is called {kind!r}; expected one of {', '.join(FAULTS)}")
         with self._lock:
             at = self._count + after
-            self._planned[at] = Fault(kind, at, self.stall_s if seconds is None else seconds)
+            self._planned[at] = InjectedFault(kind, at, self.stall_s if seconds is None else seconds)
 
     def clear(self) -> None:
         """Lets nothing more go wrong."""
@@ -318,7 +318,7 @@ class Faults:
             self._planned.clear()
             self.rates = {}
 
-    def take(self) -> Fault | None:
+    def take(self) -> InjectedFault | None:
         """The fault of the next answer."""
         with self._lock:
             at = self._count
@@ -328,7 +328,7 @@ class Faults:
                 draw = self._random.random()
                 for kind, rate in self.rates.items():
                     if draw < rate:
-                        fault = Fault(kind, at, self.stall_s)
+                        fault = InjectedFault(kind, at, self.stall_s)
                         break
                     draw -= rate
             if fault is not None:

@@ -22,7 +22,7 @@ _SAME = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ComparedRow:
     """A row beside its prediction: ``read`` and ``predicted`` (m,), covariance ``spread`` (m, m) of their difference,
     ``by_joints`` gives derivatives (m, k). ``least`` is how far it is at least, by a model that may bend to it."""
 
@@ -58,7 +58,7 @@ class Accused:
     why: str
 
 
-def accuse(odd: Sequence[Seen], before: Sequence[Seen], layout: Layout) -> Accused:
+def accuse(odd: Sequence[ComparedRow], before: Sequence[ComparedRow], layout: Layout) -> Accused:
     """Which explanation of the odd rows is the best: some columns wrong, or a joint that stands elsewhere than it says.
 
     ``before`` are rows that were right. The last of the odd rows is the newest.
@@ -99,7 +99,7 @@ def accuse(odd: Sequence[Seen], before: Sequence[Seen], layout: Layout) -> Accus
     return Accused(columns, "; or ".join(one[2] for one in chosen))
 
 
-def _fitted(odd: Sequence[Seen], by: Sequence[Floats]) -> float:
+def _fitted(odd: Sequence[ComparedRow], by: Sequence[Floats]) -> float:
     """By how much the joints would have to be elsewhere, along ``by`` of each row; generalised least squares."""
     weights = [linalg.solve(s.spread, g) for s, g in zip(odd, by, strict=True)]
     squares = sum(float(w @ g) for w, g in zip(weights, by, strict=True))
@@ -107,7 +107,7 @@ def _fitted(odd: Sequence[Seen], by: Sequence[Floats]) -> float:
     return moved / squares if squares > 0 else 0.0
 
 
-def _told(odd: Sequence[Seen], before: Sequence[Seen], which: Sequence[int]) -> tuple[str, bool]:
+def _told(odd: Sequence[ComparedRow], before: Sequence[ComparedRow], which: Sequence[int]) -> tuple[str, bool]:
     """What these columns look like, in words, and whether that look has a name: frozen, late, mirrored, swapped."""
     newest = odd[-1]
     columns = [newest.columns[k] for k in which]

@@ -21,7 +21,7 @@ from ..instruments.transport import now_s
 from .bench import Bench
 from .plan import Plan, Point
 from .run_file import RunFile
-from .watch import Doubt, Watch
+from .watch import RunWarning, Watch
 
 #: Weight of the newest step in the estimate of the time that a step takes.
 _NEWEST = 0.1
@@ -242,7 +242,7 @@ def _look(bench: Bench, file: RunFile, watch: Watch) -> None:
         raise _implausible(bench, doubt, "; nothing was moved. Look at the instrument, or run 'sherkit home'")
 
 
-def _implausible(bench: Bench, doubt: Doubt, what: str) -> Implausible:
+def _implausible(bench: Bench, doubt: RunWarning, what: str) -> Implausible:
     port = next((i.address for i in bench.instruments if i.name == doubt.instrument), "")
     return Implausible(doubt.why + what, instrument=doubt.instrument, port=port)
 

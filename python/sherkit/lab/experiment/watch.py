@@ -28,7 +28,7 @@ from ...model.chain import ChainModel
 from ...model.effect import Effect
 from ...model.kinds import Robot, kind_of, model_of
 from ...model.sensor_pose import POSE, TURNS
-from .accused import Accused, Seen, accuse
+from .accused import Accused, ComparedRow, accuse
 from .plan import Point
 
 #: Plausible sizes are taken so many times larger: a robot may be worse than most.
@@ -59,7 +59,7 @@ _HALVINGS = 5
 
 
 @dataclass(frozen=True)
-class Doubt:
+class RunWarning:
     """Why a run pauses: the ``instrument`` that is to be looked at, ``why``, and the ``steps`` that may be wrong."""
 
     instrument: str
@@ -112,7 +112,7 @@ class Watch:
         self._values = self._drawn.copy()
         self._covariance = np.diag(self._prior**2)
         self._linearised = 0
-        self._recent: list[Seen] = []
+        self._recent: list[ComparedRow] = []
 
     def learn(self, points: Sequence[Point]) -> None:
         """Takes in rows that are known to be right."""
@@ -124,7 +124,7 @@ class Watch:
         for _ in range(_BENDS):
             self._linearise()
 
-    def take(self, step: int, point: Point) -> Doubt | None:
+    def take(self, step: int, point: Point) -> RunWarning | None:
         """Judges the row, and takes it in where nothing speaks against it."""
         if not self._read:
             return None
@@ -140,7 +140,7 @@ class Watch:
         self._doubted |= doubt is not None
         return self._judged_from_where_it_stands(doubt) if self._doubted else None
 
-    def _judged_from_where_it_stands(self, doubt: Doubt | None) -> Doubt | None:
+    def _judged_from_where_it_stands(self, doubt: RunWarning | None) -> RunWarning | None:
         """All rows so far judged anew from where they say that the sensor stands, which is asked once: a turned frame
         is no fault. None while they are too few to say it."""
         if len(self._so_far) < _STANDS:
@@ -168,12 +168,12 @@ class Watch:
         readings[:, self._read] = self._readings(points)
         return self.model.registration(rows.with_readings(readings))
 
-    def _judged(self, step: int, point: Point) -> Doubt | None:
+    def _judged(self, step: int, point: Point) -> RunWarning | None:
         """The row by what those before it say; it is taken in where nothing speaks against it."""
         seen = self._seen(step, point)
         if seen is None:
             motors = self._owners[self.layout.joints[0]]
-            return Doubt(motors, "its joints say a place where the robot cannot be", (step,))
+            return RunWarning(motors, "its joints say a place where the robot cannot be", (step,))
         self._recent = [*self._recent, seen][-_TOGETHER:]
         together = np.sqrt(sum(s.distance**2 for s in self._recent))
         if seen.distance > _ROW or together > _ROWS:
@@ -184,7 +184,7 @@ class Watch:
             self._include(point)
         return None
 
-    def judge(self, point: Point) -> Doubt | None:
+    def judge(self, point: Point) -> RunWarning | None:
         """The same for a robot that stands where no row is taken: nothing is taken in."""
         if not self._read or (self._pose and self._doubted):
             return None
@@ -195,11 +195,11 @@ class Watch:
 
     # --- the parts of it
 
-    def _doubt(self, found: Accused, odd: Sequence[Seen]) -> Doubt:
+    def _doubt(self, found: Accused, odd: Sequence[ComparedRow]) -> RunWarning:
         steps = tuple(sorted(s.step for s in odd if s.step >= 0))
-        return Doubt(" or ".join(dict.fromkeys(self._owners[c] for c in found.columns)), found.why, steps)
+        return RunWarning(" or ".join(dict.fromkeys(self._owners[c] for c in found.columns)), found.why, steps)
 
-    def _held(self) -> Doubt | None:
+    def _held(self) -> RunWarning | None:
         """A column whose last digit stands still while the robot moves, by the drawing: no fit is to explain that."""
         steps, points = [s for s, _ in self._newest], [p for _, p in self._newest]
         drawing = self._drawn
@@ -211,7 +211,7 @@ class Watch:
             return None
         columns = [self.layout.coordinates[k] for k, h in zip(self._read, held, strict=True) if h]
         why = f"{listed(columns)} did not change in the last digit since step {steps[0]}, while the robot moved"
-        return Doubt(" or ".join(dict.fromkeys(self._owners[c] for c in columns)), why, tuple(steps))
+        return RunWarning(" or ".join(dict.fromkeys(self._owners[c] for c in columns)), why, tuple(steps))
 
     def _row(self, points: Sequence[Point]) -> Measurements:
         if self._first_s is None:
@@ -236,7 +236,7 @@ class Watch:
         columns = self.model.derivatives(rows, values)[:, self._read]
         return self.model.predict(rows, values)[:, self._read], columns
 
-    def _seen(self, step: int, point: Point) -> Seen | None:
+    def _seen(self, step: int, point: Point) -> ComparedRow | None:
         """The row beside what the model makes of it, or the drawing where the model cannot be at these joints; None
         where neither can."""
         values, covariance = self._values, self._covariance
@@ -251,7 +251,7 @@ class Watch:
             more = model.derivatives(self._row([point]), np.zeros(len(model.parameters)))[0, self._read] * sizes
             spread += more @ more.T
         columns = [self.layout.coordinates[k] for k in self._read]
-        seen = Seen(step, columns, read, predicted, spread, partial(self._by_joints, point, values))
+        seen = ComparedRow(step, columns, read, predicted, spread, partial(self._by_joints, point, values))
         return seen if seen.distance <= _ODD else replace(seen, least=self._reconsidered(point))
 
     def _reconsidered(self, point: Point) -> float:

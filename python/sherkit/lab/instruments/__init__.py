@@ -6,7 +6,7 @@ need pyserial (``pip install "sherkit[lab]"``).
 """
 
 from .ati import NetFT, Scale, fetch_scale
-from .base import Axis, AxisController, Identity, Instrument, Reading, Reference
+from .base import Axis, AxisController, AxisReference, Identity, Instrument, Reading
 from .camera import Frame, Snapshots, VideoCamera
 from .galil import Galil
 from .keyence import Keyence
@@ -17,6 +17,7 @@ from .scpi import Scpi
 __all__ = [
     "Axis",
     "AxisController",
+    "AxisReference",
     "Frame",
     "Galil",
     "Hyperion",
@@ -27,7 +28,6 @@ __all__ = [
     "OwnAxes",
     "OwnSensor",
     "Reading",
-    "Reference",
     "Scale",
     "Scpi",
     "Sm130",

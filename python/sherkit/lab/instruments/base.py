@@ -249,7 +249,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Reference:
+class AxisReference:
     """What a controller says of its axes before they move, in the order of their letters.
 
     ``said`` is whether it can tell at all that it was homed or zeroed since it was switched on. If so, ``mark`` is the
@@ -285,18 +285,18 @@ class AxisController(Instrument):
     home_at: tuple[float, ...] | None = None
 
     @abstractmethod
-    def reference(self) -> Reference:
+    def reference(self) -> AxisReference:
         """Asks the controller. Raises :class:`~sherkit.errors.InstrumentError`."""
 
     @abstractmethod
-    def set_reference(self, positions: Sequence[float]) -> Reference:
+    def set_reference(self, positions: Sequence[float]) -> AxisReference:
         """Tells the controller that the axes, which stand, are at ``positions``, and marks the zero as set.
 
         Moves nothing. Raises :class:`~sherkit.errors.InstrumentError`.
         """
 
     @abstractmethod
-    def home(self) -> Reference:
+    def home(self) -> AxisReference:
         """Drives all axes to their home switches and sets the reference there. Raises where it cannot."""
 
     def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
@@ -345,7 +345,7 @@ class AxisController(Instrument):
         """How far an axis goes on at most after it was told to stop, in its unit."""
         return 0.5 * self.speed**2 / self.acceleration
 
-    def require_reference(self, *, limits: bool) -> Reference:
+    def require_reference(self, *, limits: bool) -> AxisReference:
         """Raises :class:`~sherkit.errors.NotReferenced` unless where the axes stand is proven; asked twice.
 
         It is, where the controller was zeroed since it was switched on and not by somebody else since this program
@@ -375,7 +375,7 @@ class AxisController(Instrument):
             "experiment's file, then go on with 'sherkit measure --resume'",
         )
 
-    def _doubts(self, found: Reference, limits: bool) -> list[str]:
+    def _doubts(self, found: AxisReference, limits: bool) -> list[str]:
         said: list[str] = []
         if found.said and found.mark is None:
             said.append("has lost its zero, or was not zeroed since it was switched on")

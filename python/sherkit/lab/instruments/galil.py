@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 from ...base.names import listed
 from ...errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, Timeout
-from .base import LETTERS, Axis, Reading, Reference, middle_of
+from .base import LETTERS, Axis, AxisReference, Reading, middle_of
 from .galil_line import LARGEST_COUNT, ZEROED, GalilLine
 from .transport import deadline_in
 
@@ -229,7 +229,7 @@ class Galil(GalilLine):
 
     # --- the zero
 
-    def set_reference(self, positions: Sequence[float]) -> Reference:
+    def set_reference(self, positions: Sequence[float]) -> AxisReference:
         """Sets the counts of the axes where they stand (``DP``), and the variable ``zeroed``. Moves nothing.
 
         Raises :class:`~sherkit.errors.InstrumentError` for positions outside the limits, and while an axis moves.
@@ -237,7 +237,7 @@ class Galil(GalilLine):
         targets = self.check([float(q) for q in positions])
         return self._set_reference([targets[a.letter] for a in self.axes])
 
-    def home(self) -> Reference:
+    def home(self) -> AxisReference:
         """Drives all axes together to their home switches (``HM``) at ``home_speed`` and sets the reference there.
 
         The controller's soft limits are off until then: they mean nothing without a zero. Raises
@@ -280,7 +280,7 @@ class Galil(GalilLine):
             who = listed(f"{self._axis(x).label} (SC {c})" for x, c in bad.items())
             raise self.fail(Halted, f"did not end at its home switch: {who}", next(iter(bad.values())))
 
-    def _set_reference(self, positions: Sequence[float]) -> Reference:
+    def _set_reference(self, positions: Sequence[float]) -> AxisReference:
         if self.is_moving():
             raise self.fail(InstrumentError, "is moving; its zero is set where it stands")
         counts = {a.letter: a.to_counts(q) for a, q in zip(self.axes, positions, strict=True)}

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 
 from ...base.names import listed
 from ...errors import Disconnected, Garbled, InstrumentError, Refused
-from .base import LETTERS, Axis, AxisController, Identity, Reading, Reference
+from .base import LETTERS, Axis, AxisController, AxisReference, Identity, Reading
 from .transport import deadline_in, now_s
 
 #: The controller's variable that says that its zero was set.
@@ -115,7 +115,7 @@ class GalilLine(AxisController):
         """Where the profiles of all axes are, in their unit (``RP``)."""
         return self._reading("_RP")
 
-    def reference(self) -> Reference:
+    def reference(self) -> AxisReference:
         """The variable ``zeroed``, encoders, motors, and ``FL`` and ``BL``. Raises as every question."""
         n = len(self.axes)
         values = self._repeat(
@@ -124,7 +124,7 @@ class GalilLine(AxisController):
         )  # fmt: skip
         counts, off, forward, reverse = (values[k * n : (k + 1) * n] for k in range(4))
         ours = [(low, high) == self._limits(a) for a, low, high in zip(self.axes, reverse, forward, strict=True)]
-        return Reference(
+        return AxisReference(
             True,
             self._repeat(self._mark),
             tuple(a.to_position(c) for a, c in zip(self.axes, counts, strict=True)),

@@ -28,7 +28,7 @@ from typing import Any, Self
 from ...base.extensions import INSTRUMENTS
 from ...base.names import listed, nearest
 from ...errors import Disconnected, ExperimentError, Garbled, InstrumentError, OutOfRange, Timeout
-from .base import Axis, AxisController, Identity, Instrument, Reading, Reference
+from .base import Axis, AxisController, AxisReference, Identity, Instrument, Reading
 from .devices import begun, error_of, is_done, waited
 from .transport import now_s
 
@@ -275,19 +275,19 @@ class OwnAxes(_Own, AxisController):
             raise self.fail(Garbled, f"{axis.label} stands at {found!r}; expected a number, in {self.unit}")
         return place
 
-    def reference(self) -> Reference:
+    def reference(self) -> AxisReference:
         """Where they stand; nothing is known of their zero."""
         every = (True,) * len(self.axes)
-        return Reference(False, None, self.read().values, every, every)
+        return AxisReference(False, None, self.read().values, every, every)
 
-    def set_reference(self, positions: Sequence[float]) -> Reference:
+    def set_reference(self, positions: Sequence[float]) -> AxisReference:
         """Calls ``set_current_position`` of each axis, as EPICS motors have it."""
         for one, place in zip(self._every("set_current_position", "its zero be set from here"), positions, strict=True):
             self._of_device(one, "set_current_position", float(place))
         self.left_at = {}
         return self.reference()
 
-    def home(self) -> Reference:
+    def home(self) -> AxisReference:
         """Calls ``home`` of each axis, one after the other."""
         for one in self._every("home", "it be homed from here"):
             self._of_device(one, "home")

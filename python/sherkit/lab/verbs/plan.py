@@ -20,7 +20,7 @@ from ...diagnosis.sensor_pose import pose_in_words, taken_by_pose
 from ...errors import SherkitError
 from ...model.kinds import Robot, kind_of, model_of
 from ...planning.effect_power import LEVEL, POWER, EffectPower, Planning, planning_of
-from ...planning.power import EffectSize, Found, study_power
+from ...planning.power import DetectionCount, EffectSize, study_power
 from ...robots.machine import robot_at
 from ..experiment import Experiment, load_experiment
 
@@ -125,7 +125,7 @@ def rows_of(experiment: Experiment) -> Measurements:
 
 def _study(
     planning: Planning, effect_powers: tuple[EffectPower, ...], runs: int, keep: Path | None, workers: int | None
-) -> tuple[Found, ...]:
+) -> tuple[DetectionCount, ...]:
     """Every effect at the size that is promised to be found in 80 of 100 runs, each parameter with a sign of its own.
 
     Those that take many times their plausible size are left out: the model is not linear so far from the drawing.
@@ -204,7 +204,7 @@ def _show_parameters(planning: Planning) -> None:
     out.print(made)
 
 
-def _show_study(found: tuple[Found, ...]) -> None:
+def _show_study(found: tuple[DetectionCount, ...]) -> None:
     made = table("What simulated robots say", "effect", "promised", "found", "of runs")
     for one in found:
         made.add_row(one.name, f"{100 * one.power:.0f} %", f"{100 * one.share:.1f} %", str(one.runs))
@@ -212,7 +212,7 @@ def _show_study(found: tuple[Found, ...]) -> None:
 
 
 def _json(
-    chosen: Experiment, planning: Planning, effect_powers: tuple[EffectPower, ...], found: tuple[Found, ...]
+    chosen: Experiment, planning: Planning, effect_powers: tuple[EffectPower, ...], found: tuple[DetectionCount, ...]
 ) -> dict[str, Any]:
     def number(value: float) -> float | None:
         return float(value) if np.isfinite(value) else None

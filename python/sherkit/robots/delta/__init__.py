@@ -1,6 +1,6 @@
 """The linear delta."""
 
-from ...model.kinds import Asked, Kind
+from ...model.kinds import Kind, RequiredSetting
 from .calibration import DeltaCalibration
 from .correction import Correction, choose_correction, fit_grid, fit_polynomial
 from .drawing import drawing, signature
@@ -31,12 +31,12 @@ KIND = Kind(
     called="the linear delta", choices={"assembly_mode": ASSEMBLY_MODES}, example=_EXAMPLE,
     drawing=drawing,
     asks=(
-        Asked(
+        RequiredSetting(
             "geometry", "rod_spacing_mm",
             "rods of unequal length (rod_mismatch) cannot be tried without the distance of the two rods of a limb",
             "write it, or rod_spacing_mm = 0 where each limb has a single rod",
         ),
-        Asked(
+        RequiredSetting(
             "joints", "pole_pitch_mm",
             "the period of the encoders' cyclic error (encoder_cyclic) is searched for in the readings instead",
             "write the pitch of their scales, or pole_pitch_mm = 0 where they have none",

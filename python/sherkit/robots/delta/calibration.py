@@ -27,7 +27,7 @@ from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun, Cells, Corrected
 from ..deployed import BASE, SENSOR
-from ..part import Part
+from ..part import IdentifiedModel
 from .correction import Choice, Correction, choose_correction, enough_rows, leftover
 from .paper import PaperProtocol, paper_protocol
 from .robot import POSITION, Delta
@@ -119,7 +119,7 @@ _ON_BORDER = 1.02
 
 
 @dataclass(frozen=True, eq=False)
-class DeltaPart(Part):
+class DeltaPart(IdentifiedModel):
     """One identified model of a delta: its residuals, mm², are those about the corrected model.
 
     ``uncorrected_covariance`` (3, 3) are those about the geometric one, where the correction has faded. The sensors saw
@@ -313,7 +313,7 @@ class DeltaCalibration(Calibration):
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
-    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+    def by_values(self, part: IdentifiedModel, joints: Floats, now: list[float]) -> Floats:
         """Of positions (n, 3, p)."""
         model = part.model(self.robot)
         # a commanded position is reached at rest
@@ -322,7 +322,7 @@ class DeltaCalibration(Calibration):
         made: Floats = model.core.derivatives(model.full(part.values), block, model.indices)[0][:, :3]
         return made
 
-    def left_at(self, part: Part, coordinates: Floats) -> Floats:
+    def left_at(self, part: IdentifiedModel, coordinates: Floats) -> Floats:
         """Covariance (n, 3, 3), mm²; without the correction as far as it has faded."""
         own = cast(DeltaPart, part)
         if own.correction is None:

@@ -12,7 +12,7 @@ from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import TEMPERATURE, TIME
 from ...errors import SherkitError
-from ...model.drawing import Drawing, Part, line, with_target
+from ...model.drawing import Drawing, DrawnPart, line, with_target
 from ...model.effect import Effect
 from .model import DeltaModel
 from .robot import DELTA, JOINTS, POSITION, Delta, grid
@@ -28,17 +28,17 @@ def drawing(model: DeltaModel, data: Measurements, values: Floats, readings: Flo
     shown = model.at_base((model.predict(data, values) if readings is None else readings)[:, :3], values)
     limbs = [points[:, _PER_LIMB * k : _PER_LIMB * (k + 1)] for k in range(3)]
     centre, tip, target = (points[:, 3 * _PER_LIMB + k] for k in range(3))
-    parts = [Part(f"rail {k}", "frame", limb[:, :2]) for k, limb in enumerate(limbs, 1)]
+    parts = [DrawnPart(f"rail {k}", "frame", limb[:, :2]) for k, limb in enumerate(limbs, 1)]
     for k, limb in enumerate(limbs, 1):
-        parts += [Part(f"rod {k}{side}", "rod", limb[:, [2 + i, 4 + i]]) for i, side in enumerate("ab")]
+        parts += [DrawnPart(f"rod {k}{side}", "rod", limb[:, [2 + i, 4 + i]]) for i, side in enumerate("ab")]
         parts += [
-            Part(f"carriage {k}", "link", limb[:, 2:4]),
-            Part(f"joint {k}", "joint", limb[:, 2:4].mean(axis=1, keepdims=True)),
+            DrawnPart(f"carriage {k}", "link", limb[:, 2:4]),
+            DrawnPart(f"joint {k}", "joint", limb[:, 2:4].mean(axis=1, keepdims=True)),
         ]
     parts += [
-        Part("platform", "platform", _round(limbs, centre)),
-        Part("arm to the measured point", "link", line(centre, tip)),
-        Part("from the platform's end to the measured point", "ray", line(tip, target)),
+        DrawnPart("platform", "platform", _round(limbs, centre)),
+        DrawnPart("arm to the measured point", "link", line(centre, tip)),
+        DrawnPart("from the platform's end to the measured point", "ray", line(tip, target)),
     ]
     return with_target(parts, target, shown)
 

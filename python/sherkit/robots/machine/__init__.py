@@ -16,13 +16,13 @@ from ...model.python_file import carried, portable, run_python
 from ...model.robot_file import RobotLike, load_robot
 from .calibration import MachineCalibration
 from .core import catalogue_of
-from .described import Described
+from .described import MachineDescription
 from .model import MachineModel
 
 # -- What a machine brings ------------------------------------------------------------------------------------------
 
 
-def kind_for(machine: Described) -> Kind:
+def kind_for(machine: MachineDescription) -> Kind:
     """A kind of its own: tables, columns and classes of this machine."""
     own = [
         {"name": p.name, "symbol": p.name, "unit": p.unit, "size": p.size, "lever_mm": None} for p in machine.own
@@ -48,7 +48,7 @@ def kind_for(machine: Described) -> Kind:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Machine(Described):
+class Machine(MachineDescription):
     """A machine that its owner describes by one function, with the standing of a built-in robot.
 
     ``function(joints, p)`` gives the readings (n, m) for joint readings (n, k), p holding the parameters by name
@@ -81,7 +81,7 @@ class Machine(Described):
     def __post_init__(self) -> None:
         super().__post_init__()
         known = known_kinds().get(self.kind)
-        if known is not None and not isinstance(known.robot, Described):
+        if known is not None and not isinstance(known.robot, MachineDescription):
             raise RobotError(f"'{self.name}' is the name of a built-in kind of robot: give the machine another name")
         register(self.brings)
 

@@ -20,9 +20,9 @@ from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
 from ..deployed import BASE, SENSOR
-from ..part import Part
+from ..part import IdentifiedModel
 from .core import MachineCore
-from .described import Described
+from .described import MachineDescription
 from .function import settled, starts
 
 #: Effects of the instrument: where the machine goes, they are not.
@@ -142,8 +142,8 @@ class MachineCalibration(Calibration):
     frame: ClassVar = SENSOR
     no_other: ClassVar = "where its instrument stands is not in its model"
 
-    robot: Described
-    whole: Part
+    robot: MachineDescription
+    whole: IdentifiedModel
     box: tuple[tuple[float, ...], ...]
     #: Effects of the owner's own that run in the loop, each with its values.
     own: tuple[tuple[Effect, tuple[float, ...]], ...] = ()
@@ -168,7 +168,7 @@ class MachineCalibration(Calibration):
         if hasattr(fit.model.robot.joints, "keys"):  # ranges were given
             low, high = np.minimum(low, fit.model.robot.box[:, 0]), np.maximum(high, fit.model.robot.box[:, 1])
         left, scatter = whole.left(lambda missed: missed[use], held_out)
-        part = Part.identified(fit, len(cls.coordinates))
+        part = IdentifiedModel.identified(fit, len(cls.coordinates))
         part = replace(part, left_out=()) if runs else part
         made = cls(fit.model.robot, part, tuple(zip(low.tolist(), high.tolist(), strict=True)), tuple(own))
         return replace(made, whole=part.leaving(left, scatter, made._rows(went)[0]))
@@ -205,12 +205,12 @@ class MachineCalibration(Calibration):
     def _core_elsewhere(self) -> MachineCalibrated:
         return replace(self.core, seen_from=self.sensor_frame)
 
-    def counted(self, part: Part, frame: str) -> Bools:
+    def counted(self, part: IdentifiedModel, frame: str) -> Bools:
         """Nor is what was identified of the instrument alone in any frame."""
         ours = [name.partition(".")[0] not in _OF_INSTRUMENT for name in (p.name for p in self.model.parameters)]
         return super().counted(part, frame) & np.array(ours[: len(part.values)], dtype=bool)
 
-    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+    def by_values(self, part: IdentifiedModel, joints: Floats, now: list[float]) -> Floats:
         """Of its readings (n, m, p)."""
         del part
         made: Floats = self.core.chain.derivatives(self.core.values, self.core.block(joints, now), self.model.indices)[

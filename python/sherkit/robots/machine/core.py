@@ -36,7 +36,7 @@ _FEW_JOINTS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class RowCovariates:
     """What effects look at besides joints and point: ``time_s`` (n,), ``temperature_c`` (n,) and that of the stands
     ``stand_c`` (n,), ``direction`` (n, k) and ``velocity`` (n, k), NaN where they are not known; and the settings
     ``wave``, one turn over the period of each joint, ``time_origin_s`` and the moments of the slips."""
@@ -54,7 +54,7 @@ class Known:
 
 
 #: What an effect adds (n, axes, p) for each of its parameters at one: where it acts (n, axes), joints or readings.
-Formula = Callable[[NDArray[Any], Known], NDArray[Any]]
+Formula = Callable[[NDArray[Any], RowCovariates], NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def _own(of: Callable[[NDArray[Any]], NDArray[Any]]) -> Formula:
 
 
 def _coupling(pairs: Sequence[tuple[int, int]]) -> Formula:
-    def formula(q: NDArray[Any], _: Known) -> NDArray[Any]:
+    def formula(q: NDArray[Any], _: RowCovariates) -> NDArray[Any]:
         out = np.zeros((*q.shape, len(pairs)), dtype=q.dtype)
         for p, (i, j) in enumerate(pairs):
             out[:, i, p] = q[:, j]
@@ -254,25 +254,25 @@ def _cyclic(which: Sequence[int]) -> Formula:
     return lambda q, at: _wave(q, {k: at.wave[k] for k in which})
 
 
-def _warmer(at: Known) -> Floats:
+def _warmer(at: RowCovariates) -> Floats:
     return at.temperature_c - DRAWN_C
 
 
-def _hours(at: Known) -> Floats:
+def _hours(at: RowCovariates) -> Floats:
     return (at.time_s - at.time_origin_s) / 3600.0
 
 
-def _late(at: Known, moment_s: float) -> Floats:
+def _late(at: RowCovariates, moment_s: float) -> Floats:
     return np.where(np.isnan(at.time_s), np.nan, (at.time_s >= moment_s).astype(float))
 
 
-def _droop(x: NDArray[Any], _: Known) -> NDArray[Any]:
+def _droop(x: NDArray[Any], _: RowCovariates) -> NDArray[Any]:
     out = np.zeros((len(x), 3, 1), dtype=x.dtype)
     out[:, 2, 0] = -(x[:, 0] ** 2 + x[:, 1] ** 2) / _METRE**2
     return out
 
 
-def _turned(x: NDArray[Any], _: Known) -> NDArray[Any]:
+def _turned(x: NDArray[Any], _: RowCovariates) -> NDArray[Any]:
     """Small rotations of the instrument about its axes, to first order."""
     out = np.zeros((len(x), 3, 3), dtype=x.dtype)
     for p, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
@@ -347,16 +347,16 @@ class MachineCore(NumpyChain):
         ends = np.cumsum([len(self.function.parameters), *(len(one.parameters) for one in self.effects)])
         return [slice(a, b) for a, b in pairwise(ends.tolist())]
 
-    def _known(self, block: Block) -> tuple[Floats, Known, Floats]:
+    def _known(self, block: Block) -> tuple[Floats, RowCovariates, Floats]:
         joints, _, columns, push = block
         k = joints.shape[1]
         columns = np.full((len(joints), 3 + 2 * k), np.nan) if columns is None else columns
         moments = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         moved = columns[:, 2 : 2 + k], columns[:, 2 + k : 2 + 2 * k]
-        known = Known(columns[:, 0], columns[:, 1], columns[:, -1], *moved, self.wave, *moments)
+        known = RowCovariates(columns[:, 0], columns[:, 1], columns[:, -1], *moved, self.wave, *moments)
         return joints, known, np.zeros((len(joints), 3)) if push is None else push
 
-    def _link(self, link: str, x: NDArray[Any], values: Floats, known: Known) -> NDArray[Any]:
+    def _link(self, link: str, x: NDArray[Any], values: Floats, known: RowCovariates) -> NDArray[Any]:
         """A link: what comes in (n, axes), and what its effects add."""
         out = x
         for one, place in zip(self.effects, self.places, strict=True):
@@ -365,7 +365,7 @@ class MachineCore(NumpyChain):
                 out = out + one.formula(x, known) @ values[place]
         return out
 
-    def _by_input(self, link: str, x: Floats, values: Floats, known: Known) -> Floats:
+    def _by_input(self, link: str, x: Floats, values: Floats, known: RowCovariates) -> Floats:
         """How a link carries on a change of what comes in (n, axes, axes): its formulas are ours, and complex."""
         n, axes = x.shape
         own = [o for o, p in zip(self.effects, self.places, strict=True) if o.at == link and values[p].any()]
@@ -378,7 +378,7 @@ class MachineCore(NumpyChain):
             columns.append(self._link(link, moved, values, known).imag / _TINY)
         return np.stack(columns, axis=2)
 
-    def _stands(self, values: Floats, known: Known) -> Floats:
+    def _stands(self, values: Floats, known: RowCovariates) -> Floats:
         """By how much the pose of the sensor is off (n, 6), row by row."""
         return self._link("pose", np.zeros((len(known.time_s), len(POSE))), values, known)
 

@@ -40,7 +40,7 @@ Parameters = Mapping[str, tuple[str, float]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Described(Saved, Shown):
+class MachineDescription(Saved, Shown):
     """A machine as a function of its joints and parameters, with their names; see :class:`sherkit.Machine`."""
 
     function: Forward

@@ -37,7 +37,7 @@ _ROUNDING = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class InputSteps:
     """How each input (i,) is stepped: zero by a complex step, else the step of its difference."""
 
     real: Floats
@@ -71,7 +71,7 @@ def difference(function: Function, at: Floats, k: int, step: float) -> Floats:
     return (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * step)
 
 
-def steps_for(function: Function, at: Floats, sizes: Floats, names: Sequence[str]) -> Steps:
+def steps_for(function: Function, at: Floats, sizes: Floats, names: Sequence[str]) -> InputSteps:
     """The way to step each input, tried at the rows ``at`` (n, i); ``sizes`` (i,) are what each may move by.
 
     Raises :class:`~sherkit.errors.FitError` where no two steps agree: the function is not smooth.
@@ -97,7 +97,7 @@ def steps_for(function: Function, at: Floats, sizes: Floats, names: Sequence[str
                 )
             if not _allows_complex(function, at, k, tried[best + 1], known, max(AGREE * scale, apart[best] * scale)):
                 real[k] = _STEPS[best + 1] * size
-    return Steps(real)
+    return InputSteps(real)
 
 
 def _allows_complex(
@@ -202,7 +202,7 @@ class UserFunction:
         return np.asarray(low + (high - low) * np.random.default_rng(_SEED).uniform(size=(_ROWS, len(low))))
 
     @cached_property
-    def _steps(self) -> Steps:
+    def _steps(self) -> InputSteps:
         """How each input is stepped, tried at joints within their box and the drawing's parameters."""
         low, high = self.box.T
         joints = self.somewhere
@@ -228,7 +228,7 @@ class UserFunction:
             raise FitError(f"the derivative of '{self.name}': expected an array of shape {expected}, got {out.shape}")
         return out
 
-    def _check_given(self, joints: Floats, at: Floats, steps: Steps) -> None:
+    def _check_given(self, joints: Floats, at: Floats, steps: InputSteps) -> None:
         """Refuses a derivative that is not that of the function."""
         k = len(self.joints)
         numeric = steps.columns(self._beside, at, range(k, at.shape[1]))

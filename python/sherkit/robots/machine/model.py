@@ -20,7 +20,7 @@ from ...model.chain import ChainModel
 from ...model.effect import Effect, Setting
 from ...model.sensor_link import seen_from
 from .core import MachineCore
-from .described import Described
+from .described import MachineDescription
 
 #: Poses from which the next ones are chosen.
 _POSES = 400
@@ -37,7 +37,7 @@ class MachineModel(ChainModel):
     """A machine with its parameters and effects to identify. Its tables are those of a subclass for each machine
     (:mod:`~sherkit.robots.machine`)."""
 
-    robot: Described
+    robot: MachineDescription
     slip_time_s: float = 0.0
     joint_slip_time_s: float = 0.0
     thermal_shift_lag_s: float = 0.0

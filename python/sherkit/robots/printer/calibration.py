@@ -100,7 +100,7 @@ _WARNING = "DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated."
 
 
 @dataclass(frozen=True)
-class Held:
+class FirmwareFit:
     """What a firmware can hold of a machine, and the height errors over the bed that are left of what it cannot, mm."""
 
     towers: Towers
@@ -108,7 +108,7 @@ class Held:
     largest_mm: float
 
 
-def held(robot: Printer, errors: Mapping[str, float]) -> Held:
+def held(robot: Printer, errors: Mapping[str, float]) -> FirmwareFit:
     """The firmware's numbers for a printer with these errors by name: geometry as it is; of effects that no firmware
     holds, leans, belts and unequal rods, as much as its geometry can take over the bed."""
     full = PrinterModel(replace(robot, probings=()))
@@ -119,7 +119,7 @@ def held(robot: Printer, errors: Mapping[str, float]) -> Held:
     values = np.array([errors.get(p.name, 0.0) for p in full.parameters])
     geometry = {name: value for name, value in errors.items() if "." not in name}
     if not known:
-        return Held(towers_of(robot, geometry), 0.0, 0.0)
+        return FirmwareFit(towers_of(robot, geometry), 0.0, 0.0)
     # what the machine does where it is sent over the bed, heights alone: that is what a probe would see
     radius = robot.workspace_radius_mm or 0.8 * robot.towers.radius_mm
     rings = np.linspace(0.0, radius, _RINGS)[1:]
@@ -131,7 +131,7 @@ def held(robot: Printer, errors: Mapping[str, float]) -> Held:
     plain = replace(full, effects=())
     fit = identify(plain, plan, start=np.array([geometry.get(p.name, 0.0) for p in plain.parameters]))
     left = fit.residuals
-    return Held(towers_of(robot, fit.by_name), float(np.sqrt(np.mean(left**2))), float(np.abs(left).max()))
+    return FirmwareFit(towers_of(robot, fit.by_name), float(np.sqrt(np.mean(left**2))), float(np.abs(left).max()))
 
 
 def _columns(rows: int) -> dict[str, Floats]:

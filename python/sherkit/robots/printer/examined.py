@@ -19,11 +19,11 @@ from ...diagnosis import Diagnosis, diagnose
 from ...fit.forms import known
 from ...fit.identify import Fit
 from . import import_duet, import_klipper, import_marlin
-from .calibration import Held, commands, held
+from .calibration import FirmwareFit, commands, held
 from .gcode import words
 from .klipper import text_of
 from .model import bed_shape, distances
-from .robot import Found
+from .robot import ImportedPrinter
 from .suspects import Suspect, plain_fit, suspects, turns
 
 #: By how much a plate is best turned: shapes of up to five lobes lie elsewhere then. A third of a turn would leave one
@@ -47,7 +47,7 @@ _CALLED = {
 class Examined:
     """What the probing of a printer says; :attr:`sections` are its words."""
 
-    found: Found
+    found: ImportedPrinter
     plain: Fit
     diagnosis: Diagnosis
     suspects: tuple[Suspect, ...]
@@ -88,7 +88,7 @@ class Examined:
         return float(np.sqrt(np.mean([(v - means[k]) ** 2 for v, k in zip(values, probing.tolist(), strict=True)])))
 
     @cached_property
-    def new(self) -> Held:
+    def new(self) -> FirmwareFit:
         """The numbers for the firmware: by the suspect that leads, where it leads alone, else by all heights as they
         are, as the firmware's own calibration would."""
         fit = self.suspects[0].fit if len(self.suspects) == 1 else self.plain
@@ -331,7 +331,7 @@ class Examined:
         }
 
 
-def examine(found: Found, *, seed: int = 0, step: Callable[[str], None] = lambda _: None) -> Examined:
+def examine(found: ImportedPrinter, *, seed: int = 0, step: Callable[[str], None] = lambda _: None) -> Examined:
     """Examines a printer by what it probed. Raises :class:`~sherkit.errors.FitError` where that is too little."""
     step("fitting what the firmware can hold")
     plain = plain_fit(found.robot, found.measurements)
@@ -344,7 +344,7 @@ def examine(found: Found, *, seed: int = 0, step: Callable[[str], None] = lambda
     return Examined(found, plain, told, suspects(plain, significant=told.p_missing <= told.level))
 
 
-def files_of(path: Path, maps: tuple[Path, ...], plates: dict[str, float]) -> Found:
+def files_of(path: Path, maps: tuple[Path, ...], plates: dict[str, float]) -> ImportedPrinter:
     """A printer by its files, whichever firmware wrote them. Raises :class:`~sherkit.errors.SherkitError`."""
     if maps:
         return import_duet(path, maps, plates)

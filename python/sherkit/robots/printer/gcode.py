@@ -26,7 +26,7 @@ import numpy as np
 from ...base.names import brief
 from ...errors import MeasurementError, RobotError
 from .klipper import text_of
-from .robot import ANGLES, Found, Printer, Rows, Towers
+from .robot import ANGLES, ImportedPrinter, Printer, ProbedRows, Towers
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _WORD = re.compile(rf"([A-Z])\s*({_NUMBER}(?:\s*:\s*{_NUMBER})*)", re.IGNORECASE)
@@ -63,7 +63,9 @@ def one(
 _TITLE = "RepRapFirmware height map file"
 
 
-def import_duet(config: str | Path, maps: Sequence[str | Path], plates: Mapping[str, float] | None = None) -> Found:
+def import_duet(
+    config: str | Path, maps: Sequence[str | Path], plates: Mapping[str, float] | None = None
+) -> ImportedPrinter:
     """Reads a ``config.g`` (or ``config-override.g``) and height maps; ``plates`` says by how many degrees the plate
     was turned under the map of that file name.
 
@@ -72,7 +74,7 @@ def import_duet(config: str | Path, maps: Sequence[str | Path], plates: Mapping[
     """
     path = Path(config)
     robot = _duet(path, text_of(path, "a config.g of RepRapFirmware").splitlines())
-    rows = Rows(robot, str(path))
+    rows = ProbedRows(robot, str(path))
     turned = dict(plates or {})
     names = [Path(one).stem for one in maps]
     if unknown := [name for name in turned if name not in names]:
@@ -159,7 +161,7 @@ _POINT = re.compile(r"(?<![A-Za-z])(c|xy|yz|zx|x|y|z):\s*([-+]\d+\.\d+)")
 _AROUND = {"x": 210.0, "y": 330.0, "z": 90.0, "yz": 30.0, "zx": 150.0, "xy": 270.0}
 
 
-def import_marlin(path: str | Path, plates: Mapping[str, float] | None = None) -> Found:
+def import_marlin(path: str | Path, plates: Mapping[str, float] | None = None) -> ImportedPrinter:
     """Reads a pasted text; the grids in it are the probings ``G29_1``, ``G29_2`` …, under which the plate was turned by
     the degrees of ``plates``.
 
@@ -168,7 +170,7 @@ def import_marlin(path: str | Path, plates: Mapping[str, float] | None = None) -
     """
     path = Path(path)
     lines = text_of(path, "what Marlin's terminal said, as text").splitlines()
-    rows = Rows(_marlin(path, lines), str(path))
+    rows = ProbedRows(_marlin(path, lines), str(path))
     turned = dict(plates or {})
     for name, points in _reports(path, lines):
         for x, y, z in points:

@@ -17,7 +17,7 @@ from ...base.names import brief, listed
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError, RobotError
 from ..delta.robot import Triple
-from .robot import ANGLES, Found, Printer, Rows, Towers
+from .robot import ANGLES, ImportedPrinter, Printer, ProbedRows, Towers
 
 # -- Klipper's configuration files ----------------------------------------------------------------------------------
 
@@ -155,7 +155,7 @@ _ROUNDED = 0.01
 _ANOTHER = 1.0
 
 
-def import_klipper(path: str | Path, plates: Mapping[str, float] | None = None) -> Found:
+def import_klipper(path: str | Path, plates: Mapping[str, float] | None = None) -> ImportedPrinter:
     """Reads a ``printer.cfg`` and what it includes; ``plates`` says by how many degrees, anticlockwise seen from above,
     the plate was turned under a mesh of that name.
 
@@ -165,7 +165,7 @@ def import_klipper(path: str | Path, plates: Mapping[str, float] | None = None) 
     config = KlipperConfig(Path(path))
     source = f"{config.path}:"
     robot = _printer(config)
-    rows = Rows(robot, str(config.path))
+    rows = ProbedRows(robot, str(config.path))
     per_mm = np.array([_steps_per_mm(config, s) for s in STEPPERS])
 
     def carriages(key: str) -> Floats:

@@ -19,7 +19,7 @@ from ...errors import FitError
 from ...model.base import Reachable
 from ...model.chain import Block
 from ...model.effect import Effect, Parameter, effect
-from ...model.rows import Rows
+from ...model.rows import EffectRows
 from ...model.sensor_pose import HELD, POSE
 from ..delta.model import CATALOGUE as DELTA
 from ..delta.model import DeltaModel
@@ -210,7 +210,7 @@ def _spread(values: Floats, block: Block) -> Floats:
 # -- The model -------------------------------------------------------------------------------------------------------
 
 
-class Touches(Rows):
+class Touches(EffectRows):
     """The rows of a printer as its effects see them: ``position`` (n, 3) of the probe's tip, mm, and which of them
     ``is_distance`` (n,)."""
 
@@ -286,7 +286,7 @@ class PrinterModel(DeltaModel):
         """Where the tip of the probe was sent (n, 3), mm; at a distance, its first end."""
         return self.robot.forward_batch(data.joints).values
 
-    def rows(self, data: Measurements, values: Floats) -> Rows:
+    def rows(self, data: Measurements, values: Floats) -> EffectRows:
         """The rows, with the places to which the tip of the probe was sent: a plate is smooth, and how far the tip is
         from there does not matter."""
         del values

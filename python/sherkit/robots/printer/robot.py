@@ -144,7 +144,7 @@ class Printer(Delta):
 
 
 @dataclass(frozen=True)
-class Found:
+class ImportedPrinter:
     """A printer as its firmware has it, and the run of what it measured."""
 
     robot: Printer
@@ -152,7 +152,7 @@ class Found:
 
 
 @dataclass(eq=False)
-class Rows:
+class ProbedRows:
     """Collects the rows of a printer; ``source`` is the file, for messages.
 
     A firmware says at which height it believed the probe to touch the plate. The row has it as it was measured: the
@@ -192,7 +192,7 @@ class Rows:
         self._joints.append(joints)
         self._others.append((to, reading, plate, what, probing))
 
-    def found(self, nothing: str) -> Found:
+    def found(self, nothing: str) -> ImportedPrinter:
         """Robot and run. Raises :class:`~sherkit.errors.MeasurementError`, which says ``nothing``, without a row."""
         if not self._joints:
             raise MeasurementError(f"{self.source}: {nothing}")
@@ -213,4 +213,4 @@ class Rows:
             "what": np.array(what),
         }
         robot = replace(self.robot, probings=names)
-        return Found(robot, Measurements.from_columns(columns, self.source, layout=PROBED))
+        return ImportedPrinter(robot, Measurements.from_columns(columns, self.source, layout=PROBED))

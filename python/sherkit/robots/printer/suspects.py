@@ -88,7 +88,7 @@ def suspects(plain: Fit, *, significant: bool) -> tuple[Suspect, ...]:
     """
     model, data = plain.model, plain.data
     nothing = Suspect((), plain, plain)
-    tried, _ = model.can_be_tried(tuple(model.known_effects.values()), data)
+    tried, _ = model.is_testable(tuple(model.known_effects.values()), data)
     singles = _fitted(nothing, [(effect,) for effect in tried])
     found = _leading(nothing, singles, significant=significant)
     others = [e for e in tried if e.name != bed_shape.name]

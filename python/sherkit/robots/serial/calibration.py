@@ -19,7 +19,7 @@ from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
 from ..deployed import BASE, SENSOR
 from ..moves import MIDDLE
-from ..part import Part, at_rest
+from ..part import IdentifiedModel, at_rest
 from .robot import POSITION, Serial
 
 
@@ -38,7 +38,7 @@ class SerialCalibration(Calibration):
     no_other: ClassVar = "distances alone do not tell where an instrument stands; leave the frame out"
 
     robot: Serial
-    whole: Part
+    whole: IdentifiedModel
 
     @classmethod
     def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
@@ -48,7 +48,7 @@ class SerialCalibration(Calibration):
         size = len(POSITION)
         counted = np.isfinite(held_out) & fit.data.used
         use = counted[:, :size].all(axis=1)
-        made = cls(fit.model.robot, Part.identified(fit, size))
+        made = cls(fit.model.robot, IdentifiedModel.identified(fit, size))
         where = made.forward_batch(fit.data.joints[counted.any(axis=1)]).require("row")
         if use.any() or not counted.any():
             # where the tracker saw it, in the axes of the base
@@ -157,7 +157,7 @@ class SerialCalibration(Calibration):
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
-    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+    def by_values(self, part: IdentifiedModel, joints: Floats, now: list[float]) -> Floats:
         """Of positions (n, 3, p), in the axes of the base; what is the tracker's as it reads them."""
         del part
         columns, _ = self.core.by_parameters_batch(joints, now, self.model.indices)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...base.types import Floats
 from ...data import Measurements
-from ...model.drawing import Drawing, Part, line, with_target
+from ...model.drawing import Drawing, DrawnPart, line, with_target
 from .model import SerialModel
 
 #: Half the length of a drawn axis, and of the axes of the base, by the reach of the arm.
@@ -21,22 +21,22 @@ def drawing(model: SerialModel, data: Measurements, values: Floats, readings: Fl
     shown = model.at_base((model.predict(data, values) if readings is None else readings)[:, :3], values)
     reach = float(robot.reach_mm[0])
     base = _BASE * reach * np.eye(3)
-    parts = [Part(f"{axis} of the base", "guide", line(np.zeros(3), base[k])) for k, axis in enumerate("xyz")]
+    parts = [DrawnPart(f"{axis} of the base", "guide", line(np.zeros(3), base[k])) for k, axis in enumerate("xyz")]
     behind = np.zeros_like(points[:, 0])
     for k in range(1, len(robot.joints) + 1):
         # of a joint the core hands over a point of its axis, a second one along it, and where what it carries is
         origin, along, carried = (points[:, 3 * (k - 1) + i] for i in range(3))
         half = _AXIS * reach * (along - origin)
         parts += [
-            Part(f"link {k - 1}" if k > 1 else "base", "link", line(behind, origin)),
-            Part(f"axis {k}", "axis", line(origin - half, origin + half)),
-            Part(f"slide {k}", "rod", line(origin, carried)),
-            Part(f"joint {k}", "joint", line(origin)),
+            DrawnPart(f"link {k - 1}" if k > 1 else "base", "link", line(behind, origin)),
+            DrawnPart(f"axis {k}", "axis", line(origin - half, origin + half)),
+            DrawnPart(f"slide {k}", "rod", line(origin, carried)),
+            DrawnPart(f"joint {k}", "joint", line(origin)),
         ]
         behind = carried
     tip, target = points[:, -2], points[:, -1]
     parts += [
-        Part("tool", "platform", line(behind, tip)),
-        Part("from the tool's end to the target", "ray", line(tip, target)),
+        DrawnPart("tool", "platform", line(behind, tip)),
+        DrawnPart("from the tool's end to the target", "ray", line(tip, target)),
     ]
     return with_target(parts, target, shown)

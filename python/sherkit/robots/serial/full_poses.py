@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from ...base.arguments import as_annotated
+from ...base.arguments import validate_arguments
 from ...base.names import listed
 from ...base.types import Floats
 from ...data import Measurements
@@ -30,7 +30,7 @@ from .turns import QUATERNION, place_in_matrix, turns_of
 _JOINTS = re.compile(r"(?:joint|axis|achse|j|a|q)[\s_]*([1-9])")
 
 
-@as_annotated
+@validate_arguments
 def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple[Serial, Measurements]:
     """The arm with three targets in the place of one, and a run of these in the place of full poses.
 

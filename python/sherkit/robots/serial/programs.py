@@ -110,7 +110,7 @@ def read_targets(arm: Serial, path: str | Path) -> Targets:
         raise MeasurementError(f"{path}: holds no row, only column names; expected targets")
     # metres are no unit that a name of ours ends in
     frame = frame.rename({f"{axis}_m": f"{axis} [m]" for axis in "xyz" if f"{axis}_m" in frame.columns})
-    table = _Columns(str(path), frame, line)
+    table = _TargetColumns(str(path), frame, line)
     found = meant(arm, frame.columns)
     by_stem = {stated(name)[0].lower(): name for name in frame.columns}
     wanted = dict(zip(arm.layout.joints, (one.name for one in arm.joints), strict=True))
@@ -148,7 +148,7 @@ def read_targets(arm: Serial, path: str | Path) -> Targets:
 
 
 @dataclass(frozen=True, eq=False)
-class _Columns:
+class _TargetColumns:
     """The cells of a table as numbers."""
 
     source: str

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from ...model.kinds import Asked, Kind
+from ...model.kinds import Kind, RequiredSetting
 from .calibration import RemoteCentre, SphericalCalibration, remote_centre
 from .drawing import drawing
 from .model import SPHERICAL_CATALOGUE, SphericalModel, TaskError, identify_joints, task_error
@@ -34,7 +34,7 @@ KIND = Kind(
     spelt=({"camera": {**_LENS, **_PLACED}},),
     choices={"assembly_mode": ASSEMBLY_MODES, "working_mode": WORKING_MODES},
     asks=(
-        Asked(
+        RequiredSetting(
             "geometry", "gravity",
             "the weight is taken to pull along -z, against the actuated axis, and gravity_flexure is tried in that "
             "direction alone",

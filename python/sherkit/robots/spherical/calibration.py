@@ -19,7 +19,7 @@ from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun
 from ..deployed import BASE
-from ..part import Part
+from ..part import IdentifiedModel
 from .model import SphericalModel
 from .robot import SPHERICAL_ANGLES, Spherical
 
@@ -122,14 +122,14 @@ class SphericalCalibration(Calibration):
     no_other: ClassVar = "they are angles about its own centre, wherever a camera stands; leave the frame out"
 
     robot: Spherical
-    whole: Part
+    whole: IdentifiedModel
 
     @classmethod
     def of(cls, whole: CalibrationRun, local: CalibrationRun | None = None) -> Self:
         """From a run; there is no local one. Raises as :class:`~sherkit.robots.spherical.SphericalModel`."""
         del local
         fit, held_out = whole.fit, whole.deployed(whole.held_out)
-        made = cls(fit.model.robot, Part.identified(fit, 2))
+        made = cls(fit.model.robot, IdentifiedModel.identified(fit, 2))
         full = fit.data.taken.all(axis=1) & ~fit.data.outlier & np.isfinite(held_out).all(axis=1)
         angles = made._as_angles(fit, held_out, full)[0]
         left, scatter = whole.left(lambda missed: made._as_angles(fit, missed, full)[1], held_out)
@@ -168,7 +168,7 @@ class SphericalCalibration(Calibration):
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
-    def by_values(self, part: Part, joints: Floats, now: list[float]) -> Floats:
+    def by_values(self, part: IdentifiedModel, joints: Floats, now: list[float]) -> Floats:
         """Of angles across the tool (n, 2, p), rad; what is the measurement's alone turns no tool."""
         angles, by_values, _ = self.core.by_parameters_batch(joints, now, self.model.indices)
         across = np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...base.types import Floats
 from ...data import Measurements
-from ...model.drawing import Drawing, Part, line, with_target
+from ...model.drawing import Drawing, DrawnPart, line, with_target
 from .model import SphericalModel
 from .robot import SPHERICAL_ANGLES
 
@@ -26,21 +26,21 @@ def drawing(model: SphericalModel, data: Measurements, values: Floats, readings:
     by_angles = data.layout == SPHERICAL_ANGLES
     shown = model.robot.point(read[:, :2]) if by_angles else _on_the_drawn_sphere(model, read, target)
     parts = [
-        Part("actuated axis", "axis", line(-0.25 * pole, 1.15 * pole)),
-        Part("circle of the base", "guide", _circle(float(np.linalg.norm(pole[0])) * _PROXIMAL)),
+        DrawnPart("actuated axis", "axis", line(-0.25 * pole, 1.15 * pole)),
+        DrawnPart("circle of the base", "guide", _circle(float(np.linalg.norm(pole[0])) * _PROXIMAL)),
     ]
     for k, (near, elbow) in enumerate([(near_1, elbow_1), (near_2, elbow_2)], 1):
         axis = elbow - near
         parts += [
-            Part(f"proximal link {k}", "link", _arc(pole, axis, _PROXIMAL) + near[:, None]),
-            Part(f"elbow axis {k}", "axis", line(near, elbow)),
-            Part(f"distal link {k}", "rod", _arc(axis, end - centre, _DISTAL) + 0.5 * (near + centre)[:, None]),
-            Part(f"elbow {k}", "joint", line(near + _DISTAL * axis)),
+            DrawnPart(f"proximal link {k}", "link", _arc(pole, axis, _PROXIMAL) + near[:, None]),
+            DrawnPart(f"elbow axis {k}", "axis", line(near, elbow)),
+            DrawnPart(f"distal link {k}", "rod", _arc(axis, end - centre, _DISTAL) + 0.5 * (near + centre)[:, None]),
+            DrawnPart(f"elbow {k}", "joint", line(near + _DISTAL * axis)),
         ]
     parts += [
-        Part("tool", "platform", line(centre, end)),
-        Part("from the tool's axis to the marker", "ray", line(end, marker, target)),
-        Part("remote centre", "joint", line(centre)),
+        DrawnPart("tool", "platform", line(centre, end)),
+        DrawnPart("from the tool's axis to the marker", "ray", line(end, marker, target)),
+        DrawnPart("remote centre", "joint", line(centre)),
         *([] if by_angles else _camera(model, values)),
     ]
     return with_target(parts, target, shown)
@@ -75,7 +75,7 @@ def _on_the_drawn_sphere(model: SphericalModel, pixels: Floats, markers: Floats)
     return found
 
 
-def _camera(model: SphericalModel, values: Floats) -> list[Part]:
+def _camera(model: SphericalModel, values: Floats) -> list[DrawnPart]:
     """The camera with its errors: its centre, and a picture before it."""
     view, camera = model.robot.seen, model.camera_with(values)
     far = _CAMERA * float(np.linalg.norm(view.core.position))
@@ -84,7 +84,7 @@ def _camera(model: SphericalModel, values: Floats) -> list[Part]:
     eye = camera.position
     picture = eye + far * np.column_stack([corners, np.ones(5)]) @ camera.rotation
     return [
-        Part("picture of the camera", "sensor", picture[None]),
-        Part("camera", "sensor", line(picture[0], eye, picture[1], eye, picture[2], eye, picture[3])),
-        Part("where the camera looks", "guide", line(eye, eye + 5.0 * far * camera.rotation[2])),
+        DrawnPart("picture of the camera", "sensor", picture[None]),
+        DrawnPart("camera", "sensor", line(picture[0], eye, picture[1], eye, picture[2], eye, picture[3])),
+        DrawnPart("where the camera looks", "guide", line(eye, eye + 5.0 * far * camera.rotation[2])),
     ]

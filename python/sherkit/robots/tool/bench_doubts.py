@@ -13,7 +13,7 @@ import numpy as np
 
 from ...base import linalg
 from ...base.types import Bools, Floats
-from .bench_fit import DIFFERENCES, Rows
+from .bench_fit import DIFFERENCES, LoadRows
 from .tool import FIBRES, FlexibleTool
 
 _ROUNDS = 30
@@ -26,7 +26,7 @@ _LIKE, _UNLIKE = 0.35, 0.7
 _GRAM_FORCE, _NEAR = 9.80665, 0.25
 
 
-def wrong_loads(tool: FlexibleTool, rows: Rows) -> tuple[Bools, Floats]:
+def wrong_loads(tool: FlexibleTool, rows: LoadRows) -> tuple[Bools, Floats]:
     """Rows (n,) whose force is not what their gratings say, and by how much the gratings' is larger (n,)."""
     moments = _moments(tool, rows)
     told = _told(_gains(moments, rows.differences_nm), rows.differences_nm)
@@ -42,7 +42,7 @@ def wrong_loads(tool: FlexibleTool, rows: Rows) -> tuple[Bools, Floats]:
     return bad, np.asarray((np.linalg.norm(told, axis=2) / size).mean(axis=1))
 
 
-def against_drawing(tool: FlexibleTool, rows: Rows, shifts_nm: Floats) -> list[str]:
+def against_drawing(tool: FlexibleTool, rows: LoadRows, shifts_nm: Floats) -> list[str]:
     """Sentences on what the columns have wrong, by the drawing; ``shifts_nm`` (n, 6) of sections I and II."""
     drawn = np.array(tool.gains)
     gains = _gains(_moments(tool, rows), rows.differences_nm)
@@ -79,7 +79,7 @@ def against_drawing(tool: FlexibleTool, rows: Rows, shifts_nm: Floats) -> list[s
     return told
 
 
-def _swapped(tool: FlexibleTool, rows: Rows, shifts: Floats, drawn: Floats) -> str | None:
+def _swapped(tool: FlexibleTool, rows: LoadRows, shifts: Floats, drawn: Floats) -> str | None:
     for a, b in combinations(range(6), 2):
         order = np.arange(6)
         order[[a, b]] = b, a
@@ -95,7 +95,7 @@ def _apart(gains: Floats, drawn: Floats) -> float:
     return max(float(np.linalg.norm(gains[s] - drawn[s]) / np.linalg.norm(drawn[s])) for s in range(2))
 
 
-def _moments(tool: FlexibleTool, rows: Rows) -> Floats:
+def _moments(tool: FlexibleTool, rows: LoadRows) -> Floats:
     """By the drawing's arms (n, 2, 2)."""
     arms = np.array(tool.distances_mm) - rows.depth_mm[:, None]
     return np.asarray((rows.size_mn[:, None] * arms)[:, :, None] * rows.way[:, None, :])

@@ -66,7 +66,7 @@ class Scatter:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class LoadRows:
     """Loads (n,) as read: ``size_mn`` along ``way`` (n, 2) at ``depth_mm``, ``differences_nm`` (n, 2, 2) of sections I
     and II, ``deflection_mm`` (NaN: not read)."""
 
@@ -128,7 +128,7 @@ class BenchFit:
     minimised, with its Jacobian."""
 
     convention: Convention
-    rows: Rows
+    rows: LoadRows
     drawn: Drawn
     x: Floats
     covariance: Floats
@@ -147,7 +147,7 @@ class BenchFit:
 class _Model:
     """Residuals of rows under a convention, and their covariance."""
 
-    def __init__(self, rows: Rows, drawn: Drawn, convention: Convention, noise_nm: float) -> None:
+    def __init__(self, rows: LoadRows, drawn: Drawn, convention: Convention, noise_nm: float) -> None:
         self.rows, self.drawn, self.convention, self.noise_nm = rows, drawn, convention, noise_nm
 
     def residuals(self, x: Floats, larger: float = 1.0) -> tuple[Floats, Floats, Floats]:
@@ -238,7 +238,7 @@ class _Model:
 
 
 def fit_bench(
-    rows: Rows, drawn: Drawn, convention: Convention, noise_nm: float, scatter: Scatter | None = None
+    rows: LoadRows, drawn: Drawn, convention: Convention, noise_nm: float, scatter: Scatter | None = None
 ) -> BenchFit:
     """Fits a table read under a convention; with a ``scatter`` given, that is kept."""
     model = _Model(rows, drawn, convention, noise_nm)
@@ -375,7 +375,7 @@ def lack_of_fit(fit: BenchFit) -> tuple[Lack, ...]:
     return tuple(out)
 
 
-def best_fit(rows: Rows, drawn: Drawn, noise_nm: float, told: tuple[str, str]) -> list[BenchFit]:
+def best_fit(rows: LoadRows, drawn: Drawn, noise_nm: float, told: tuple[str, str]) -> list[BenchFit]:
     """Fits under all conventions that were not told otherwise (``"any"``), the best first; a difference of the deviance
     of less than 6 tells nothing, and the paper's own reading comes first then."""
     depth, force = told

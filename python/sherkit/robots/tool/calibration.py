@@ -27,7 +27,7 @@ from .bench_fit import (
     Convention,
     Drawn,
     Lack,
-    Rows,
+    LoadRows,
     Scatter,
     best_fit,
     chi2_as,
@@ -270,17 +270,19 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     )  # fmt: skip
 
 
-def _rows(loads: Loads, reference_nm: Floats) -> tuple[Rows, Floats]:
+def _rows(loads: Loads, reference_nm: Floats) -> tuple[LoadRows, Floats]:
     """The loaded rows, and their shifts (n, 6)."""
     on = loads.loaded
     force = loads.force_mn[on]
     size = np.linalg.norm(force, axis=1)
     shifts = loads.wavelengths_nm[on, :6] - reference_nm[:6]
     differences = np.einsum("dk,nsk->nsd", DIFFERENCES, shifts.reshape(-1, 2, 3))
-    return Rows(size, force / size[:, None], loads.depth_mm[on], differences, loads.deflection_mm[on]), shifts
+    return LoadRows(size, force / size[:, None], loads.depth_mm[on], differences, loads.deflection_mm[on]), shifts
 
 
-def _doubted(tool: FlexibleTool, loads: Loads, rows: Rows, shifts: Floats) -> tuple[Rows, Floats, tuple[str, ...]]:
+def _doubted(
+    tool: FlexibleTool, loads: Loads, rows: LoadRows, shifts: Floats
+) -> tuple[LoadRows, Floats, tuple[str, ...]]:
     """Rows and shifts without single wrong loads; sentences on these and on the columns."""
     bad, larger = wrong_loads(tool, rows)
     number = np.flatnonzero(loads.loaded) + 1
@@ -295,7 +297,7 @@ def _doubted(tool: FlexibleTool, loads: Loads, rows: Rows, shifts: Floats) -> tu
     return kept, shifts[keep], (*told, *against_drawing(tool, kept, shifts[keep]))
 
 
-def _roughly(tool: FlexibleTool, rows: Rows) -> Floats:
+def _roughly(tool: FlexibleTool, rows: LoadRows) -> Floats:
     """Gains (2, 2, 3) by plain least squares on the drawing's arms: for their size."""
     arms = np.array(tool.distances_mm) - rows.depth_mm[:, None]
     moments = (rows.size_mn[:, None] * arms)[:, :, None] * rows.way[:, None, :]
@@ -327,7 +329,7 @@ def _means(fit: BenchFit, shifts: Floats) -> tuple[Floats, float]:
     return out, max(off)
 
 
-def _slope(length_mm: float, rows: Rows) -> tuple[float, float]:
+def _slope(length_mm: float, rows: LoadRows) -> tuple[float, float]:
     """EI and its deviation by the paper's slope: ``F (h - d)³`` over the deflection, a line through the origin."""
     there = rows.bent > 0
     bend, load = rows.deflection_mm[there], (rows.size_mn * (length_mm - rows.depth_mm) ** 3)[there]

@@ -14,11 +14,11 @@ import numpy as np
 
 from ...base.types import Floats
 from ...model.effect import Effect, Parameter
-from .places import Places
+from .places import TipPlaces
 from .tool import FlexibleTool, nested, rotation_of
 
 #: Where the tip is (k, 3), mm, robot's base, with parameters of these values.
-TipWith = Callable[[Places, Floats], Floats]
+TipWith = Callable[[TipPlaces, Floats], Floats]
 #: The tool whose file says an effect of these values.
 ToolWith = Callable[[FlexibleTool, Floats], FlexibleTool]
 
@@ -94,7 +94,7 @@ def _effect(
     remedy="Load the shaft at a known place and measure the bend; identify EI again.",
     tool=_stiffer,
 )
-def tool_stiffness(at: Places, values: Floats) -> Floats:
+def tool_stiffness(at: TipPlaces, values: Floats) -> Floats:
     return at.tip(_stiffer(at.tool, values), at.felt)
 
 
@@ -106,7 +106,7 @@ def tool_stiffness(at: Places, values: Floats) -> Floats:
     remedy="Measure from the clamp to the tip.",
     tool=_longer,
 )
-def tool_length(at: Places, values: Floats) -> Floats:
+def tool_length(at: TipPlaces, values: Floats) -> Floats:
     return at.tip(_longer(at.tool, values), at.felt)
 
 
@@ -118,7 +118,7 @@ def tool_length(at: Places, values: Floats) -> Floats:
     residuals="Constant in the tool's frame, so that it turns with the tool; a camera's offset does not.",
     remedy="Turn the tool about its shaft before the camera: a bent tip walks on a circle.",
 )
-def shaft_bend(at: Places, values: Floats) -> Floats:
+def shaft_bend(at: TipPlaces, values: Floats) -> Floats:
     return at.tip_mm + np.einsum("nij,j->ni", at.turn[:, :, :2], values)
 
 
@@ -131,7 +131,7 @@ def shaft_bend(at: Places, values: Floats) -> Floats:
     remedy="Calibrate K_I and K_II again with known forces at known places.",
     tool=_stronger,
 )
-def fbg_gain(at: Places, values: Floats) -> Floats:
+def fbg_gain(at: TipPlaces, values: Floats) -> Floats:
     stronger = _stronger(at.tool, values)
     return at.tip(stronger, at.feel(stronger))
 
@@ -144,7 +144,7 @@ def fbg_gain(at: Places, values: Floats) -> Floats:
     remedy="Read the unloaded tool before each run and take that as reference_nm.",
     tool=_crept,
 )
-def fbg_bias(at: Places, values: Floats) -> Floats:
+def fbg_bias(at: TipPlaces, values: Floats) -> Floats:
     return _shifted(at, _of_fibres(values))
 
 
@@ -156,7 +156,7 @@ def fbg_bias(at: Places, values: Floats) -> Floats:
     remedy="Warm the unloaded tool and watch the moments; wait until it is warm before the run.",
     tool=_unlike,
 )
-def fbg_temperature(at: Places, values: Floats) -> Floats:
+def fbg_temperature(at: TipPlaces, values: Floats) -> Floats:
     common = (at.waves_nm - np.array(at.tool.reference_nm)).reshape(-1, 3, 3).mean(axis=2)
     return _shifted(at, np.repeat(common[:, :2], 3, axis=1) * _of_fibres(values))
 
@@ -168,7 +168,7 @@ def fbg_temperature(at: Places, values: Floats) -> Floats:
     residuals="Change sides with the direction in which the force changes.",
     remedy="Load and unload slowly at one place; look for a loop.",
 )
-def force_hysteresis(at: Places, values: Floats) -> Floats:
+def force_hysteresis(at: TipPlaces, values: Floats) -> Floats:
     return at.tip(at.tool, replace(at.felt, beside_mn=at.ahead(float(values[0]))))
 
 
@@ -181,7 +181,7 @@ def force_hysteresis(at: Places, values: Floats) -> Floats:
     residuals="Grow from the middle of the run's places outwards, across the axis of the turn.",
     remedy="Register again, with the free tool led through the whole workspace (sherkit register).",
 )
-def registration(at: Places, values: Floats) -> Floats:
+def registration(at: TipPlaces, values: Floats) -> Floats:
     # about the middle of the run, so that it does not take the part of the camera's offset
     middle = at.tip_mm.mean(axis=0)
     return middle + (at.tip_mm - middle) @ rotation_of(values)[0].T
@@ -195,7 +195,7 @@ def registration(at: Places, values: Floats) -> Floats:
     remedy="Let both clocks see one sharp motion; set delay_s.",
     tool=lambda tool, values: replace(tool, camera_delay_s=tool.camera_delay_s + float(values[0])),
 )
-def camera_delay(at: Places, values: Floats) -> Floats:
+def camera_delay(at: TipPlaces, values: Floats) -> Floats:
     return at.tip(at.tool, at.felt, at.moments_s - values[0])
 
 
@@ -211,11 +211,11 @@ def camera_delay(at: Places, values: Floats) -> Floats:
     remedy="Let robot and interrogator see one sharp touch; set [gratings] delay_s, or write fbg_time_s.",
     tool=lambda tool, values: replace(tool, fibre_delay_s=tool.fibre_delay_s + float(values[0])),
 )
-def fibre_delay(at: Places, values: Floats) -> Floats:
+def fibre_delay(at: TipPlaces, values: Floats) -> Floats:
     return at.tip(at.tool, at.feel(at.tool, at.waves_later(float(values[0]))))
 
 
-def _shifted(at: Places, shift_nm: Floats) -> Floats:
+def _shifted(at: TipPlaces, shift_nm: Floats) -> Floats:
     """The tip where the wavelengths of sections I and II hold a shift (n, 6) or (1, 6) that is no force."""
     waves = at.waves_nm.copy()
     waves[:, :6] -= shift_nm

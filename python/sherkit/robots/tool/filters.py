@@ -33,7 +33,7 @@ _SWAPPED_NM = 0.08
 
 
 @dataclass(frozen=True)
-class Fault:
+class GratingFault:
     """A grating (column) that was not believed in ``rows`` rows from ``since_s`` to ``until_s``, and what it did."""
 
     column: str
@@ -50,10 +50,10 @@ class Fault:
 
 def faults_of(
     time_s: Floats, wavelengths_nm: Floats, reference_nm: Floats, faulty: NDArray[np.uint16]
-) -> tuple[Fault, ...]:
+) -> tuple[GratingFault, ...]:
     """Names what the filter left out (n,; a bit for each grating) of wavelengths (n, 9)."""
     bits = (faulty[:, None] >> np.arange(9)) & 1 > 0
-    found: list[Fault] = []
+    found: list[GratingFault] = []
     shift = wavelengths_nm - reference_nm
     for k in range(9):
         rows = bits[:, k]
@@ -61,7 +61,7 @@ def faults_of(
             continue
         where = np.flatnonzero(rows)
         what = _what(k, rows, shift, bits)
-        found.append(Fault(FIBRES[k], float(time_s[where[0]]), float(time_s[where[-1]]), len(where), what))
+        found.append(GratingFault(FIBRES[k], float(time_s[where[0]]), float(time_s[where[-1]]), len(where), what))
     return tuple(found)
 
 
@@ -207,7 +207,7 @@ class Estimate(Shown):
         return np.asarray(self.together.status & _core.STATUS_GATED > 0)
 
     @cached_property
-    def faults(self) -> tuple[Fault, ...]:
+    def faults(self) -> tuple[GratingFault, ...]:
         """Gratings that were left out for a while, and what they did."""
         run = self.run
         return faults_of(run.time_s, run.wavelengths_nm, np.array(self.tool.reference_nm), self.faulty)

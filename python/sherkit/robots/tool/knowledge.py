@@ -30,7 +30,7 @@ _FINEST_MM = 1e-3
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class NeesConsistency:
     """How true the stated deviations of one estimate are, on ``rows`` of a run under a condition.
 
     ``coverage`` of what is stated to be 95 %; ``nees`` per degree of freedom, 1 where honest, with the 99 % band of as
@@ -67,7 +67,7 @@ class Knowledge:
 
 
 @linalg.one_thread()
-def known(e: Estimate) -> list[Knowledge]:
+def known(e: Estimate) -> list[NeesConsistency]:
     """Depth where the run has ``depth_mm``, tip where a camera saw it; over the run, with and without a force.
 
     The filter of both stands beside the others where these are not its parts.
@@ -75,7 +75,7 @@ def known(e: Estimate) -> list[Knowledge]:
     run, tool = e.run, e.tool
     apart = tool.noise != "propagated"
     told = np.isfinite(e.fibre_depth_mm)
-    out: list[Knowledge] = []
+    out: list[NeesConsistency] = []
     if run.depth_mm is not None:
         there = np.isfinite(run.depth_mm)
         depths = {
@@ -103,7 +103,7 @@ def known(e: Estimate) -> list[Knowledge]:
 
 def _by_condition(
     quantity: str, signal: str, truth: str, off: Floats, covariance: Floats, of_truth: float, told: Bools
-) -> list[Knowledge]:
+) -> list[NeesConsistency]:
     conditions = {"whole run": np.ones(len(off), dtype=bool), "with a force": told, "without a force": ~told}
     return [
         knowledge(off[rows], covariance[rows], of_truth, quantity=quantity, signal=signal, truth=truth, condition=name)
@@ -115,7 +115,7 @@ def _by_condition(
 def knowledge(
     off: Floats, covariance: Floats, of_truth: float = 0.0, *, quantity: str = "depth", signal: str = "filter",
     truth: str = "truth", condition: str = "whole run",
-) -> Knowledge:  # fmt: skip
+) -> NeesConsistency:  # fmt: skip
     """From errors (n, k), mm, with stated covariances (n, k, k), mm², against a truth with its own variance, mm².
 
     Rows whose estimate or covariance is no number cover nothing, and are left out of the NEES.
@@ -123,7 +123,7 @@ def knowledge(
     rows, k = off.shape
     usable = np.isfinite(off).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     if not usable.any():
-        return Knowledge(quantity, signal, truth, condition, rows, coverage=0.0, nees=np.inf, low=0.0, high=0.0,
+        return NeesConsistency(quantity, signal, truth, condition, rows, coverage=0.0, nees=np.inf, low=0.0, high=0.0,
                             largest=np.inf, of_truth=0.0, least_coverage=STATED)  # fmt: skip
     off, spread = off[usable], covariance[usable] + (of_truth + _FINEST_MM**2) * np.eye(k)
     whitened = linalg.solve(linalg.cholesky(spread), off[..., None])[..., 0]
@@ -134,7 +134,7 @@ def knowledge(
     low, high = scipy.stats.chi2.ppf([(1 - NIS_LEVEL) / 2, (1 + NIS_LEVEL) / 2], independent * k) / (independent * k)
     own = of_truth * k / np.einsum("nii->n", spread)
     inside = int((squared <= scipy.stats.chi2.ppf(STATED, k)).sum())
-    return Knowledge(
+    return NeesConsistency(
         quantity=quantity, signal=signal, truth=truth, condition=condition, rows=rows, coverage=inside / rows,
         nees=nees, low=float(low), high=float(high),
         largest=float((np.abs(off) / np.sqrt(np.einsum("nii->ni", spread))).max()), of_truth=float(np.median(own)),
@@ -163,7 +163,7 @@ MISMATCH_MM = 0.1
 
 
 @dataclass(frozen=True)
-class Errors:
+class SignalErrors:
     """Mean error in mm of one signal over all rows, over T0 and over T1 (NaN where there is none), and the largest."""
 
     signal: str
@@ -174,15 +174,15 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class ErrorStatistics:
     """Errors of every signal for one quantity, ``"depth"`` or ``"tip"``; ``share_t0`` of the rows are T0."""
 
     quantity: str
     truth: str
     share_t0: float
-    errors: tuple[Errors, ...]
+    errors: tuple[SignalErrors, ...]
 
-    def of(self, signal: str) -> Errors:
+    def of(self, signal: str) -> SignalErrors:
         """The errors of a signal by name."""
         return next(e for e in self.errors if e.signal == signal)
 
@@ -192,7 +192,7 @@ class Judgement:
 
 
 @linalg.one_thread()
-def judge(e: Estimate) -> list[Judgement]:
+def judge(e: Estimate) -> list[ErrorStatistics]:
     """Depth where the run has it, tip where a camera saw it. T0 and T1 by the filters of Eqs. 8 and 14.
 
     Raises :class:`~sherkit.errors.MeasurementError` for a camera whose places are in another unit.
@@ -233,11 +233,11 @@ def judge(e: Estimate) -> list[Judgement]:
     return out
 
 
-def _judged(quantity: str, truth: str, errors: dict[str, Floats], t0: Bools) -> Judgement:
+def _judged(quantity: str, truth: str, errors: dict[str, Floats], t0: Bools) -> ErrorStatistics:
     def mean(values: Floats) -> float:
         return float(values.mean()) if len(values) else float("nan")
 
     made = tuple(
-        Errors(name, mean(one), mean(one[t0]), mean(one[~t0]), float(one.max())) for name, one in errors.items()
+        SignalErrors(name, mean(one), mean(one[t0]), mean(one[~t0]), float(one.max())) for name, one in errors.items()
     )
-    return Judgement(quantity, truth, float(t0.mean()), made)
+    return ErrorStatistics(quantity, truth, float(t0.mean()), made)

@@ -22,12 +22,12 @@ from ...base.types import Floats
 from ...data import Measurements, from_arrays
 from ...errors import FitError, MeasurementError, RobotError
 from ...fit.identify import Fit
-from ...model.drawing import Drawing, Part, line, with_target
+from ...model.drawing import Drawing, DrawnPart, line, with_target
 from ...model.effect import Effect, Parameter
-from ...model.rows import Rows
+from ...model.rows import EffectRows
 from .alignment import at_times
 from .effects import TOOL_CATALOGUE, ToolEffect
-from .places import Places
+from .places import TipPlaces
 from .runs import ToolRun, check_camera, check_wavelengths, require_camera
 from .tool import FlexibleTool, rotation_of
 
@@ -71,15 +71,15 @@ def drawing(
     far = np.linalg.norm(to_camera, axis=1, keepdims=True)
     sight = shown_mm + _SIGHT * length * np.divide(to_camera, far, out=np.zeros_like(to_camera), where=far > 0)
     parts = [
-        Part("shaft without force", "guide", line(clamp, unbent_mm)),
-        Part("hole in the sclera", "sensor", hole[:, None] + circle),
-        Part("shaft", "link", along(whole)),
-        Part("clamp", "joint", line(clamp)),
+        DrawnPart("shaft without force", "guide", line(clamp, unbent_mm)),
+        DrawnPart("hole in the sclera", "sensor", hole[:, None] + circle),
+        DrawnPart("shaft", "link", along(whole)),
+        DrawnPart("clamp", "joint", line(clamp)),
         *(
-            Part(f"gratings of section {name}", "joint", along(np.full((n, 1), length - distance)))
+            DrawnPart(f"gratings of section {name}", "joint", along(np.full((n, 1), length - distance)))
             for name, distance in zip(("I", "II"), tool.distances_mm, strict=True)
         ),
-        Part("towards the camera", "guide", line(shown_mm, sight)),
+        DrawnPart("towards the camera", "guide", line(shown_mm, sight)),
     ]
     return with_target(parts, tip_mm, shown_mm)
 
@@ -211,20 +211,20 @@ class ToolModel(Saved):
     # -- what effects do ---------------------------------------------------------------------------------
 
     @cached_property
-    def _places(self) -> Places:
-        return Places(self.tool, self.run, self.moments_s)
+    def _places(self) -> TipPlaces:
+        return TipPlaces(self.tool, self.run, self.moments_s)
 
     @staticmethod
     def _rows(data: Measurements) -> NDArray[np.int64]:
         return data[_PICTURE].astype(np.int64)
 
-    def _adding(self, effect: ToolEffect) -> Callable[[Rows, SimpleNamespace], Floats]:
+    def _adding(self, effect: ToolEffect) -> Callable[[EffectRows, SimpleNamespace], Floats]:
         """What the effect adds on rows of this run, remembered for the values asked last."""
         places, names = self._places, [p.name for p in effect.parameters]
         farthest = _FARTHEST * np.array([p.size for p in effect.parameters])
         last: dict[tuple[float, ...], Floats] = {}
 
-        def adds(rows: Rows, p: SimpleNamespace) -> Floats:
+        def adds(rows: EffectRows, p: SimpleNamespace) -> Floats:
             values = tuple(float(getattr(p, name)) for name in names)
             if (np.abs(values) > farthest).any():
                 raise FitError(f"{effect.name}: a step of {_FARTHEST:g} plausible sizes and more")

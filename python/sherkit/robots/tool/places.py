@@ -119,7 +119,7 @@ class Felt:
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class TipPlaces:
     """Places of the tip at moments (k,), s by the robot's clock, of a tool in a run."""
 
     tool: FlexibleTool

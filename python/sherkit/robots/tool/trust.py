@@ -9,7 +9,7 @@ import numpy as np
 from ...base.answer import Answer, ToDo
 from .exchanged import exchanged
 from .filters import Estimate
-from .knowledge import Knowledge
+from .knowledge import NeesConsistency
 
 #: Without a truth: a mean of squared innovations over their variances beyond which deviations are too small.
 _TOO_FAR = 1.5
@@ -35,7 +35,7 @@ class Trust:
         return Answer(f"the depth is {self.verdict}", "", (self.sentence, *self.noticed), (ToDo(self.to_do),))
 
 
-def trust(e: Estimate, truths: list[Knowledge]) -> Trust:
+def trust(e: Estimate, truths: list[NeesConsistency]) -> Trust:
     """From what is known of the depth's errors, where the run tells a truth; else from its innovations, which see no
     bias and never know that a filter is too careful."""
     noticed = tuple(_noticed(e))

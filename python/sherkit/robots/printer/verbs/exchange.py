@@ -17,10 +17,10 @@ from ....data.files import write_whole
 from ....errors import SherkitError
 from ....model.robot_file import save_robot
 from ...calibrated import Calibration
-from ..calibration import Held, PrinterCalibration, commands, held, klipper_config
+from ..calibration import FirmwareFit, PrinterCalibration, commands, held, klipper_config
 from ..gcode import import_duet, import_marlin
 from ..klipper import import_klipper
-from ..robot import Found
+from ..robot import ImportedPrinter
 from .printer import turned
 
 # -- Into sherkit's files --------------------------------------------------------------------------------------------
@@ -58,7 +58,7 @@ def marlin(text: Path, plates: tuple[str, ...], folder: Path) -> None:
     _write_printer(import_marlin(text, turned(plates)), folder)
 
 
-def _write_printer(found: Found, folder: Path) -> None:
+def _write_printer(found: ImportedPrinter, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     save_robot(found.robot, folder / "robot.toml")
     found.measurements.save(folder / "run.csv")
@@ -104,7 +104,7 @@ def _commands(calibration: Path, destination: Path, firmware: str) -> None:
     _say(destination, firmware, made, found)
 
 
-def _held(calibration: Path) -> tuple[PrinterCalibration, Held]:
+def _held(calibration: Path) -> tuple[PrinterCalibration, FirmwareFit]:
     """A printer's calibration, and what of it a firmware can hold."""
     made = Calibration.load(calibration)
     if not isinstance(made, PrinterCalibration):
@@ -115,7 +115,7 @@ def _held(calibration: Path) -> tuple[PrinterCalibration, Held]:
     return made, held(made.robot, dict(zip(names, made.whole.values.tolist(), strict=True)))
 
 
-def _say(destination: Path, firmware: str, made: PrinterCalibration, found: Held) -> None:
+def _say(destination: Path, firmware: str, made: PrinterCalibration, found: FirmwareFit) -> None:
     output.say(f"{destination} written")
     if made.whole.effects:
         output.say(

@@ -11,7 +11,7 @@ import click
 from ....cli import output
 from ....cli.exchange import folder_option
 from ....cli.export import written_as
-from ....cli.file_kinds import CALIBRATION, KINEMATICS, ROBOT, TABLE, URDF, Look
+from ....cli.file_kinds import CALIBRATION, KINEMATICS, ROBOT, TABLE, URDF, FileContent
 from ....cli.groups import examples
 from ....cli.paths import InputFile, OutputFile
 from ....data.files import write_whole
@@ -89,7 +89,7 @@ def poses(robot: Path, run: Path, lever_mm: float, folder: Path) -> None:
 
 def _arm(path: Path, held: tuple[str, ...] = (FOLLOWING,)) -> tuple[Serial, SerialCalibration | None]:
     """The arm of a calibration, as identified, or of a robot file, as drawn."""
-    if not CALIBRATION.holds(Look(path)):
+    if not CALIBRATION.holds(FileContent(path)):
         robot = load_robot(path)
         if not isinstance(robot, Serial):
             raise RobotError(f'{path}: expected an arm (kind = "serial") or its calibration, found "{robot.kind}"')
@@ -204,7 +204,7 @@ def export_program(
     temperature_c: float | None, destination: Path,
 ) -> None:  # fmt: skip
     """TARGETS (x_mm … and turns, or joints) as the controller of an arm must be given them: it knows the drawing."""
-    if not CALIBRATION.holds(Look(calibration)):
+    if not CALIBRATION.holds(FileContent(calibration)):
         raise SherkitError(f"{calibration}: expected the calibration of an arm: as drawn, every target stays as it is")
     made = _calibrated_arm(calibration)
     working = None

@@ -23,7 +23,7 @@ from ..calibration import ToolCalibration, read_loads
 from ..calibration import calibrate_tool as run_calibration
 from ..filters import Estimate, status_in_words
 from ..filters import estimate as run_filters
-from ..knowledge import Errors, Judgement, Knowledge, judge, known
+from ..knowledge import ErrorStatistics, NeesConsistency, SignalErrors, judge, known
 from ..model import Applied
 from ..runs import read_tool_run, require_camera, summary
 from ..tool import FlexibleTool, load_tool
@@ -96,7 +96,7 @@ def estimate(
         output.say(f"drawn in {picture}")
 
 
-def _bars(judged: Sequence[Judgement]) -> tuple[Bar, ...]:
+def _bars(judged: Sequence[ErrorStatistics]) -> tuple[Bar, ...]:
     """Mean errors of the depth beside the paper's filter, where the run tells them."""
     errors = {e.signal: e.total for j in judged if j.quantity == "depth" for e in j.errors}
     which = ((BEFORE, "paper's filter"), (AFTER, "filter"))
@@ -105,7 +105,7 @@ def _bars(judged: Sequence[Judgement]) -> tuple[Bar, ...]:
     )
 
 
-def _print_errors(j: Judgement) -> None:
+def _print_errors(j: ErrorStatistics) -> None:
     table = output.table(
         f"Error of the {j.quantity}, mean, mm", "", "whole run", f"T0 ({100 * j.share_t0:.0f} %)", "T1", "largest",
         note=f"against {j.truth}; T0: filter and {'gratings' if j.quantity == 'depth' else 'kinematics'} differ by "
@@ -116,11 +116,11 @@ def _print_errors(j: Judgement) -> None:
     output.out.print(table)
 
 
-def _error_cells(e: Errors) -> tuple[str, ...]:
+def _error_cells(e: SignalErrors) -> tuple[str, ...]:
     return tuple(f"{v:.3f}" if np.isfinite(v) else "–" for v in (e.total, e.t0, e.t1, e.largest))
 
 
-def print_knowledge(truths: list[Knowledge]) -> None:
+def print_knowledge(truths: list[NeesConsistency]) -> None:
     """Whether stated deviations are true, where a truth is known."""
     if truths:
         coarse = any(k.of_truth > _COARSE for k in truths)
@@ -135,7 +135,7 @@ def print_knowledge(truths: list[Knowledge]) -> None:
         output.out.print(table)
 
 
-def _knowledge_cells(k: Knowledge) -> tuple[str, ...]:
+def _knowledge_cells(k: NeesConsistency) -> tuple[str, ...]:
     name = f"{k.quantity}, {k.signal}, {k.condition}"
     band = f"{k.low:.2f} to {k.high:.2f}"
     return name, str(k.rows), f"{k.coverage:.3f}", f"{k.nees:.2f}", band, f"{k.largest:.1f}", _of_truth(k)
@@ -149,7 +149,7 @@ def _print_noticed(e: Estimate) -> None:
         output.say("depth was only predicted on rows " + ", ".join(f"{name}: {n}" for name, n in told.items()))
 
 
-def _of_truth(k: Knowledge) -> str:
+def _of_truth(k: NeesConsistency) -> str:
     """The verdict; where the truth is the coarser of both, an error beyond what is stated may as well be its own."""
     return "overconfident, or the camera" if k.verdict == "overconfident" and k.of_truth > _COARSE else k.verdict
 
@@ -159,7 +159,7 @@ def number(v: float) -> float | None:
     return float(v) if np.isfinite(v) else None
 
 
-def _json(e: Estimate, judged: list[Judgement], truths: list[Knowledge]) -> dict[str, object]:
+def _json(e: Estimate, judged: list[ErrorStatistics], truths: list[NeesConsistency]) -> dict[str, object]:
     told = trust(e, truths)
     return {
         "noise": e.tool.noise,

@@ -23,7 +23,7 @@ from ..filters import Estimate
 from ..filters import estimate as run_filters
 from ..knowledge import judge, known
 from ..model import Applied, ToolModel, applied
-from ..places import Places
+from ..places import TipPlaces
 from ..runs import ToolRun, read_tool_run, require_camera
 from ..tare import Tare, tare
 from ..tool import FlexibleTool, load_tool
@@ -71,7 +71,7 @@ def tool_story(
         )
         step("unloaded seconds")
         tares = _tared(registered(calibration.tool, found), led, recorded)
-        hole = Places(tares[-1].tool, recorded, recorded.time_s[:1]).hole
+        hole = TipPlaces(tares[-1].tool, recorded, recorded.time_s[:1]).hole
         made = tares[-1].tool if hole is None else hole.in_tool(tares[-1].tool)
         step("depth and tip")
         before = run_filters(made, recorded)
