@@ -5,18 +5,20 @@
 //! is left is its pace.
 
 use super::start::{Edge, Then, ToolFilter};
-use super::state::{CLEARANCE, DEEPER, GIVES, L, N, State, TURN};
+use super::state::{CLEARANCE, GIVES, L, N, State, TURN};
 use crate::numbers::math::sqrt;
 use nalgebra::{Vector2, Vector3};
 
 /// The pace is taken over this time, and remembered for the other, s.
 const OVER_S: f64 = 0.1;
 const KEPT_S: f64 = 5.0;
-/// How long the robot's lateness is looked at, s, and deviations beyond which it is none by chance.
+/// How long the robot's lateness is looked at, and over which time its sign is taken, s; how late one may be, s; what strays
+/// over that time before anything is known of them, mm²; the odds that one is late at all; deviations beyond which it is said.
 const LATE_S: f64 = 30.0;
 const COMPARED_S: f64 = 0.5;
-const FEW: f64 = 5.5;
-const WORST_S: f64 = 0.03;
+const MAY_BE_S: f64 = 0.04;
+const STRAYS_MM2: f64 = 0.04;
+const ODDS: f64 = 1.0 / 3.0;
 const BEYOND: f64 = 2.5;
 /// A square of what is left over its variance above which a window says nothing of the hole.
 const FITS: f64 = 16.0;
@@ -26,16 +28,18 @@ const HARDENS: f64 = 0.1;
 const UNREAD_MN: f64 = 100.0;
 
 impl Edge {
-    /// By how much the robot is late, s, and the variance of that, s²; nothing before that is known at all.
+    /// By how much the robot is late, s, and the square of its deviation, s²: it is late or it is not, one robot in four before
+    /// anything was seen (Jeffreys, *Theory of Probability*, V), so that what the strays exclude is not doubted on.
     pub(super) fn late(&self) -> (f64, f64) {
         let [with, own, square, n] = self.late;
-        let variance = square / (n * own);
-        // false for NaN
-        if n > FEW && variance < WORST_S * WORST_S {
-            (with / own, variance)
-        } else {
-            (0.0, 0.0)
-        }
+        let before = MAY_BE_S * MAY_BE_S;
+        let told = before * (n + 1.0) / (square + STRAYS_MM2);
+        let variance = before / (1.0 + own * told);
+        let mean = with * told / before * variance;
+        let odds =
+            ODDS * sqrt(variance / before) * libm::exp((0.5 * mean * mean / variance).min(50.0));
+        let is = odds / (1.0 + odds);
+        (is * mean, is * (variance + (1.0 - is) * mean * mean))
     }
 
     /// Strays over half a second beside how the motion of the hole aside changed in it: tremor is over by then.
@@ -125,11 +129,7 @@ impl ToolFilter {
         let hard = HARDENS * x[GIVES] * (now.size - then.size);
         for (on, noise) in [now.way, quarter(&now.way)].iter().zip(by_noise) {
             let mut h = [0.0; N];
-            h[L] = if s.learnt > DEEPER {
-                -tilt.dot(on)
-            } else {
-                0.0
-            };
+            h[L] = -tilt.dot(on);
             h[CLEARANCE] = on.dot(&(way - now.way));
             h[GIVES] = on.dot(&(way * then.size - now.way * now.size));
             h[TURN] = on.dot(&quarter(&(way * offs[0] - here)));

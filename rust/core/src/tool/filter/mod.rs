@@ -31,11 +31,12 @@ use super::poses::Posed;
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
 use start::possible;
-use state::BENCH;
 
 /// A stamp further ahead of the present than this is a wild number and no clock, s; a step is no longer than the other.
 const AHEAD_S: f64 = 0.3;
 const LONGEST_S: f64 = 1e6;
+/// Deviations of the bench's zero beyond which it is no zero.
+const GUARD: f64 = 1.5;
 impl ToolFilter {
     /// Moves the tool to a pose at a time, and folds in a reading: its stamp on the clock of the steps (s) and nine
     /// wavelengths (nm; three fibres at each of the sections I, II, III). A stamp may lie up to 0.3 s back, and must be
@@ -133,7 +134,8 @@ impl ToolFilter {
     /// Whether depths said of the bench's zero what no zero can be: the hole goes with the shaft, or the robot is late.
     #[must_use]
     pub fn goes_along(&self) -> bool {
-        self.state.learnt < BENCH
+        let own = self.trusted.doubt.deeper_mm;
+        self.state.x[state::DEEPER].abs() > GUARD * own && own > 0.0
     }
 
     /// How much fibres lag behind their bends, over the bend: what all of them have in common.

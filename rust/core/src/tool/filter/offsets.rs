@@ -21,7 +21,7 @@ const NOISE: f64 = 0.2;
 /// what they may lag before anything was seen of it, over the bend, squared.
 const RESTS_NM2: f64 = 2e-6;
 const RESTS_NOISE: f64 = 9.0;
-pub(super) const MAY_LAG: f64 = 1e-5;
+const MAY_LAG: f64 = 1e-5;
 /// Rests are compared that lie further apart than this, s; deviations beyond which a change is no noise; what is left of a
 /// change after another.
 const APART_S: f64 = 1.5;
@@ -40,13 +40,13 @@ const CHANCE: f64 = 1.25;
 const WILD: f64 = 16.0;
 /// Noise that is so much larger than what changes from reading to reading, squared, is not white.
 const WHITE: f64 = 4.0;
+/// How much more of a lag stands along a force where three fibres lag alike than where each does by itself.
+const ALIKE: f64 = 3.0;
 /// How much of a lag, squared, is a section's own along a force: three times what shows across it.
 pub(super) const UNLIKE: f64 = 1.0 / 7.0;
-/// The least and the largest lag over the bend, squared; a bend that tells of it, squared, nm²; how far the warmth of two
-/// gratings differs, nm.
-const LEAST: f64 = 4e-8;
+/// The least and the largest lag over the bend, squared; how far the warmth of two gratings differs, nm.
+pub(super) const LEAST: f64 = 4e-8;
 const MOST: f64 = 1e-2;
-const TELLS_NM2: f64 = 0.01;
 pub(super) const APART_NM: f64 = 1e-3;
 
 impl Offsets {
@@ -60,7 +60,7 @@ impl Offsets {
             self.crosses += ((misfit.min(most) - CHANCE) * noise - self.crosses) * share;
             self.crossing += (0.5 * (self.bent[0] + self.bent[1]) - self.crossing) * share;
             let told = ALONG * self.crosses / self.crossing;
-            self.across = if told > 0.0 { told.min(MOST) } else { 0.0 };
+            self.lag = if told > LEAST { told.min(MOST) } else { LEAST };
         }
     }
 }
@@ -76,10 +76,10 @@ impl ToolFilter {
 
     /// Variance of a component of a force, mN², that counts moments so, by what all fibres lag alike.
     #[inline]
-    pub(super) fn lagging_force(&self, by_moments: [f64; 2], least: f64) -> f64 {
+    pub(super) fn lagging_force(&self, by_moments: [f64; 2]) -> f64 {
         let (o, per_nm) = (&self.offsets, self.gratings.per_nm);
-        let (lag, slow) = ((o.lag - LEAST).max(least), self.slow_noise());
-        let of = |i: usize| by_moments[i] * sqrt((lag * o.bent[i] + slow) * per_nm[i]);
+        let (lag, slow) = ((o.lag - LEAST).max(0.0), self.slow_noise());
+        let of = |i: usize| by_moments[i] * sqrt((lag * o.bent[i] + ALIKE * slow) * per_nm[i]);
         (of(0) + of(1)) * (of(0) + of(1))
     }
 
@@ -99,7 +99,6 @@ impl ToolFilter {
             o.bent[i] = (o.bent[i] * keeps).max(bends[i].min(64.0));
         }
         let [one, two, _] = m.means_nm;
-        o.lag = o.across.max(o.at_rest).max(LEAST);
         let (told, before) = (0.5 * (one + two), o.warm.unwrap_or(0.5 * (one + two)));
         let warm = before + (told - before) * (elapsed_s / WARMS_S).min(1.0);
         o.warm = Some(warm);
@@ -179,9 +178,6 @@ impl ToolFilter {
                 } else {
                     0.0
                 };
-                // what was up is down: a change is twice as far
-                let lag = (0.25 * moved / o.bent[i].max(TELLS_NM2)).clamp(0.0, MOST);
-                o.at_rest = lag.max(o.at_rest + 0.3 * (lag - o.at_rest));
             }
         }
         o.rest = told;

@@ -6,7 +6,7 @@
 //! and a section of which a grating is lost still counts.
 
 use super::moments::Moments;
-use super::offsets::{APART_NM, MAY_LAG};
+use super::offsets::APART_NM;
 use super::start::{Drift, Felt, ToolFilter};
 use super::state::{BENCH, CLEARANCE, DEEPER, FRICTION, GIVES, L, N, OFFSETS, Row, Seen, State};
 use crate::numbers::math::sqrt;
@@ -29,8 +29,6 @@ const OVER_S: f64 = 0.2;
 const FOLLOWS: f64 = 0.1;
 const MOST: f64 = 16.0;
 const FASTEST: f64 = 256.0;
-/// Deviations of the bench's zero beyond which it is no zero: the hole goes with the shaft, or the robot is late.
-const GUARD: f64 = 1.5;
 
 /// What a reading says beside the expected state.
 #[derive(Clone, Copy, Debug)]
@@ -124,19 +122,14 @@ impl ToolFilter {
             misfit: 0.0,
         };
         let (by, g) = (said.by_moments, &self.gratings);
-        let of = |i: usize, more: f64| {
-            (s.p[OFFSETS + 2 * i][OFFSETS + 2 * i] + more * g.per_nm[i]) * by[i] * by[i]
-        };
+        let of = |i: usize| s.p[OFFSETS + 2 * i][OFFSETS + 2 * i] * by[i] * by[i];
         let unsure = said.noise + if self.tip.on { self.tip.unsure() } else { 0.0 };
         let squared = size * size / (DETECTED * DETECTED);
-        said.leans = squared > unsure + of(0, 0.0) + of(1, 0.0) && said.noise > 0.0;
-        // gratings that differ in warmth push nobody, nor do fibres that lag; and a force that acts at the tip pushes as from
-        // a hole there
-        let apart = APART_NM * APART_NM;
-        let lags = self.lagging_force(by, MAY_LAG);
-        let at_tip = (by[0] * near + by[1] * far) / DETECTED;
-        let hidden = self.tip.hidden() * at_tip * at_tip;
-        if said.leans && squared > unsure + of(0, apart) + of(1, apart) + lags + hidden {
+        said.leans = squared > unsure + of(0) + of(1) && said.noise > 0.0;
+        // gratings that differ in warmth push nobody
+        let apart =
+            APART_NM * APART_NM * (g.per_nm[0] * by[0] * by[0] + g.per_nm[1] * by[1] * by[1]);
+        if said.leans && squared > unsure + of(0) + of(1) + apart {
             self.compare(s, &mut said, m, &c, &f, &v);
         }
         said
@@ -182,6 +175,9 @@ impl ToolFilter {
             let of = |i: usize| self.bench[(i, k)];
             h[BENCH + k] = of(0) + d * (of(1) + d * of(2));
         }
+        // the bench's zero is learnt from a hole that stays, but no hole stays so well that it is known better than before
+        let zero = self.trusted.doubt.deeper_mm;
+        h[BENCH] = sqrt(h[BENCH] * h[BENCH] + zero * zero);
         // T = μ F makes T y at its own bend, F x³/6EI, beside F x
         let drag =
             said.size * c[0] * c[1] * (c[0] + c[1]) / (6.0 * self.trusted.rod.beam.stiffness());
@@ -220,7 +216,6 @@ impl ToolFilter {
             self.offsets
                 .crossed(said.misfit, self.gratings.noise, elapsed);
             self.drift(*mm, seen.total);
-            self.guard();
         } else {
             status = status | Status::NO_FORCE;
         }
@@ -275,24 +270,5 @@ impl ToolFilter {
             before: if now.is_finite() { now } else { 0.0 },
             ..Drift::new(self.state.time_s, d.per_second)
         };
-    }
-
-    /// The bench's zero is learnt from a hole that stays. Beyond what a bench can be off it is none, or a bad one: nobody
-    /// knows which, so it is considered from then on, as large as it came.
-    #[inline]
-    fn guard(&mut self) {
-        let (s, own) = (
-            &mut self.state,
-            self.trusted.doubt.deeper_mm * self.trusted.doubt.deeper_mm,
-        );
-        if s.learnt == BENCH && s.x[DEEPER] * s.x[DEEPER] > GUARD * GUARD * own && own > 0.0 {
-            s.learnt = DEEPER;
-            let own = s.x[DEEPER] * s.x[DEEPER];
-            s.x[L] += s.x[DEEPER];
-            s.x[DEEPER] = 0.0;
-            s.forget(L, own + 0.04);
-            s.forget(DEEPER, own);
-            (s.p[L][DEEPER], s.p[DEEPER][L]) = (-own, -own);
-        }
     }
 }

@@ -1,6 +1,7 @@
 //! What the filter holds, and how it starts.
 
 use super::moments::Gratings;
+use super::offsets::LEAST;
 use super::slips::Slips;
 use super::state::{BENCH, N, State};
 use crate::numbers::math::sqrt;
@@ -88,8 +89,6 @@ pub(super) struct Offsets {
     /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
     pub(super) bent: [f64; 2],
     pub(super) lag: f64,
-    pub(super) at_rest: f64,
-    pub(super) across: f64,
     /// What moments say across their force beyond noise, nm², and the bends in which they do, nm².
     pub(super) crosses: f64,
     pub(super) crossing: f64,
@@ -245,7 +244,10 @@ impl ToolFilter {
             }),
             state: State::new(time_s, pose, x, deviations),
             felt: None,
-            offsets: Offsets::default(),
+            offsets: Offsets {
+                lag: LEAST,
+                ..Offsets::default()
+            },
             drift: Drift::new(time_s, trusted.per_second_mm2 * 4.0),
             edge: Edge::default(),
             tip: Tip::default(),

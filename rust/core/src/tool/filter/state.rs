@@ -42,8 +42,6 @@ pub(super) struct State {
     pub(super) p: [Row; N],
     /// Deviation of `l` by errors of readings that last, mm: no averaging takes it.
     pub(super) lasting: f64,
-    /// How many of them measurements move; the rest is considered.
-    pub(super) learnt: usize,
     /// Place of the hole aside of the unbent axis, tool's frame, mm; force across the shaft, mN, and its way.
     pub(super) aside: Vector2<f64>,
     pub(super) size: f64,
@@ -54,8 +52,7 @@ pub(super) struct State {
     /// Whether anything has ever touched; whether the last reading felt nothing of the hole.
     pub(super) touched: bool,
     pub(super) free: bool,
-    /// The shaft's axis and the hole (base frame) when it was last felt; how far beyond its clearance the shaft went since.
-    axis: Vector3<f64>,
+    /// The hole (base frame) when it was last felt; how far beyond its clearance the shaft went since, mm.
     hole: Vector3<f64>,
     beyond: f64,
     /// How fast the shaft slides in, the hole goes aside of the tool, and the robot goes, mm/s, and squared, mm²/s².
@@ -86,14 +83,12 @@ impl State {
         for i in 0..N {
             p[i][i] = deviations[i] * deviations[i];
         }
-        let axis = pose.rotation.column(2).into_owned();
         Self {
             time_s,
             pose: *pose,
             x,
             p,
             lasting: 0.0,
-            learnt: BENCH,
             aside: Vector2::zeros(),
             size: 0.0,
             way: Vector2::new(1.0, 0.0),
@@ -101,8 +96,7 @@ impl State {
             relief: [1.0; 2],
             touched: false,
             free: true,
-            axis,
-            hole: pose.translation - axis * x[L],
+            hole: pose.translation - pose.rotation.column(2) * x[L],
             beyond: 0.0,
             slide: 0.0,
             speed: Vector3::zeros(),
@@ -137,7 +131,7 @@ impl State {
         }
         let (mut gain, mut less) = ([0.0; N], [0.0; N]);
         for i in 0..N {
-            gain[i] = if i < self.learnt {
+            gain[i] = if i < BENCH {
                 seen.with[i] * per_total
             } else {
                 0.0
@@ -185,39 +179,31 @@ impl State {
     #[inline]
     pub(super) fn go(&mut self, time_s: f64, pose: &Rigid, per_second_mm2: f64) {
         let (before, axes) = (self.pose.rotation, &pose.rotation);
-        let turn = axes.column(2) - before.column(2);
         let aside = before.column(0) * self.aside.x + before.column(1) * self.aside.y;
         let from_tip = aside - before.column(2) * self.x[L];
         let there = turned_back(axes, &(from_tip + self.pose.translation - pose.translation));
         if self.touched {
             // more clearance puts the hole further along the force, and the turn brings that into l
             let way = before.column(0) * self.way.x + before.column(1) * self.way.y;
-            let share = -turn.dot(&way);
+            let share = -(axes.column(2) - before.column(2)).dot(&way);
             let given = share * self.size;
-            if share != 0.0 {
-                for k in 0..N {
-                    self.p[L][k] += share * self.p[CLEARANCE][k] + given * self.p[GIVES][k];
-                }
-                for k in 0..N {
-                    self.p[k][L] += share * self.p[k][CLEARANCE] + given * self.p[k][GIVES];
-                }
+            for k in 0..N {
+                self.p[L][k] += share * self.p[CLEARANCE][k] + given * self.p[GIVES][k];
+            }
+            for k in 0..N {
+                self.p[k][L] += share * self.p[k][CLEARANCE] + given * self.p[k][GIVES];
             }
         }
         if self.free {
-            // a free shaft stands anywhere in its hole, and what it turns brings that into l
-            let turned = |z: &Matrix3<f64>| (z.column(2) - self.axis).norm_squared();
-            let more = turned(axes) - turned(&before);
-            let (c, of_c) = (self.x[CLEARANCE], self.p[CLEARANCE][CLEARANCE]);
-            self.p[L][L] += (0.5 * c * c + of_c) * more.max(0.0);
             // one that goes further aside than its hole is wide, and feels nothing, is not where it was
             let seen = turned_back(axes, &(self.hole - pose.translation));
-            let far = sqrt(seen.x * seen.x + seen.y * seen.y) - c - sqrt(of_c);
+            let clear = self.x[CLEARANCE] + sqrt(self.p[CLEARANCE][CLEARANCE]);
+            let far = sqrt(seen.x * seen.x + seen.y * seen.y) - clear;
             if far > self.beyond {
                 self.p[L][L] += far * far - self.beyond * self.beyond;
                 self.beyond = far;
             }
         } else {
-            self.axis = axes.column(2).into_owned();
             self.hole = self.pose.translation + from_tip;
             self.beyond = 0.0;
         }

@@ -12,8 +12,9 @@ pub(super) const DEEP_MM: f64 = 7.0;
 /// How fast such a force changes, mN²/s; more than this is a fault of gratings, mN.
 const CHANGES: f64 = 4.0;
 const MOST_MN: f64 = 40.0;
-/// How far a grating is off its zero, nm; squares of deviations from which on there is a force, and down to which.
-const ZERO_NM: f64 = 2.8e-4;
+/// How far a grating of III is off its zero by a warmth of its own, squared, nm²: 0.03 K at 10 pm/K.
+const ZERO_NM2: f64 = 1e-7;
+/// Squares of deviations from which on there is a force, and down to which.
 const FELT: f64 = 16.0;
 const GONE: f64 = 6.0;
 
@@ -30,16 +31,6 @@ impl Tip {
             }
         }
         left
-    }
-
-    /// Square of a force that is not felt yet, mN².
-    #[inline]
-    pub(super) fn hidden(&self) -> f64 {
-        if self.tells && !self.on {
-            FELT * (self.variance + self.of_zero)
-        } else {
-            0.0
-        }
     }
 
     /// Variance of a component, mN²; and what of it lasts.
@@ -75,7 +66,9 @@ impl ToolFilter {
             (t.force, t.variance) = (Vector2::zeros(), CHANGES);
         }
         t.tells = tells;
-        t.of_zero = per * (ZERO_NM * ZERO_NM + self.offsets.crept);
+        // its zero is known as well as the bench repeats a reference, and its gratings are as warm as each other
+        let zero = self.trusted.doubt.reference_nm;
+        t.of_zero = per * (zero * zero + ZERO_NM2 + self.offsets.crept);
         if tells {
             t.variance += CHANGES * elapsed_s;
             let gain = t.variance / (t.variance + per * g.noise);

@@ -2,13 +2,9 @@
 
 use super::start::ToolFilter;
 use super::state::{DEEPER, L, OFFSETS, State, TURN};
-use crate::numbers::math::sqrt;
 use crate::tool::rod::Bending;
 use crate::tool::status::Told;
 use nalgebra::{Matrix4, Vector2, Vector3, Vector4};
-
-/// By how much of its own square the way that a late robot has gone meanwhile may be off.
-const LATE: f64 = 0.6;
 
 impl ToolFilter {
     /// Depth and tip now, with what they know of each other: the state at the present, carried there where the last reading
@@ -25,19 +21,6 @@ impl ToolFilter {
         self.told_of(&s, self.strayed(&s))
     }
 
-    /// How far the robot has gone beyond what its rows say, mm, and the variance of a component of that, mm².
-    #[inline]
-    fn ahead(&self, s: &State) -> (Vector3<f64>, f64) {
-        let ((late, variance), told) = (self.edge.late(), self.late_s());
-        let square = if late > sqrt(variance) {
-            (if told > 0.0 { LATE } else { 1.0 }) * late * late + variance
-        } else {
-            told * told
-        };
-        // nobody reads what is to come: where gratings are ahead, the robot's rows are old
-        (s.speed * told.max(0.0), 0.5 * square * s.speed2)
-    }
-
     /// Of a state, with the variance of a component of its force that was not read.
     #[inline]
     fn told_of(&self, s: &State, stray: f64) -> Told {
@@ -50,7 +33,7 @@ impl ToolFilter {
         // variances of the force along and across itself, and how the depth goes with it
         let (mut along, mut across, mut depth) = (stray, stray, Vector2::zeros());
         if let Some(felt) = &self.felt {
-            let noise = felt.noise + self.lagging_force(felt.by_moments, 0.0);
+            let noise = felt.noise + self.lagging_force(felt.by_moments);
             along += noise + felt.by_depth * felt.by_depth * s.p[L][L];
             across += noise;
             depth.x = felt.by_depth * s.p[L][L];
@@ -115,8 +98,10 @@ impl ToolFilter {
                 spread[(k, k)] += self.tip.unsure() * gives * gives;
             }
         }
-        let (ahead, late) = self.ahead(s);
-        let tip = s.pose.apply(&Vector3::new(bent.x, bent.y, -shape.short)) + ahead;
+        // a late robot has gone on since; nobody reads what is to come, but where gratings are ahead its rows are old
+        let (late, unsure) = self.edge.late();
+        let tip = s.pose.apply(&Vector3::new(bent.x, bent.y, -shape.short));
+        let (tip, unsure) = (tip + s.speed * late.max(0.0), unsure + late * late);
         let axes = &s.pose.rotation;
         let mut to_base = Matrix4::identity();
         for i in 0..3 {
@@ -133,8 +118,9 @@ impl ToolFilter {
             }
             covariance[i][i] = covariance[i][i].max(0.0);
         }
+        covariance[0][0] += unsure * s.slide * s.slide;
         for k in 1..4 {
-            covariance[k][k] += late;
+            covariance[k][k] += 0.5 * unsure * s.speed2;
         }
         Told {
             time_s: s.time_s,
