@@ -156,7 +156,7 @@ ITEMS = [
          "without that no set of changes is likely. Fits of either night alone differ by 13.2″. What else has "
          "changed these two nights cannot tell: the index error IH and any smooth course in elevation would each do. "
          "There are no repeats; the noise is what a night's own fit leaves.",
-         "from sherkit.report.stories import before_and_after\n"
+         "from sherkit.report.pages import before_and_after\n"
          "before_and_after(sk.compare(mount.Mount(), nights[1:3]))", "mount"),
     Item("course", "The course: four nights of one telescope",
          "The same mount from 2021 to 2025: in July 2023 alone its axis leaned by 12.6″ more. The verdict is `partly "
@@ -169,7 +169,7 @@ ITEMS = [
          "other mounts (tests/data/gem_mount_pointing), taken for before and after, are `unchanged` of one and "
          "`unexplained` of two: they bend another way when they are turned over, no term has changed, and none is "
          "named. Of the printer in tests/data there is one mesh: no pair.",
-         "from sherkit.report.stories import course\n"
+         "from sherkit.report.pages import course\n"
          "course(sk.history(mount.Mount(), nights, dates=dates))", "mount"),
 ]  # fmt: skip
 

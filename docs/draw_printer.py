@@ -16,8 +16,8 @@ def main() -> None:
     """Writes ``docs/pictures/printer.svg``."""
     sys.path.insert(0, str(ROOT / "tests"))
     from second_printer.trials import Trial
-    from sherkit.robots.printer.examined import examine, files_of
     from sherkit.robots.printer.page import drawing
+    from sherkit.robots.printer.printer_diagnosis import examine, files_of
 
     with tempfile.TemporaryDirectory() as folder:
         files = Trial.of("frame twisted", 5, 1).write(Path(folder), "klipper", (0.0, 60.0), 1)

@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sherkit.robots.tool.alignment import at_times
+from sherkit.robots.tool.consistency import MISMATCH_MM
 from sherkit.robots.tool.filters import Estimate, estimate
-from sherkit.robots.tool.knowledge import MISMATCH_MM
 from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool

@@ -15,7 +15,7 @@ from driven_worlds import DrivenDelta
 from running import command, thin
 from second_printer.trials import Trial
 from sherkit.report.page import Made
-from sherkit.report.stories import write_adaptive
+from sherkit.report.pages import write_adaptive
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool
 from test_arm_counted import arm_in

@@ -11,7 +11,7 @@ import pytest
 import sherkit as sk
 from driven_worlds import DrivenDelta, World
 from sherkit.report.page import Made
-from sherkit.report.stories import write_adaptive
+from sherkit.report.pages import write_adaptive
 
 HIDDEN = "rail_lean"
 

@@ -199,7 +199,7 @@ def test_pictures_of_what_has_changed(bumped: DeltaPair) -> None:
     """Catches a mechanism in which another part has moved, one that is drawn where nothing was named, and runs on
     scales of their own."""
     pytest.importorskip("bokeh", reason="pages need Bokeh")
-    from sherkit.report.stories import before_and_after, mechanism_with_change
+    from sherkit.report.pages import before_and_after, mechanism_with_change
 
     found = bumped.compare()
     drawn = mechanism_with_change(found)

@@ -32,7 +32,7 @@ from sherkit.model.robot_file import run_for
 from sherkit.model.sensor_pose import POSE, slip_of
 from sherkit.robots.calibrated import calibration_class
 from sherkit.robots.calibration_run import CalibrationRun
-from sherkit.robots.part import IdentifiedModel
+from sherkit.robots.identified_model import IdentifiedModel
 from sherkit.robots.serial import SerialCalibration, VirtualSerial, postures
 from test_arm_counted import arm_in
 from test_calibration import made, seen

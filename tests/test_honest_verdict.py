@@ -20,7 +20,7 @@ import mistakes
 import sherkit as sk
 import worlds
 from consistency import PRAISED, consistent, contradictions, named, noise_of
-from sherkit.diagnosis.answers import SINGLY
+from sherkit.diagnosis.result import SINGLY
 from sherkit.evidence.fitted_run import FittedRun
 from worlds import NOISE_PX, NOISE_UM, ROWS, Answer, World
 

@@ -19,7 +19,7 @@ from sherkit.lab.emulators import Faults, ScpiEmulator, World
 from sherkit.lab.instruments import Axis, OwnAxes, OwnSensor, Scpi
 from sherkit.lab.instruments.base import Reading
 from sherkit.lab.instruments.devices import Status
-from sherkit.lab.instruments.own import run_code
+from sherkit.lab.instruments.user_driver import run_code
 
 MM = ("x_mm", "y_mm", "z_mm")
 

@@ -20,7 +20,7 @@ from second_printer.trials import Trial
 from sherkit import Measurements, SherkitError, diagnose, identify, load_robot, read_measurements
 from sherkit.cli import main
 from sherkit.robots.printer import PrinterModel, import_klipper
-from sherkit.robots.printer.examined import examine
+from sherkit.robots.printer.printer_diagnosis import examine
 
 Floats = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ import sherkit as sk
 from accuracy_coverage import NOISE_UM, SET_UPS, SetUp, box, even_joints, kept, planes
 from second_simulator import NOMINAL_CONFIG, Robot, draw_geometric_errors, make_plan, simulate
 from sherkit.robots.delta import DeltaCalibration
-from sherkit.robots.part import by_effect
+from sherkit.robots.identified_model import by_effect
 from sherkit.robots.unobserved_effects import Search
 from worlds import World
 

@@ -21,8 +21,8 @@ from sherkit.model.effect import check_user_effect
 from sherkit.robots.calibrated import Calibration
 from sherkit.robots.printer import PrinterModel, Towers, import_duet, import_klipper, import_marlin
 from sherkit.robots.printer.calibration import commands, held, klipper_config, towers_of
-from sherkit.robots.printer.examined import examine, files_of
 from sherkit.robots.printer.model import bed_shape, shapes_at
+from sherkit.robots.printer.printer_diagnosis import examine, files_of
 from sherkit.robots.printer.robot import ImportedPrinter
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,8 @@ import pytest
 from second_printer.trials import FAULTS, Trial
 from sherkit import SherkitWarning
 from sherkit.robots.printer import import_klipper
-from sherkit.robots.printer.examined import Examined, examine, files_of
-from sherkit.robots.printer.suspects import plain_fit
+from sherkit.robots.printer.hypotheses import plain_fit
+from sherkit.robots.printer.printer_diagnosis import Examined, examine, files_of
 
 FIRMWARES = ("klipper", "reprapfirmware", "marlin")
 #: A fault shows where without noise it leaves more than this part of the noise, RMS, that no number of the firmware

@@ -20,7 +20,7 @@ import sherkit as sk
 from sherkit import save_robot
 from sherkit.app.folder import Typed
 from sherkit.app.sandbox import Cancelled, Sandbox
-from sherkit.app.shown import _card
+from sherkit.app.views import _card
 from sherkit.app.workbench import Workbench
 from sherkit.cli.demo import EXAMPLE
 from sherkit.errors import EffectError, FitError

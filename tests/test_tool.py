@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from second_tool import CONDITIONS
 from sherkit.errors import MeasurementError, RobotError
+from sherkit.robots.tool.consistency import judge, knowledge, known
 from sherkit.robots.tool.filters import Estimate, consistency, estimate, status_in_words
-from sherkit.robots.tool.knowledge import judge, knowledge, known
 from sherkit.robots.tool.runs import ToolRun, read_tool_run, tool_run_of
 from sherkit.robots.tool.tool import FIBRES, NOISES, FlexibleTool, ToolDoubt, load_tool, rotation_of
 from sherkit.robots.tool.virtual import EXPERIMENTS, VirtualTool

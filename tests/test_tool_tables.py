@@ -15,8 +15,8 @@ from sherkit.errors import FitError, MeasurementError, RobotError, SherkitWarnin
 from sherkit.fit.identify import identify
 from sherkit.robots.tool.alignment import align
 from sherkit.robots.tool.calibration import calibrate_tool, read_loads
+from sherkit.robots.tool.consistency import judge
 from sherkit.robots.tool.filters import estimate
-from sherkit.robots.tool.knowledge import judge
 from sherkit.robots.tool.model import ToolModel, applied
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
 from sherkit.robots.tool.tool import CAMERA, FIBRES, FORCE, POSITION, TURN, FlexibleTool, load_tool

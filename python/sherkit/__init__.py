@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 from .base import starting as _starting  # noqa: F401  # isort: skip
 from .base import built_in as _built_in
-from .base.doors import door as _door
+from .base.lazy_imports import door as _door
 from .base.notebook import Shown as _Shown
 
 if _TYPE_CHECKING:

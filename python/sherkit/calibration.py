@@ -15,8 +15,8 @@ from .base.names import listed
 from .base.types import Floats
 from .data import Measurements
 from .data.reader import RunLike
-from .diagnosis.named import setting_for
 from .diagnosis.outliers import gross_errors, warn_of_outliers
+from .diagnosis.selection import setting_for
 from .errors import EffectError, FitError, SherkitWarning
 from .evidence.sizes import refuse_absurd
 from .fit.identify import hold_out, identify

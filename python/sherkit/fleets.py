@@ -28,7 +28,7 @@ from .base.workers import Outcome, run_tasks
 from .data.noise import MAD
 from .data.reader import RunLike
 from .diagnosis import diagnose
-from .diagnosis.answers import Summary
+from .diagnosis.result import Summary
 from .errors import FitError, SherkitError, SherkitWarning
 from .fit.identify import identify
 from .model.effect import Effect, effects_by_name

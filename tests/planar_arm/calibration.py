@@ -15,7 +15,7 @@ from sherkit.model.sensor_pose import SensorPose
 from sherkit.robots.accuracy import Planes
 from sherkit.robots.calibrated import Calibration
 from sherkit.robots.calibration_run import CalibrationRun
-from sherkit.robots.part import IdentifiedModel
+from sherkit.robots.identified_model import IdentifiedModel
 
 from .columns import TIP
 from .core import PlanarCore

@@ -12,8 +12,8 @@ import numpy as np
 
 from ..base.names import listed
 from ..diagnosis import Diagnosis, diagnose
-from ..diagnosis.answers import Check
 from ..diagnosis.next_poses import SEPARATION, next_poses
+from ..diagnosis.result import Check
 from ..errors import FitError
 from ..evidence.thresholds import SURE
 from ..fit.identify import identify

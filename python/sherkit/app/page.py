@@ -24,7 +24,7 @@ from ..report.scene import script as scenes
 from ..report.style import number
 from .controls import TYPE, Notices, Selection, button, text
 from .page_state import EXPORTS, FILES, HISTORY, LINES, ROWS, PageState, Said
-from .shown import EffectList, Fall, Maps
+from .views import EffectList, Fall, Maps
 from .workbench import Workbench, rights_of
 
 _LEFT = 356

@@ -26,8 +26,8 @@ from ..evidence.thresholds import ALARM
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .courses import Courses
-from .joined import About, Joined
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
+from .pooled_fit import About, Joined
 from .vouching import error_of
 
 #: Evidence (a logarithm) up to which nothing has changed.

@@ -24,7 +24,7 @@ from ..evidence.sets import ONE_MORE, EffectSet, Sets
 from ..evidence.shapes import blocks_of_shapes
 from ..evidence.sizes import is_plausible
 from ..evidence.thresholds import ALARM, TIED
-from .joined import Change, Joined
+from .pooled_fit import Change, Joined
 
 #: Shapes and effects that all runs may lack alike, changes beside which they are looked for.
 _MOST_LASTING, _MOST_BESIDE = 8, 3

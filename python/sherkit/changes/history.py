@@ -33,8 +33,8 @@ from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .comparison import QUIET
 from .courses import Courses
-from .joined import About, Joined
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, unchanged_advice
+from .pooled_fit import About, Joined
 from .vouching import error_of
 
 STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"

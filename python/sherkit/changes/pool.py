@@ -26,7 +26,7 @@ from ..model.effect import Effect
 from ..model.kinds import Robot, model_of, required_um
 from ..model.robot_file import run_for
 from .courses import lacking
-from .joined import Joined
+from .pooled_fit import Joined
 from .vouching import Gate, held_in, stuck
 
 #: How a copy is told.

@@ -17,7 +17,7 @@ from ..evidence.whitening import correlation_in_time, orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.set_ups import SETUP_PREFIX
-from .stand import RunPose, stand_of
+from .run_pose import RunPose, stand_of
 
 #: A row farther off than so many robust deviations is left out; rounds in which such rows are looked for.
 _GROSS, _ROUNDS = 7.0, 8

@@ -41,11 +41,11 @@ from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
 from .comparison import ParameterChange
-from .joined import estimated, rows_as_run
 from .pool import told_ties
+from .pooled_fit import estimated, rows_as_run
 from .promise import broken, shows
+from .run_pose import RunPose, stand_of
 from .runs import candidates_of, columns_of, noise_of_repeats
-from .stand import RunPose, stand_of
 from .vouching import Work, sights_of, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).

@@ -20,9 +20,9 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..errors import SherkitError
 from ..evidence.whitening import orthonormal
-from .joined import Joined
+from .pooled_fit import Joined
+from .run_pose import stand_of
 from .runs import RunData
-from .stand import stand_of
 
 #: Places that stand for the workspace.
 _PLACES = 120

@@ -70,7 +70,7 @@ def _tell(
     """What was found: a page, and JSON or sentences; what is calibrated again is the latest run."""
     latest = (files[0], files[-1])
     if report is not None:
-        from ..report.stories import write_comparison, write_history
+        from ..report.pages import write_comparison, write_history
 
         draw: Callable[..., None] = write_comparison if isinstance(found, Comparison) else write_history
         draw(report, found, output.made_by(files, latest))

@@ -16,9 +16,9 @@ from ..base.answer import FILES
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis, largest, template
 from ..diagnosis import diagnose as run_diagnosis
-from ..diagnosis.answers import APART, MISSING, NEXT, WHERE, WHICH, Check, Finding
 from ..diagnosis.findings import figure, p_value, plausibility
 from ..diagnosis.next_poses import SEPARATION
+from ..diagnosis.result import APART, MISSING, NEXT, WHERE, WHICH, Check, Finding
 from ..fit.identify import identify
 from ..model.effect import effects_by_name, load_effects
 from ..model.thermometers import thermometers_of

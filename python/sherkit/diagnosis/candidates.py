@@ -16,7 +16,7 @@ from ..evidence.settings import columns_at
 from ..evidence.sizes import TOLD, is_plausible
 from ..fit.error import ErrorSize, known_of
 from ..fit.folds import Beside
-from .answers import CandidateReport
+from .result import CandidateReport
 
 #: Part of the error held out by which an effect must lower it for a sentence of its own.
 _LOWERS = 0.05

@@ -12,7 +12,9 @@ from ..fit.regions import TO_DO
 from ..model.effect import Effect
 from ..model.kinds import required_um
 from ..model.sensor_pose import SLIP
-from .answers import (
+from .instrument import motion_of
+from .outliers import sentences
+from .result import (  # fmt: skip
     APART,
     MISSING,
     NEXT,
@@ -24,9 +26,7 @@ from .answers import (
     CandidateReport,
     Diagnosis,
     Finding,
-)  # fmt: skip
-from .instrument import motion_of
-from .outliers import sentences
+)
 from .sensor_pose import pose_in_words
 from .template import indistinguishable, sentence
 

@@ -20,7 +20,7 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare, unit_in
 from ..evidence.fitted_run import FittedRun
-from .answers import SINGLY, Check
+from .result import SINGLY, Check
 
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
 WRONG = 0.2

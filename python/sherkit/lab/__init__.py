@@ -6,7 +6,7 @@ who measures loads no emulator.
 
 from typing import TYPE_CHECKING
 
-from ..base.doors import door
+from ..base.lazy_imports import door
 
 if TYPE_CHECKING:
     from . import emulators as emulators

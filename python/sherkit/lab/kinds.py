@@ -26,7 +26,7 @@ from ..model.kinds import Robot, kind_of
 from .instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scpi, Sm130, Snapshots, VideoCamera, fetch_scale
 from .instruments.base import LETTERS, Instrument
 from .instruments.galil_line import ZEROED
-from .instruments.own import Make, OwnAxes, OwnSensor
+from .instruments.user_driver import Make, OwnAxes, OwnSensor
 
 #: Defaults by the unit of the joints: speed per s, acceleration per s², how near a target counts as there.
 _MOTION = {"mm": (5.0, 50.0, 0.01), "rad": (0.5, 5.0, 2e-4)}

@@ -20,8 +20,8 @@ from ..calibration import Result
 from ..data.columns import unit_in
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
-from ..diagnosis.answers import APART, NEXT
 from ..diagnosis.findings import plausibility
+from ..diagnosis.result import APART, NEXT
 from ..errors import SherkitError
 from ..fit.forms import known
 from ..fit.identify import Fit

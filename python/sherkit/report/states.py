@@ -14,7 +14,7 @@ from ..base.names import state_with, told_apart
 from ..base.types import Floats
 from ..data.columns import bare
 from ..diagnosis import Diagnosis
-from ..diagnosis.named import setting_for
+from ..diagnosis.selection import setting_for
 from ..errors import SherkitError
 from ..evidence.fitted_run import FittedRun
 from ..fit.error import ErrorSize

@@ -20,7 +20,7 @@ from ..fit.error import radius_95
 from ..model.batch import Batch, matrix
 from ..model.effect import Effect
 from .deployed import BASE, SENSOR
-from .part import BiasBound, IdentifiedModel, at_rest, by_effect
+from .identified_model import BiasBound, IdentifiedModel, at_rest, by_effect
 from .unobserved_effects import AccuracyQuery, Counted
 from .where_measured import WhereMeasured
 
@@ -308,7 +308,7 @@ class Accurate(WhereMeasured):
         held out (all of it where the noise is not known), plus half of the lost motion that is in the model where no
         direction is given; that of a Gaussian by matching two moments of its squared length (Satterthwaite). The
         addition: by how much that grows with the covariance of what one effect of the catalogue at plausible size could
-        do there and did not show at the poses (:mod:`~sherkit.robots.part`): of all effects, the one that
+        do there and did not show at the poses (:mod:`~sherkit.robots.identified_model`): of all effects, the one that
         could do most.
         """
         x, where = self._places(coordinates), self.frame_of(frame)

@@ -26,8 +26,8 @@ from ..errors import CalibrationError, FitError, SherkitError
 from ..fit.identify import Fit
 from ..model.kinds import Robot, kind_of, known_kinds, robot_from_table
 from .calibration_run import CalibrationRun, Corrected
+from .identified_model import IdentifiedModel
 from .moves import Moving
-from .part import IdentifiedModel
 from .unobserved_effects import Search
 
 # -- Files --------------------------------------------------------------------------------------------------------

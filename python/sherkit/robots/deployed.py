@@ -18,7 +18,7 @@ from ..data.columns import unit_in
 from ..errors import CalibrationError, SherkitWarning
 from ..model.batch import Batch, matrix, vector
 from ..model.kinds import Robot
-from .part import IdentifiedModel
+from .identified_model import IdentifiedModel
 
 #: Where places are counted from: the base of the robot, as its drawing has it; or the instrument, where that stood.
 BASE, SENSOR = "base", "sensor"

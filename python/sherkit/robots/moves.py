@@ -15,7 +15,7 @@ from ..fit.error import radius_95
 from ..model.batch import vector
 from .accuracy import Accurate
 from .deployed import BASE, SENSOR
-from .part import IdentifiedModel, by_effect
+from .identified_model import IdentifiedModel, by_effect
 
 #: What the place is called from which moves begin.
 MIDDLE = "middle of the run"

@@ -19,7 +19,7 @@ from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect
 from .calibration_run import CalibrationRun
-from .part import BiasBound, IdentifiedModel, at_rest, by_effect, waves, with_effect
+from .identified_model import BiasBound, IdentifiedModel, at_rest, by_effect, waves, with_effect
 
 # -- What a fit takes of an effect --------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..base.types import Bools, Floats
 from ..model.batch import Batch
 from .deployed import Deployed
-from .part import IdentifiedModel
+from .identified_model import IdentifiedModel
 from .poses_hull import beyond
 
 

@@ -17,7 +17,7 @@ from ..data.reader import RunLike
 from ..data.stream import joined
 from ..data.toml import Table
 from ..diagnosis import Diagnosis, diagnose, gross_errors
-from ..diagnosis.named import setting_for
+from ..diagnosis.selection import setting_for
 from ..errors import EffectError, MeasurementError, SherkitError
 from ..fit.error import of_residuals
 from ..fit.identify import Fit, hold_out, identify

@@ -26,7 +26,7 @@ from ...model.robot_file import load_robot
 from ...planning.poses import choose_poses
 from ...robots.calibrated import load_calibration
 from ..instruments import AxisController
-from ..instruments.own import OwnCode, run_code
+from ..instruments.user_driver import OwnCode, run_code
 from ..kinds import InstrumentSettings, instrument_kinds, read_ports
 from .bench import Bench, Checks, Sensor, Settling
 from .plan import ORDERS, Plan, PlanStep, plan_of_poses

@@ -11,8 +11,8 @@ from .camera import Frame, Snapshots, VideoCamera
 from .galil import Galil
 from .keyence import Keyence
 from .micron_optics import Hyperion, Sm130
-from .own import OwnAxes, OwnSensor
 from .scpi import Scpi
+from .user_driver import OwnAxes, OwnSensor
 
 __all__ = [
     "Axis",

@@ -124,7 +124,7 @@ def until_diagnosed(
 
         def draw() -> None:
             if report is not None:
-                from ...report.stories import write_adaptive
+                from ...report.pages import write_adaptive
 
                 write_adaptive(
                     report, loop, output.made_by([experiment], [chosen.robot_path, path.with_suffix(".csv")])

@@ -17,7 +17,7 @@ from ...data.files import write_whole
 from ...data.toml import Schema
 from ...model.kinds import Kind, known_kinds
 from ..experiment.file import experiment_from, names_of_poses
-from ..instruments.own import OwnCode
+from ..instruments.user_driver import OwnCode
 from ..kinds import instrument_kinds
 from ..laboratory import laboratory_from
 

@@ -27,7 +27,7 @@ from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun, Cells, Corrected
 from ..deployed import BASE, SENSOR
-from ..part import IdentifiedModel
+from ..identified_model import IdentifiedModel
 from .correction import Choice, Correction, choose_correction, enough_rows, leftover
 from .paper import PaperProtocol, paper_protocol
 from .robot import POSITION, Delta

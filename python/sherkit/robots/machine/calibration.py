@@ -20,7 +20,7 @@ from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
 from ..deployed import BASE, SENSOR
-from ..part import IdentifiedModel
+from ..identified_model import IdentifiedModel
 from .core import MachineCore
 from .described import MachineDescription
 from .function import settled, starts

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from ...base.doors import door
+from ...base.lazy_imports import door
 
 if TYPE_CHECKING:
     from .calibration import PrinterCalibration

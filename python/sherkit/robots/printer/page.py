@@ -11,8 +11,8 @@ import numpy as np
 from ...base.types import Floats
 from ...fit.forms import known
 from ...report.page import Made, Section, sentences_of, table_of, write_page
-from .examined import Examined
 from .model import distances
+from .printer_diagnosis import Examined
 
 _SIZE, _GAP, _TOP = 300, 40, 40
 #: Blue and orange, which colour-blind people tell apart too.

@@ -18,8 +18,8 @@ from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
 from ..deployed import BASE, SENSOR
+from ..identified_model import IdentifiedModel, at_rest
 from ..moves import MIDDLE
-from ..part import IdentifiedModel, at_rest
 from .robot import POSITION, Serial
 
 

@@ -19,7 +19,7 @@ from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun
 from ..deployed import BASE
-from ..part import IdentifiedModel
+from ..identified_model import IdentifiedModel
 from .model import SphericalModel
 from .robot import SPHERICAL_ANGLES, Spherical
 

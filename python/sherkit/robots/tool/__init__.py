@@ -2,14 +2,14 @@
 
 from typing import TYPE_CHECKING
 
-from ...base.doors import door
+from ...base.lazy_imports import door
 
 if TYPE_CHECKING:
     from .alignment import Registration, align, register
     from .calibration import Loads, ToolCalibration, calibrate_tool, read_loads
+    from .consistency import judge, known
     from .effects import TOOL_CATALOGUE
     from .filters import Estimate, estimate
-    from .knowledge import judge, known
     from .model import ToolModel
     from .runs import ToolRun, read_tool_run, tool_run_of
     from .tool import FlexibleTool, load_tool

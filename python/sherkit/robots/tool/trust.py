@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...base.answer import Answer, ToDo
+from .consistency import NeesConsistency
 from .exchanged import exchanged
 from .filters import Estimate
-from .knowledge import NeesConsistency
 
 #: Without a truth: a mean of squared innovations over their variances beyond which deviations are too small.
 _TOO_FAR = 1.5

@@ -15,7 +15,7 @@ from ....cli.paths import InputFile, OutputFile
 from ....data.files import write_whole
 from ....errors import SherkitError
 from ..calibration import klipper_config
-from ..examined import examine, files_of
+from ..printer_diagnosis import examine, files_of
 
 
 @click.command()

@@ -21,9 +21,9 @@ from ....diagnosis import Diagnosis
 from ..alignment import Aligned, align
 from ..calibration import ToolCalibration, read_loads
 from ..calibration import calibrate_tool as run_calibration
+from ..consistency import ErrorStatistics, NeesConsistency, SignalErrors, judge, known
 from ..filters import Estimate, status_in_words
 from ..filters import estimate as run_filters
-from ..knowledge import ErrorStatistics, NeesConsistency, SignalErrors, judge, known
 from ..model import Applied
 from ..runs import read_tool_run, require_camera, summary
 from ..tool import FlexibleTool, load_tool

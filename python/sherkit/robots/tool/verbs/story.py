@@ -19,9 +19,9 @@ from ....fit.identify import identify
 from ..alignment import Aligned, align
 from ..calibration import ToolCalibration, read_loads
 from ..calibration import calibrate_tool as run_calibration
+from ..consistency import judge, known
 from ..filters import Estimate
 from ..filters import estimate as run_filters
-from ..knowledge import judge, known
 from ..model import Applied, ToolModel, applied
 from ..places import TipPlaces
 from ..runs import ToolRun, read_tool_run, require_camera

@@ -13,7 +13,7 @@ from ..adaptive import Adaptive
 from ..base.figures import in_people_units, number
 from ..base.names import brief
 from ..changes import Comparison, History
-from ..changes.joined import Joined
+from ..changes.pooled_fit import Joined
 from ..errors import FitError, SherkitError
 from ..model.drawing import drawing_of_readings
 from ..model.kinds import draw_of

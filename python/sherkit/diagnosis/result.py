@@ -359,7 +359,7 @@ class Diagnosis(Shown):
 
     def row(self) -> dict[str, str | int | float | None]:
         """One flat dict, for a table over many runs: verdict, effects, errors held out before and after, their ratio, p
-        values; keys name their units. See :class:`~sherkit.diagnosis.answers.Summary`.
+        values; keys name their units. See :class:`~sherkit.diagnosis.result.Summary`.
 
             table = pl.DataFrame([sk.diagnose(robot, run).row() for run in runs])
         """

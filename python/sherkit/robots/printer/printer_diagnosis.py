@@ -21,10 +21,10 @@ from ...fit.identify import Fit
 from . import import_duet, import_klipper, import_marlin
 from .calibration import FirmwareFit, commands, held
 from .gcode import words
+from .hypotheses import Suspect, plain_fit, suspects, turns
 from .klipper import text_of
 from .model import bed_shape, distances
 from .robot import ImportedPrinter
-from .suspects import Suspect, plain_fit, suspects, turns
 
 #: By how much a plate is best turned: shapes of up to five lobes lie elsewhere then. A third of a turn would leave one
 #: of three lobes as it was, and that is what a twisted frame looks like.

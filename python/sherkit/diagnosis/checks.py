@@ -16,7 +16,9 @@ from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
 from ..evidence.sizes import ABSURD, PLAUSIBLE, largest, sizes_of
 from ..fit.set_up import Mistake
-from .answers import (
+from .held_out import PRAISE, Elimination, HeldOutGain
+from .repeats import Repeats
+from .result import (  # fmt: skip
     AS_DRAWN,
     DECLARED,
     DIGITS,
@@ -28,11 +30,9 @@ from .answers import (
     SMALL,
     STANDS,
     Check,
-)  # fmt: skip
-from .held_out import PRAISE, Elimination, HeldOutGain
-from .named import Selection
-from .repeats import Repeats
+)
 from .rounded import Rounded, rounded
+from .selection import Selection
 from .sensor_pose import KNOWN_LEVEL, known_stand
 from .where import SlowDrift
 

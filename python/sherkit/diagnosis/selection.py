@@ -24,9 +24,9 @@ from ..evidence.sets import EffectSet, Sets
 from ..evidence.settings import refined, unit_columns
 from ..fit.identify import Fit
 from ..model.effect import Effect, Setting
-from .answers import StepReport
 from .candidates import strongest
 from .held_out import HeldOutGain, error_of, held_out_gain
+from .result import StepReport
 
 #: Deviations from which on a value is certainly not zero.
 _SURE_OF = 3.0
