@@ -6,7 +6,7 @@
 //! each by itself the depth.
 
 use super::moments::Moments;
-use super::start::{Offsets, ToolFilter};
+use super::start::{LEAST, Offsets, ToolFilter};
 use super::state::{N, OFFSETS};
 use crate::numbers::math::sqrt;
 use crate::tool::sensing::FIBRES;
@@ -44,8 +44,7 @@ const WHITE: f64 = 4.0;
 const ALIKE: f64 = 3.0;
 /// How much of a lag, squared, is a section's own along a force: three times what shows across it.
 pub(super) const UNLIKE: f64 = 1.0 / 7.0;
-/// The least and the largest lag over the bend, squared; how far the warmth of two gratings differs, nm.
-pub(super) const LEAST: f64 = 4e-8;
+/// The largest lag over the bend, squared; how far the warmth of two gratings differs, nm.
 const MOST: f64 = 1e-2;
 pub(super) const APART_NM: f64 = 1e-3;
 

@@ -1,7 +1,6 @@
 //! What the filter holds, and how it starts.
 
 use super::moments::Gratings;
-use super::offsets::LEAST;
 use super::slips::Slips;
 use super::state::{BENCH, N, State};
 use crate::numbers::math::sqrt;
@@ -20,6 +19,8 @@ pub(super) const HYPOTHESES: usize = GRATINGS + FIBRES + 1 + SECTIONS;
 /// The guess at the start, (mm/s)², counts as so much, s.
 const FIRST: f64 = 0.04;
 const GUESSED_S: f64 = 0.01;
+/// The least lag of fibres over the bend, squared.
+pub(super) const LEAST: f64 = 4e-8;
 /// No robot stands further away than this, mm.
 const FARTHEST_MM: f64 = 1e6;
 /// What a hole gives way before that is felt, and its deviation, mm/mN: tissue is as soft as a fortieth of this per mN.
