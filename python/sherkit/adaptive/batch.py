@@ -13,7 +13,7 @@ from ..data.columns import POSE, REASON, REPEAT
 from ..errors import SherkitError
 from .choice import choose, rivals
 from .look import InterimAnalysis
-from .region import Targets
+from .region import PosesToDrive
 from .rule import RuleState
 from .task import Task
 
@@ -71,7 +71,7 @@ class Batches:
                 row["not_before_s"] = clock + (i + 1) * pace_s
         return rows
 
-    def _row(self, places: Targets, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
+    def _row(self, places: PosesToDrive, reason: str, pose: int, repeat: int = 1) -> dict[str, Any]:
         row: dict[str, Any] = {POSE: pose, REPEAT: repeat}
         row |= dict(zip(self.task.layout.joints, places.joints[0].tolist(), strict=True))
         row |= dict(zip(self.task.region.targets, places.targets[0].tolist(), strict=True))
@@ -89,7 +89,7 @@ class Batches:
         wrong = [row for row in found.aside.tolist() if len(told[int(data.pose[row])]) == 1][: max(count // 2, 1)]
         more = min(int(_ONCE_MORE * boundary) - len(data) + len(poses), count - len(wrong))
         rows = [*wrong, *rng.permutation(np.setdiff1d(first[times == 1], found.aside))[: max(more, 0)].tolist()]
-        places = [Targets(data.joints[[row]], self.task.region.reached_at(data.joints[[row]])) for row in rows]
+        places = [PosesToDrive(data.joints[[row]], self.task.region.reached_at(data.joints[[row]])) for row in rows]
         return [self._row(at, "again", int(data.pose[row]), 2) for row, at in zip(rows, places, strict=True)]
 
     def _pace(self, found: InterimAnalysis, state: RuleState) -> tuple[float, bool]:

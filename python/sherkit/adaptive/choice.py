@@ -22,7 +22,7 @@ from ..evidence.design import showing
 from ..evidence.family import Family
 from .known import run_at
 from .look import FAR, InterimAnalysis, Keys
-from .region import Targets
+from .region import PosesToDrive
 
 #: Candidates for each batch, the share of places that are anywhere, and what a coefficient is expected to be, and may
 #: be, squared.
@@ -52,7 +52,7 @@ class _There:
     """Places as the model sees them a little later: ``own`` (n, m, p) by what it fits, and by what may be missing."""
 
     found: InterimAnalysis
-    places: Targets
+    places: PosesToDrive
     family: Family
     own: Floats
 
@@ -81,7 +81,7 @@ class _There:
 
 def choose(
     found: InterimAnalysis, count: int, alarmed: bool, rng: np.random.Generator, pace_s: float
-) -> list[tuple[Targets, str]]:
+) -> list[tuple[PosesToDrive, str]]:
     """So many places, shuffled, and why; ``pace_s`` is how much later each of them will be read."""
     against = rivals(found) if alarmed else []
     telling = alarmed and (len(against) > 1 or found.log_evidence < FAR)

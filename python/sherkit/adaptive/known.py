@@ -20,7 +20,7 @@ from ..evidence.whitening import Whitening
 from ..fit.identify import Fit, identify
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
-from .region import Region, Targets, planned
+from .region import PosesToDrive, Region, planned
 
 #: Rows of the reference, and those from which on something may let go: what one or two rows before it say may be their
 #: own.
@@ -65,7 +65,7 @@ class FixedBefore:
             model, region, axes, reference, effects, {**view.untestable, **taken}, frozenset(in_time | beside)
         )  # fmt: skip
 
-    def later(self, data: Measurements, places: Targets, after_s: float, rng: np.random.Generator) -> Measurements:
+    def later(self, data: Measurements, places: PosesToDrive, after_s: float, rng: np.random.Generator) -> Measurements:
         """These rows, and behind them rows at places a little later, approached from where the robot stands."""
         n = len(places)
         joints = np.concatenate([data.joints, places.joints])

@@ -29,7 +29,7 @@ _ROUNDING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Targets:
+class PosesToDrive:
     """Where to drive: joint readings (n, k) and the coordinates (n, c) that these are by the drawing."""
 
     joints: Floats
@@ -38,9 +38,9 @@ class Targets:
     def __len__(self) -> int:
         return len(self.joints)
 
-    def pick(self, rows: Any) -> Targets:
+    def pick(self, rows: Any) -> PosesToDrive:
         """Some of them."""
-        return Targets(self.joints[rows], self.targets[rows])
+        return PosesToDrive(self.joints[rows], self.targets[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,23 +118,23 @@ class Region:
         )
         return places, own
 
-    def spread(self, count: int, seed: int) -> Targets:
+    def spread(self, count: int, seed: int) -> PosesToDrive:
         """So many places that fill the region evenly (Halton's sequence, scrambled by ``seed``)."""
         return self._drawn(count, scipy.stats.qmc.Halton(len(self.names), seed=seed).random)
 
-    def anywhere(self, count: int, rng: np.random.Generator) -> Targets:
+    def anywhere(self, count: int, rng: np.random.Generator) -> PosesToDrive:
         """So many places at random."""
         return self._drawn(count, lambda n: rng.uniform(size=(n, len(self.names))))
 
-    def _drawn(self, count: int, points: Any) -> Targets:
-        found: list[Targets] = []
+    def _drawn(self, count: int, points: Any) -> PosesToDrive:
+        found: list[PosesToDrive] = []
         for _ in range(_ROUNDS):
             at = self.low + np.asarray(points(max(_AT_ONCE, count))) * (self.high - self.low)
             places, within = self.reached(at)
             found.append(places.pick(within))
             if sum(map(len, found)) >= count:
                 break
-        out = Targets(np.concatenate([p.joints for p in found]), np.concatenate([p.targets for p in found]))
+        out = PosesToDrive(np.concatenate([p.joints for p in found]), np.concatenate([p.targets for p in found]))
         if not len(out):
             raise ExperimentError(
                 f"the robot reaches nothing in the box of {listed(self.names)}: a smaller or another one is needed"
@@ -145,7 +145,7 @@ class Region:
         """Coordinates (n, c) of these joints by the drawing."""
         return _shown(self.model, planned(joints, self.layout), self.targets)[0]
 
-    def reached(self, at: Floats) -> tuple[Targets, Bools]:
+    def reached(self, at: Floats) -> tuple[PosesToDrive, Bools]:
         """Where points (n, k) of the box lead, and which of them the drawing reaches within limits and workspace."""
         robot, joints = self.model.robot, at
         within = np.ones(len(at), dtype=bool)
@@ -167,7 +167,7 @@ class Region:
             within[within] = seen
         if self.names == self.targets:
             targets = at
-        return Targets(joints, targets), within
+        return PosesToDrive(joints, targets), within
 
 
 def planned(joints: Floats, layout: Layout, columns: Mapping[str, Floats] | None = None) -> Measurements:

@@ -32,7 +32,7 @@ from .result import (  # fmt: skip
     Check,
 )
 from .rounded import Rounded, rounded
-from .selection import Selection
+from .selection import NamedEffects
 from .sensor_pose import KNOWN_LEVEL, known_stand
 from .where import SlowDrift
 
@@ -42,7 +42,7 @@ _COUNTS = 0.3
 
 def checks_of(
     final: FittedRun,
-    found: Selection,
+    found: NamedEffects,
     sigma: Floats,
     origin: str,
     needed: Sequence[HeldOutGain],

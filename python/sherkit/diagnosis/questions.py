@@ -34,7 +34,7 @@ from .outliers import is_first_by_side, sentences, without_outliers
 from .repeats import contradicted, in_repeats
 from .result import Diagnosis, verdict_of
 from .rounded import steps_in
-from .selection import Selection, not_needed, searched
+from .selection import NamedEffects, not_needed, searched
 from .sensor_pose import taken_by_pose
 from .signature import signature_of
 from .waves import waves_in_words
@@ -215,7 +215,7 @@ def diagnose(
     return replace(said, findings=findings_of(said))
 
 
-def _next(found: Selection, sigma: Floats) -> Proposal:
+def _next(found: NamedEffects, sigma: Floats) -> Proposal:
     """Poses that would tell what is named from the sets tied with it."""
     rivals = [other.run.of.fit for other in found.ties]
     return next_poses(found.final.fit, rivals, sigma) if rivals else Proposal()
@@ -226,7 +226,7 @@ def _spread(run: FittedRun) -> Floats:
     return np.maximum(run.scatter, run.digits)
 
 
-def _ties(found: Selection) -> tuple[tuple[str, ...], ...]:
+def _ties(found: NamedEffects) -> tuple[tuple[str, ...], ...]:
     """Groups of effects each of which could stand in for the first, everything else as it is."""
     groups: dict[str, list[str]] = {}
     for other in found.ties:

@@ -33,7 +33,7 @@ _SURE_OF = 3.0
 
 
 @dataclass(eq=False)
-class Selection:
+class NamedEffects:
     """What the evidence of a run says: the ``added`` effects that it names, in the order in which the error falls, the
     full fit with them, ``final``, and what each of them earns.
 
@@ -89,7 +89,7 @@ def searched(
     level: float,
     step: Callable[[str], None],
     look: bool,
-) -> Selection:
+) -> NamedEffects:
     """Asks the evidence of these rows what is missing, and names what may be named. Nothing is looked for where there
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
     inside = tuple(e.name for e in run.model.effects if e.name not in run.model.within)
@@ -97,7 +97,7 @@ def searched(
     step("evidence")
     base = base_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma), effects)
     sets = Sets(base.family, base, step)
-    nothing = Selection(base, base, ShapeDescription((), 0.0, base), None, run, steps=(first,))
+    nothing = NamedEffects(base, base, ShapeDescription((), 0.0, base), None, run, steps=(first,))
     if run.is_exact or not look or base.evidence < -np.log(level):
         return nothing
     names = names_of(sets)
@@ -140,7 +140,7 @@ def searched(
             kept, judged = wider, more
             names = replace(names, lead=kept, beside=sets.described(kept.base, MOST, 1))
     left = names.beside if kept is names.lead else sets.described(kept.base, MOST, 1)
-    return Selection(
+    return NamedEffects(
         base, kept.base, left, names, judged.final, judged.added, judged.gains, judged.steps, [*notes, *told]
     )
 
