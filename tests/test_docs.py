@@ -130,13 +130,13 @@ _AS_JSON = ["diagnose", "demo/robot.toml", "demo/whole.csv", "--json"]
 # -- what they show runs -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", *REFERENCE])
+@pytest.mark.parametrize("name", ["README.md", *REFERENCE])
 def test_what_is_shown_runs(name: str, made: Path, work: Path) -> None:
     """Catches an example that a rename has broken: a reader copies it first."""
     names: dict[str, Any] = {}
     said = [run_python(b, names) for b in blocks(name) if b.language == "python"]
     shown = commands(name)
-    if name in ("README.md", "CONTRIBUTING.md"):
+    if name == "README.md":
         assert said, "no Python was found; has the fence changed?"
         assert shown, "no command was found"
     ran = [["demo"]]
