@@ -13,7 +13,7 @@ PYTHONS := python tests benchmarks examples docs
 export OPENBLAS_NUM_THREADS := 1
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
-.PHONY: house golden golden-write pictures demo demo-lab test test-rust test-python test-slow lint lint-rust lint-python no-std header header-check bench site format clean check-tools
+.PHONY: house golden outputs golden-write pictures demo demo-lab test test-rust test-python test-slow lint lint-rust lint-python no-std header header-check bench site format clean check-tools
 
 demo: $(STAMP)
 	$(BIN)/sherkit demo
@@ -110,6 +110,9 @@ house: $(STAMP)
 # which of 250 worlds are answered otherwise than tests/golden has it; golden-write keeps the answers of now
 golden: $(STAMP)
 	$(BIN)/python tests/golden.py
+
+outputs: $(STAMP)
+	$(BIN)/python tests/outputs.py
 
 golden-write: $(STAMP)
 	$(BIN)/python tests/golden.py --write
