@@ -316,8 +316,8 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert command("export", "reprapfirmware", str(out), "-o", str(tmp_path / "m665.g")) == 0
     assert (tmp_path / "m665.g").read_text().startswith("M665 L")
     capsys.readouterr()
-    assert command("export", "klipper", str(out), "-o", str(new)) == 1
-    assert "--config: name the printer.cfg" in capsys.readouterr().err
+    assert command("export", "klipper", str(out), "-o", str(new)) == 2
+    assert "Missing option '--config'" in capsys.readouterr().err
 
 
 # -- files of all sorts ------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import sherkit as sk
 
 #: Takes a tenth of a second or more to load.
 SLOW = {"numpy", "scipy", "polars", "rich", "bokeh", "jinja2", "cv2", "serial", "pandas"}
-PACKAGES = ("sherkit", "sherkit.lab")
+PACKAGES = ("sherkit", "sherkit.lab", "sherkit.robots.serial", "sherkit.robots.printer", "sherkit.robots.tool")
 
 
 def loaded_by(code: str, *arguments: str) -> set[str]:

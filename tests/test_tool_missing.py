@@ -265,7 +265,7 @@ def test_a_late_interrogator_that_does_not_say_so_is_found(ms: int) -> None:
     assert told.tool.fibre_delay_s == pytest.approx(1e-3 * ms, abs=5e-3)
     before, after = (honest(estimate(t, run), recorded)["depth"] for t in (tool, told.tool))
     assert after.mean_error_mm < 0.6 * before.mean_error_mm
-    assert after.coverage > max(0.9, before.coverage)
+    assert after.coverage >= max(0.9, before.coverage)
 
 
 def test_a_tare_needs_an_untouched_tool() -> None:

@@ -172,8 +172,10 @@ def _ways_of_others() -> list[Any]:
     return [*other_machines().values(), *_simulations()]
 
 
-def _was_typed(name: str) -> bool:
-    return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
+def _was_typed(name: str, value: Any) -> bool:
+    """Whether an option was given, and not by its default."""
+    asked = click.get_current_context(silent=True)
+    return value is not None if asked is None else asked.get_parameter_source(name) is ParameterSource.COMMANDLINE
 
 
 class _Simulate(click.Command):
@@ -222,7 +224,7 @@ def _run(
     virtual = made.simulated(robot, seed, errors, sizes)
     measured_by = next((one for one in _simulations() if one.is_asked(virtual, given)), None)
     own = {*sizes, *(() if measured_by is None else (o.name for o in measured_by.simulate_options))}
-    wrong = [f"--{name.replace('_', '-')}" for name in given if name not in own and _was_typed(name)]
+    wrong = [f"--{name.replace('_', '-')}" for name in given if name not in own and _was_typed(name, given[name])]
     if wrong:
         raise SherkitError(f"{path}: is a {robot.kind} robot; {listed(wrong)} is not for that kind")
     if poses not in kind.areas:

@@ -32,6 +32,12 @@ from .sockets import Sockets, sockets_of
 # -- Effects ------------------------------------------------------------------------------------------------------
 
 _OWN = {
+    "encoder_second": Sentences(
+        physics="What an encoder's scale or a gear does in each period is no pure sine: a second wave goes with it, of "
+        "half the period.",
+        residuals="A ripple along one joint, two waves in each period of its cyclic error.",
+        remedy="As for encoder_cyclic: the encoder's own compensation may have the second harmonic, too.",
+    ),
     "joint_coupling": Sentences(
         physics="A joint moves a little when the one before it does: a belt or shaft runs through that joint, as in "
         "many wrists, and the controller's ratio for it is missing or not quite right.",
