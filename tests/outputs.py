@@ -42,7 +42,10 @@ LINES = (
     "import klipper printer.cfg --plate at60=60 -o printer", "tool bench.csv free.csv run.csv -o tool.toml",
     "estimate tool.toml run.csv", "estimate tool.toml run.csv --json", "register tool.toml free.csv",
     "diagnose tool.toml run.csv", "export c tool.toml -o tool.h", f"effects --robot {MACHINE}",
+    "--help", "export --help", "import --help", "export -o o.urdf urdf ac.toml",
+    "export kinematics.yaml ac.toml -o k.yaml",
     # and what is refused
+    "export nosuch -o out.csv", "export nosuch.sqlite -o out.csv", "export -o urdf run.sqlite",
     "diagnose demo/robot.toml nothing.csv", "diagnose demo/whole.csv demo/robot.toml", "diagnoze",
     "export dhh l.toml -o x",
     "export urdf l.toml -o l.urdf", "export klipper l.toml -o x.cfg", "simulate arm.toml -o x.csv --rail-lean-mrad 2",

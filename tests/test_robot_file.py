@@ -295,15 +295,15 @@ def test_tables_are_tables(table: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("tables", "says"),
     [
-        ({"geometry": TABLES["geometry"]}, "kind is missing; expected one of 'delta', 'spherical', 'printer'"),
-        ({**TABLES, "kind": "scara"}, "kind: expected one of 'delta', 'spherical', 'printer', 'serial', found 'scara'"),
+        ({"geometry": TABLES["geometry"]}, "kind is missing; expected one of 'delta', 'spherical', 'serial'"),
+        ({**TABLES, "kind": "scara"}, "kind: expected one of 'delta', 'spherical', 'serial', 'printer', found 'scara'"),
         (
             {**TABLES, "kind": ["delta"]},
-            "kind: expected one of 'delta', 'spherical', 'printer', 'serial', found ['delta']",
+            "kind: expected one of 'delta', 'spherical', 'serial', 'printer', found ['delta']",
         ),
         ({"kind": "delta"}, "geometry is missing; expected a table"),
         ({**TABLES, "tool": {}}, "unknown key tool"),
-        ({**TABLES, "kind": ""}, "kind: expected one of 'delta', 'spherical', 'printer', 'serial', found ''"),
+        ({**TABLES, "kind": ""}, "kind: expected one of 'delta', 'spherical', 'serial', 'printer', found ''"),
         ({}, "kind is missing"),
         ("", "kind is missing"),
         ("kind = delta", "is not valid TOML: Invalid value (at line 1"),

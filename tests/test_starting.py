@@ -102,10 +102,10 @@ PROGRAMS = [
     "from sherkit.data import from_frame\n"
     "from_frame({k: [0.0, 1.0] for k in ('q1_mm', 'q2_mm', 'q3_mm', 'x_mm', 'y_mm', 'z_mm')})",
     "from sherkit.model.kinds import known_kinds\n"
-    "assert list(known_kinds()) == ['delta', 'spherical', 'printer', 'serial']",
+    "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'printer']",
     "from sherkit.model.kinds import register, known_kinds\nfrom dataclasses import replace\n"
     "from sherkit.robots.delta import KIND\nregister(replace(KIND, name='own'))\n"
-    "assert list(known_kinds()) == ['delta', 'spherical', 'printer', 'serial', 'own']",
+    "assert list(known_kinds()) == ['delta', 'spherical', 'serial', 'printer', 'own']",
     "import tempfile\nfrom sherkit.robots.serial.imported import import_dh\n"
     "open((f := tempfile.mkdtemp() + '/arm.csv'), 'w').write('d_mm,a_mm,alpha_deg\\n' + '90,200,0\\n' * 6)\n"
     "import_dh(f)\nfrom sherkit.data.columns import layout_of\nassert layout_of(['t']).joints[0] == 'q1_mm'",

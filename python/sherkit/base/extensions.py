@@ -78,9 +78,9 @@ def is_own(group: str, name: str) -> bool:
     return entry is not None and _package(entry) == _OWN
 
 
-def brought(group: str, name: str, what: type[_Value]) -> _Value | None:
+def brought(group: str, name: str, what: type[_Value], has: Collection[str] = ()) -> _Value | None:
     """The value of a name, loaded now; None where nobody declares it, and with a warning where it cannot be loaded or
-    is no ``what``: a package that is broken takes nothing with it but what it brings.
+    is no ``what`` or lacks an attribute that it is to have (``has``): a package that is broken takes nothing with it but what it brings.
 
     What it prints goes where messages go, not into what a program reads.
     """
@@ -97,6 +97,9 @@ def brought(group: str, name: str, what: type[_Value]) -> _Value | None:
         return None
     if not isinstance(value, what):
         leave_out(group, entry, f"is {type(value).__name__}, expected {what.__name__}")
+        return None
+    if lacks := [name for name in has if not hasattr(value, name)]:
+        leave_out(group, entry, f"lacks '{lacks[0]}'")
         return None
     return value
 
@@ -116,17 +119,17 @@ def _kept_apart() -> Iterator[None]:
 
 
 def plugins(
-    own: Collection[str], group: str, what: type[_Value], *, others_alone: bool = False
+    own: Collection[str], group: str, what: type[_Value], *, has: Collection[str] = (), others_alone: bool = False
 ) -> dict[str, _Value]:  # fmt: skip
-    """All that packages bring in a group, by name, but for names that sherkit's ``own`` have: those are a warning.
-    ``others_alone`` loads what other packages bring and nothing of sherkit's."""
+    """All that packages bring in a group (:func:`brought`), by name, but for names that sherkit's ``own`` have: those
+    are a warning. ``others_alone`` loads what other packages bring and nothing of sherkit's."""
     found: dict[str, _Value] = {}
     for name, entry in declared(group).items():
         if others_alone and _package(entry) == _OWN:
             continue
         if name in own:
             leave_out(group, entry, f"is not used: sherkit's own {_called(group)} has that name")
-        elif (value := brought(group, name, what)) is not None:
+        elif (value := brought(group, name, what, has)) is not None:
             found[name] = value
     return found
 

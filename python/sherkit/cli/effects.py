@@ -8,7 +8,6 @@ from typing import Any, Protocol
 
 import click
 import tomli_w
-from click.core import ParameterSource
 
 from ..base.extensions import SIMULATIONS, plugins
 from ..base.figures import sized
@@ -164,18 +163,13 @@ class Simulation(Protocol):
 
 
 def _simulations() -> list[Simulation]:
-    return [*plugins((), SIMULATIONS, object).values()]  # type: ignore[list-item]
+    has = ("simulate_options", "is_asked", "measuring")
+    return [*plugins((), SIMULATIONS, object, has=has).values()]  # type: ignore[list-item]
 
 
 def _ways_of_others() -> list[Any]:
     """Who adds options to those of the command."""
     return [*other_machines().values(), *_simulations()]
-
-
-def _was_typed(name: str, value: Any) -> bool:
-    """Whether an option was given, and not by its default."""
-    asked = click.get_current_context(silent=True)
-    return value is not None if asked is None else asked.get_parameter_source(name) is ParameterSource.COMMANDLINE
 
 
 class _Simulate(click.Command):
@@ -224,7 +218,7 @@ def _run(
     virtual = made.simulated(robot, seed, errors, sizes)
     measured_by = next((one for one in _simulations() if one.is_asked(virtual, given)), None)
     own = {*sizes, *(() if measured_by is None else (o.name for o in measured_by.simulate_options))}
-    wrong = [f"--{name.replace('_', '-')}" for name in given if name not in own and _was_typed(name, given[name])]
+    wrong = [f"--{name.replace('_', '-')}" for name in given if name not in own and output.was_typed(name, given[name])]
     if wrong:
         raise SherkitError(f"{path}: is a {robot.kind} robot; {listed(wrong)} is not for that kind")
     if poses not in kind.areas:

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 import numpy as np
+from click.shell_completion import CompletionItem
 
 from ..base.extensions import EXPORTERS, declared
 from ..base.names import listed
@@ -26,6 +27,8 @@ from .paths import InputFile, OutputFile
 
 #: What is written where no word stands first: the rows of a run.
 _ROWS = "rows"
+#: Words that are called as the file is that they write.
+_ALSO = {"kinematics.yaml": "kinematics"}
 
 
 class _Exporters(OpenGroup):
@@ -33,21 +36,28 @@ class _Exporters(OpenGroup):
     file of a run."""
 
     declared = EXPORTERS
+    called = "word and no run file "
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         asks_for_help = bool(args) and args[0] in ctx.help_option_names
         return super().parse_args(ctx, args if asks_for_help else self.worded(args))
 
     def worded(self, args: list[str]) -> list[str]:
-        """What was typed, the word first: options may stand before it, and it may be called as its file is."""
+        """What was typed, the word first: options may stand before it. What begins with no word names a run."""
         words = {*self.commands, *declared(EXPORTERS)}
+        args = [_ALSO.get(one, one) for one in args]
         first = args[0] if args else ""
-        if Path(first).stem in words and not Path(first).exists():
-            return [Path(first).stem, *args[1:]]
-        word = next((one for one in args if one in words), None) if first.startswith("-") else None
-        if word is not None:
-            return [word, *args[: args.index(word)], *args[args.index(word) + 1 :]]
+        if first in words and (first != _ROWS or not Path(first).is_file()):
+            return args
+        if first.startswith("-"):
+            behind = {k + 1 for k, one in enumerate(args) if one in ("-o", "--output")}
+            at = next((k for k, one in enumerate(args) if one in words and k not in behind), None)
+            if at is not None:
+                return [args[at], *args[:at], *args[at + 1 :]]
         return [_ROWS, *args] if args and _ROWS in words and _may_be_file(args) else args
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        return [*super().shell_complete(ctx, incomplete), CompletionItem(incomplete, type="file")]
 
 
 def _may_be_file(args: list[str]) -> bool:

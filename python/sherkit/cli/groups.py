@@ -13,19 +13,20 @@ from ..base.names import nearest
 class Later(click.Command):
     """A verb in its place in the help, whose module is loaded when it is called.
 
-    ``place`` is its module and its name in it; ``group`` the heading under which ``sherkit --help`` says ``said``;
+    ``place`` is its module and its name in it; ``group`` the heading under which ``sherkit --help`` says ``said``, and
+    ``at`` its place there;
     ``examples`` are lines that can be typed as they stand, with which its own help ends.
     """
 
-    def __init__(self, place: str, group: str, said: str, *examples: str) -> None:
+    def __init__(self, place: str, group: str, said: str, *examples: str, at: int = 0) -> None:
         super().__init__(None, short_help=said)
-        self.place, self.group, self.said, self.examples = place, group, said, examples
+        self.place, self.group, self.examples, self.at = place, group, examples, at
 
     def loaded(self) -> click.Command:
         """The verb itself."""
         module, _, name = self.place.partition(":")
         command: click.Command = getattr(import_module(module), name)
-        command.epilog = examples(*self.examples)
+        command.epilog = examples(*self.examples) if self.examples else None
         return command
 
 
@@ -35,6 +36,8 @@ class OpenGroup(click.Group):
 
     #: Under which entry points other packages, and folders of sherkit that it works without, declare theirs.
     declared = ""
+    #: What one of them is called, with a space behind it.
+    called = ""
 
     @property
     def brought(self) -> dict[str, click.Command]:
@@ -56,7 +59,7 @@ class OpenGroup(click.Group):
         return found.loaded() if isinstance(found, Later) else found
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """A line each, whole."""
+        """A line or two each."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, told(command)) for name, command in {**self.commands, **self.brought}.items()])
 
@@ -65,7 +68,8 @@ class OpenGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if not name.startswith("-") and not ctx.resilient_parsing and self.get_command(ctx, name) is None:
-            raise click.UsageError(f"there is no '{name}'{nearest(name, self.list_commands(ctx))}", ctx)
+            known = [*self.commands, *declared(self.declared)]
+            raise click.UsageError(f"there is no {self.called}'{name}'{nearest(name, known)}", ctx)
         return super().resolve_command(ctx, args)
 
 

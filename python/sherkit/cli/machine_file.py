@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import click
 
-from ..base.extensions import MACHINES, brought, plugins
+from ..base.extensions import MACHINES, ROBOTS, brought, declared, plugins
 
 if TYPE_CHECKING:
     from ..data import Measurements
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from ..model.base import ModelWithEffects
     from ..model.effect import Effect
     from ..model.kinds import Robot
+
+
+#: What the class of a machine's file has, besides what it does with one: see :class:`OtherMachine`.
+_HAS = ("title", "catalogue", "example", "simulate_options", "own_ways")
 
 
 class MachineFile(Protocol):
@@ -100,7 +104,7 @@ class OtherMachine(Protocol):
 
 def other_machines() -> dict[str, type[OtherMachine]]:
     """All of them by kind, loaded now."""
-    return plugins((), MACHINES, type)
+    return plugins(declared(ROBOTS), MACHINES, type, has=_HAS)
 
 
 def _other(path: Path) -> type[MachineFile] | None:
@@ -109,4 +113,5 @@ def _other(path: Path) -> type[MachineFile] | None:
         kind: Any = tomllib.loads(path.read_text(encoding="utf-8-sig")).get("kind")
     except (OSError, ValueError, RecursionError):
         return None  # its reader says what is wrong
-    return brought(MACHINES, kind, type) if isinstance(kind, str) else None
+    # a kind of robot is nobody's to take
+    return brought(MACHINES, kind, type, _HAS) if isinstance(kind, str) and kind not in declared(ROBOTS) else None

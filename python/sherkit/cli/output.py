@@ -128,6 +128,12 @@ def command_line() -> str:
     return shlex.join(["sherkit", *(sys.argv[1:] if typed is None else typed)])
 
 
+def was_typed(name: str, value: Any) -> bool:
+    """Whether the option that has this value was given, and not by its default."""
+    asked = click.get_current_context(silent=True)
+    return value is not None if asked is None else asked.get_parameter_source(name) is ParameterSource.COMMANDLINE
+
+
 def refuse_given(*taken: str, why: str) -> None:
     """Refuses every option that was typed but those ``taken``. Raises :class:`~sherkit.errors.SherkitError`."""
     context = click.get_current_context()

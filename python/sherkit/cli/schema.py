@@ -19,10 +19,12 @@ from .machine_file import other_machines
 
 
 @click.command()
-@click.argument("file", type=click.Choice(("robot", *declared(SCHEMAS))))
+@click.argument("file", type=click.Choice(("robot", *(name for name in declared(SCHEMAS) if name != "robot"))))
 def schema(file: str) -> None:
     """Print what a FILE of this sort may hold, as JSON schema: editors check and complete TOML with it."""
-    of_others = brought(SCHEMAS, file, FunctionType)
+    of_others = None if file == "robot" else brought(SCHEMAS, file, FunctionType)
+    if file != "robot" and of_others is None:
+        raise SherkitError(f"schema {file}: what makes it cannot be loaded")
     made = _robots() if of_others is None else of_others()
     output.print_json({"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"sherkit {file}", **made})
 

@@ -111,12 +111,14 @@ VERBS = {
         "rows of a run; a calibration for a controller, C or ROS",
         "sherkit export c calibrated.toml -o robot.h",
         "sherkit export comp gantry.py calibrated.toml --axis x_mm -o x.comp",
+        at=5,
     ),
     "schema": Later(
         "sherkit.cli.schema:schema",
         "Measure",
         "what a file may hold, as JSON schema",
-        "sherkit schema experiment",
+        "sherkit schema robot",
+        at=6,
     ),
     "import": Later(
         "sherkit.cli.exchange:import_group",
@@ -131,11 +133,17 @@ VERBS = {
         "header and library for a control loop in C or C++",
         "sherkit c --cflags --libs",
         "sherkit c --example my_loop",
+        at=9,
     ),
 }
 #: Headings of the help in their order; others come behind them.
 _GROUPS = ("Start", "Diagnose", "Measure")
 _OF_OTHERS = "Of other packages"
+
+
+def _at(named: tuple[str, click.Command]) -> int:
+    """Where a verb stands below its heading."""
+    return named[1].at if isinstance(named[1], Later) else 0
 
 
 class _Verbs(OpenGroup):
@@ -150,6 +158,7 @@ class _Verbs(OpenGroup):
         for name, command in {**self.commands, **self.brought}.items():
             group = command.group if isinstance(command, Later) else _OF_OTHERS
             found.setdefault(group, {})[name] = command
+        found = {group: dict(sorted(verbs.items(), key=_at)) for group, verbs in found.items()}
         of_others = found.pop(_OF_OTHERS, {})
         return {**found, **({_OF_OTHERS: of_others} if of_others else {})}
 

@@ -5,7 +5,7 @@ from ..base.extensions import ROBOTS, declared, leave_out, plugins
 from ..model.kinds import Kind, register
 
 #: Where columns fit no robot, messages speak of the first.
-_FIRST = ("delta", "spherical")
+_FIRST = ("delta", "spherical", "serial", "printer")
 
 _found = plugins((), ROBOTS, Kind)
 for _name in sorted(_found, key=lambda one: _FIRST.index(one) if one in _FIRST else len(_FIRST)):

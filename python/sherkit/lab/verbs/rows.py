@@ -17,7 +17,7 @@ from ...cli.paths import InputFile
 @click.argument("run", type=InputFile())
 @written_as(TABLE)
 def rows(run: Path, destination: Path) -> None:
-    """The rows of the RUN file of an experiment, also while it is being measured; the word may be left out."""
+    """The rows of a RUN file, also while it is measured (the word may be left out)."""
     from ..experiment import export_run  # needs SQLite
 
     output.say(f"{export_run(run, destination)} rows written to {destination}", destination)

@@ -27,7 +27,6 @@ from ..programs import DIALECTS, Program, program_of, read_targets
 from ..robot import Serial
 from ..written import TOOL_LINK, dh_table, kinematics_yaml, urdf, xacro
 
-_FOR_KUKA = "sherkit export program calibrated.toml targets.csv --controller kuka -o program.csv"
 _Tool = tuple[float, float, float, float, float, float]
 
 # -- Into sherkit's files --------------------------------------------------------------------------------------------
@@ -145,7 +144,7 @@ def export_urdf(calibration: Path, destination: Path) -> None:
 @click.argument("calibration", type=InputFile())
 @written_as(URDF)
 def export_xacro(calibration: Path, destination: Path) -> None:
-    """The same as a xacro."""
+    """An arm as identified (a robot file: as drawn), as a xacro."""
     _in_xml(calibration, destination, xacro, "a xacro")
 
 
@@ -163,7 +162,7 @@ def _in_xml(calibration: Path, destination: Path, text: Callable[[Serial, str], 
               help="Of the rows.")  # fmt: skip
 @written_as(TABLE)
 def export_dh(calibration: Path, convention: str, destination: Path) -> None:
-    """The same as a table of Denavit and Hartenberg."""
+    """An arm as identified, as a table of Denavit and Hartenberg."""
     arm, made = _arm(calibration)
     write_table(dh_table(arm, convention), destination)
     _say_of_arm(destination, arm, made, "such a table", (FOLLOWING,))
@@ -178,7 +177,7 @@ def export_dh(calibration: Path, convention: str, destination: Path) -> None:
 @click.argument("calibration", type=InputFile())
 @written_as(KINEMATICS)
 def export_kinematics(calibration: Path, destination: Path) -> None:
-    """The same as kinematics.yaml of ur_description (m, rad)."""
+    """An arm as identified, as kinematics.yaml of ur_description (m, rad)."""
     arm, made = _arm(calibration, ())
     write_whole(destination, kinematics_yaml(arm, calibration.stem))
     _say_of_arm(destination, arm, made, "kinematics.yaml", ())
@@ -203,7 +202,10 @@ def export_program(
     calibration: Path, targets: Path, controller: str, tool: _Tool | None, payload_kg: float,
     temperature_c: float | None, destination: Path,
 ) -> None:  # fmt: skip
-    """TARGETS (x_mm … and turns, or joints) as the controller of an arm must be given them: it knows the drawing."""
+    """TARGETS as the controller of an arm, which knows the drawing, needs them.
+
+    TARGETS has x_mm … and turns, or joints.
+    """
     if not CALIBRATION.holds(FileContent(calibration)):
         raise SherkitError(f"{calibration}: expected the calibration of an arm: as drawn, every target stays as it is")
     made = _calibrated_arm(calibration)
