@@ -79,8 +79,9 @@ def is_own(group: str, name: str) -> bool:
 
 
 def brought(group: str, name: str, what: type[_Value], has: Collection[str] = ()) -> _Value | None:
-    """The value of a name, loaded now; None where nobody declares it, and with a warning where it cannot be loaded or
-    is no ``what`` or lacks an attribute that it is to have (``has``): a package that is broken takes nothing with it but what it brings.
+    """The value of a name, loaded now; None where nobody declares it, and with a warning where it cannot be loaded, is
+    no ``what`` or lacks an attribute that it is to have (``has``): a package that is broken takes nothing with it but
+    what it brings.
 
     What it prints goes where messages go, not into what a program reads.
     """
