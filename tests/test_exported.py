@@ -424,6 +424,20 @@ def test_the_command_says_what_is_in_it_and_what_is_not(word: str, made: SerialC
     assert out.read_text() == "mine\n"
 
 
+def test_a_folder_that_is_called_as_a_word_does_not_hide_it(
+    made: SerialCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a word that is taken for a file, since a package of ROS has a folder urdf; and one that is looked for in
+    the name of the output."""
+    made.save(tmp_path / "made.toml")
+    (tmp_path / "urdf").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert sherkit("export", "urdf", "made.toml", "-o", "arm.urdf").exit_code == 0
+    assert sherkit("export", "-o", "again.urdf", "urdf", "made.toml").exit_code == 0
+    refused = sherkit("export", "-o", "dh", "run.sqlite")
+    assert "dh: expected a name that ends in .csv or .parquet" in f"{refused.exception} {refused.output}"
+
+
 def test_the_command_refuses_in_sentences(made: SerialCalibration, stage: Path, tmp_path: Path) -> None:
     """Catches a traceback, and an option that is taken in silence where it does nothing."""
     made.save(tmp_path / "made.toml")

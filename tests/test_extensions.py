@@ -299,6 +299,10 @@ def harmful(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "KIND = replace(D, called='stolen')\nBARE = replace(D, name='bare', layouts=None)\n",
             "[sherkit.robots]\ndelta = sherkit.robots.spherical:KIND\nserial = a_thief:KIND\nown = a_thief:KIND\n"
             "bare = a_thief:BARE\n")  # fmt: skip
+    code = "class Machine:\n    pass\ndef schema():\n    return {'stolen': True}\nNOTHING = object()\n"
+    package(place, "takes", code, "[sherkit.machines]\ndelta = takes:Machine\nsome = takes:Machine\n"
+            "[sherkit.simulations]\nsome = takes:NOTHING\n[sherkit.schemas]\nrobot = takes:schema\n"
+            "gone = takes:gone\n")  # fmt: skip
     damaged = place / "damaged-1.0.dist-info"
     damaged.mkdir()
     (damaged / "METADATA").write_text("Metadata-Version: 2.1\nName: damaged\nVersion: 1.0\n")
@@ -332,6 +336,23 @@ def test_a_package_that_does_harm_takes_nothing_with_it(harmful: Path, tmp_path:
     assert "stolen" not in known
     assert "bare" not in known
     assert known == run(tmp_path, tmp_path, kinds_of)
+
+
+def test_a_machine_or_schema_from_outside_takes_nothing_with_it(harmful: Path, tmp_path: Path) -> None:
+    """Catches a stranger that answers for every delta or for the schema of robots, one that lacks what it is to have
+    and ends a verb for all, and a schema that cannot be made and is another file's."""
+    sk.save_robot(known_kinds()["delta"].example, tmp_path / "robot.toml")
+    simulated, catalogue, schema, gone = several(
+        tmp_path, "simulate robot.toml -o run.csv --repeats 1", "effects --json", "schema robot", "schema gone",
+        PYTHONPATH=beside(harmful),
+    )  # fmt: skip
+    assert simulated[0] == 0, simulated[2]
+    assert "takes: its simulation 'some' (takes:NOTHING) lacks 'simulate_options'" in " ".join(simulated[2].split())
+    assert "rail_lean" in {one["name"] for one in json.loads(catalogue[1])["effects"]["delta"]}
+    assert "takes: its machine 'some' (takes:Machine) lacks 'title'" in " ".join(catalogue[2].split())
+    assert "stolen" not in schema[1]
+    assert gone[0] == 1
+    assert "error: schema gone: what makes it cannot be loaded" in " ".join(gone[2].split())
 
 
 def test_a_name_that_is_taken_is_said(harmful: Path, tmp_path: Path) -> None:

@@ -123,7 +123,7 @@ def test_wrong_words_are_refused(tmp_path: Path) -> None:
         (("calibrate", tmp_path / "tool.toml", "a.csv", "--report", "x.html"), "--report: is not for the known loads"),
         (("diagnose", tmp_path / "robot.toml", "a.csv", "-o", "x.toml"), "--output: is for a flexible tool"),
         (("app", tmp_path / "tool.toml", "a.csv", "--follow"), "is one file, beside RUN"),
-        (("export", "d", tmp_path / "tool.toml", "-o", "x.h"), "there is no 'd'"),
+        (("export", "d", tmp_path / "tool.toml", "-o", "x.h"), "there is no word and no run file 'd'"),
         (("tool", "bench.csv", "free.csv", "-o", "x.toml"), "Missing argument 'RUN'"),
         (("tool", tmp_path / "none.csv", "free.csv", "run.csv", "-o", "x.toml"), "there is no such file"),
         (("tool", "bench.csv", "free.csv", "run.csv", "-o", "x.toml", "--seed", "-1"), "-1 is not in the range"),
