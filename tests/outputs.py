@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from golden import LAST_DIGITS
-from pages_of_verbs import _runs, _tables_of_a_tool
+from pages_of_verbs import runs_of_a_pair, tables_of_a_tool
 from running import command, thin
 from second_printer.trials import Trial
 
@@ -63,8 +63,8 @@ def prepared(folder: Path) -> None:
 
     for name, kind in (("sphere", "spherical"), ("arm", "serial")):
         sk.save_robot(known_kinds()[kind].example, folder / f"{name}.toml")
-    _runs(folder)
-    _tables_of_a_tool(folder)
+    runs_of_a_pair(folder)
+    tables_of_a_tool(folder)
     Trial.of("frame twisted", 5, 1).write(folder, "klipper", (0.0, 60.0), 1)
 
 

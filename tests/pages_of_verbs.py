@@ -46,7 +46,7 @@ def _arm(folder: Path) -> str:
     return _by(folder, "diagnose arm.toml run.csv --report page.html")
 
 
-def _runs(folder: Path) -> DeltaPair:
+def runs_of_a_pair(folder: Path) -> DeltaPair:
     """A delta of which one foot was moved between two runs."""
     world = DeltaPair(3, ("base_angle_2",), 4.0)
     sk.save_robot(world.robot, folder / "robot.toml")
@@ -56,12 +56,12 @@ def _runs(folder: Path) -> DeltaPair:
 
 
 def _compare(folder: Path) -> str:
-    _runs(folder)
+    runs_of_a_pair(folder)
     return _by(folder, "compare robot.toml run_1.csv run_2.csv --report page.html")
 
 
 def _history(folder: Path) -> str:
-    world = _runs(folder)
+    world = runs_of_a_pair(folder)
     moved = {"base_angle_2": world.true["base_angle_2"]}
     for k in (3, 4):
         pl.DataFrame(world.run_with(moved, 7 + k)).write_csv(folder / f"run_{k}.csv")
@@ -79,7 +79,7 @@ def _measure(folder: Path) -> str:
     return "\n".join([loop.why, *loop.told()])
 
 
-def _tables_of_a_tool(folder: Path) -> None:
+def tables_of_a_tool(folder: Path) -> None:
     VirtualTool(FlexibleTool()).bench().save(folder / "bench.csv")
     there = VirtualTool(FlexibleTool(), bias_nm=(0.004, -0.002, -0.002, 0.001, 0.003, -0.004), camera_warp_mm=0.0)
     there = there.changed(
@@ -90,7 +90,7 @@ def _tables_of_a_tool(folder: Path) -> None:
 
 
 def _tool(folder: Path) -> str:
-    _tables_of_a_tool(folder)
+    tables_of_a_tool(folder)
     return _by(folder, "tool bench.csv free.csv run.csv -o tool.toml --report page.html")
 
 

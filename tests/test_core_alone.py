@@ -13,11 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from test_floors import PACKAGE, imported
+from test_floors import FLOORS, MENU, PACKAGE, imported
 
-#: What can be taken away, and the file of names that leads to it where it is there.
-FOLDERS = ("robots/serial", "robots/printer", "robots/tool", "lab", "vision")
-MENU = "__init__.py"
+#: What can be taken away: the floors below the command line.
+FOLDERS = tuple(room for rooms in FLOORS[FLOORS.index(("cli",)) + 1 : -1] for room in rooms)
 
 STORY = """
 import json, sys

@@ -20,6 +20,7 @@ FLOORS = (
     # what the rest works without, and names nowhere but in the menu
     ("vision", "robots/serial", "robots/printer", "robots/tool"), ("lab",), ("__main__",),
 )  # fmt: skip
+#: The file of names that leads to them where they are there.
 MENU = "__init__.py"
 FLOOR = {room: k for k, rooms in enumerate(FLOORS) for room in rooms}
 

@@ -14,8 +14,7 @@ class Later(click.Command):
     """A verb in its place in the help, whose module is loaded when it is called.
 
     ``place`` is its module and its name in it; ``group`` the heading under which ``sherkit --help`` says ``said``, and
-    ``at`` its place there;
-    ``examples`` are lines that can be typed as they stand, with which its own help ends.
+    ``at`` its place there; ``examples`` are lines that can be typed as they stand, with which its own help ends.
     """
 
     def __init__(self, place: str, group: str, said: str, *examples: str, at: int = 0) -> None:

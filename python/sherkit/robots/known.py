@@ -16,5 +16,5 @@ for _name in sorted(_found, key=lambda one: _FIRST.index(one) if one in _FIRST e
         continue
     try:
         register(_kind)
-    except Exception as _error:
+    except Exception as _error:  # a stranger's kind, whatever it raises, takes no other with it
         leave_out(ROBOTS, declared(ROBOTS)[_name], f"is not used ({type(_error).__name__}: {_error})")
