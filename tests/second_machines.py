@@ -49,7 +49,8 @@ class Hidden:
 def gantry(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Floats:
     """Three rails, the second on the first and the third on the second; they lean by squarenesses."""
     x, y, z = q + 0.5 * h.play_mm * came
-    x = x + h.ripple_mm * np.sin(2 * np.pi * x / (h.sizes.get("ripple_period_mm", 7.3)) + 0.4)
+    turns = 2 * np.pi * x / h.sizes.get("ripple_period_mm", 7.3)
+    x = x + h.ripple_mm * np.sin(turns + 0.4) + h.second_mm * np.sin(2 * turns + 1.1)
     y = y * (1 + h.pitch)
     # a rail that bends pitches what stands on it: once over its length
     x = x + h.bow_mm * (x / 200.0 - 1.0) ** 2

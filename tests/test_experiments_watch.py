@@ -56,7 +56,10 @@ def world(kind, seed, poses=POSES):
     plan = plan_of_poses(robot.inverse_batch(places).require("pose"), robot.inverse(robot.middle))
     hidden = HiddenEffects()
     model = model_of(robot)
-    chosen = [e for e in model.catalogue.values() if not e.search and rng.random() < 0.25 and e.name not in _NO_PART]
+    chosen = [
+        e for e in model.catalogue.values()
+        if not (e.search or e.goes_with) and rng.random() < 0.25 and e.name not in _NO_PART
+    ]  # fmt: skip
     if chosen:
         hidden = HiddenEffects({p.name: p.size * rng.normal() for e in chosen for p in e.qualified()})
     bench = RobotOnTheBench(virtual, hidden)

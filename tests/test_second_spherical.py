@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from second_simulator.effects import motion_direction
 from second_simulator.spherical import (
+    ALL_EFFECTS,
     COLUMN_NAMES,
     GEOMETRY,
-    SPHERICAL_EFFECTS,
     Now,
     SecondSpherical,
     camera_facing,
@@ -73,7 +73,7 @@ def core_of(robot: SecondSpherical, geometry: Floats | None = None, readings: st
     if geometry is None:
         geometry = np.array([robot.alpha_rad, robot.beta_rad, 0.0] * 2)
     times = [0.0, robot.effects["slip"][3], robot.effects["joint_slip"][2], robot.effects["sensor_slip"][6]]
-    period = 2 * np.pi / (robot.effects["encoder_cyclic"][4] or 2.0)
+    period = 2 * np.pi / (robot.effects["encoder_cyclic"][4] or robot.effects["encoder_second"][4] or 2.0)
     settings = np.concatenate([[robot.radius_mm], robot.gravity, robot.home_rad, times, [period]])
     return _core.SphericalModel(geometry, robot.camera, settings, robot.assembly, readings=readings)
 
@@ -224,7 +224,7 @@ def test_limbs_of_any_geometry_are_the_cores(seed: int) -> None:
 
 
 @pytest.mark.parametrize("size", [0.1, 1.0, 10.0])
-@pytest.mark.parametrize("name", SPHERICAL_EFFECTS)
+@pytest.mark.parametrize("name", ALL_EFFECTS)
 def test_each_effect_is_the_cores(name: str, size: float) -> None:
     """Catches an effect with another sign, unit, order of parameters or place in the chain than the core's."""
     for seed in range(4):
@@ -239,25 +239,25 @@ def test_all_effects_at_once_are_the_cores(seed: int) -> None:
     """Catches effects that meet in another order than the core's: one link of the chain placed before another."""
     rng = np.random.default_rng([4, seed])
     robot = random_robot(rng)
-    robot.hide(**{name: 3 * draw_spherical_effect(name, rng) for name in SPHERICAL_EFFECTS})
+    robot.hide(**{name: 3 * draw_spherical_effect(name, rng) for name in ALL_EFFECTS})
     assert disagreement(robot, rng) < 1e-6
 
 
-@pytest.mark.parametrize("name", SPHERICAL_EFFECTS)
+@pytest.mark.parametrize("name", ALL_EFFECTS)
 def test_effect_vanishes_with_its_parameters_and_only_then(name: str) -> None:
     """Catches an effect that is not applied, or that another one switches on."""
     drawn = draw_spherical_effect(name, np.random.default_rng(1))
     plain = PAPER.truth(PLAN)
     assert np.abs(PAPER.changed(effects={name: drawn}).truth(PLAN) - plain).max() > 0.05
     np.testing.assert_array_equal(PAPER.changed(effects={name: 0 * drawn}).truth(PLAN), plain)
-    amplitudes = len(drawn) - SPHERICAL_EFFECTS[name].fixed
+    amplitudes = len(drawn) - ALL_EFFECTS[name].fixed
     for k in range(amplitudes):
         kept = np.arange(len(drawn)) >= amplitudes
         one = PAPER.changed(effects={name: drawn * np.where(kept, 1.0, np.eye(len(drawn))[k])})
         assert np.abs(one.truth(PLAN) - plain).max() > 1e-3, k
 
 
-@pytest.mark.parametrize("name", SPHERICAL_EFFECTS)
+@pytest.mark.parametrize("name", ALL_EFFECTS)
 @pytest.mark.parametrize("ratio", [1.0, 5.0])
 def test_at_ratio_leaves_that_many_times_the_noise(name: str, ratio: float) -> None:
     """Catches sizes measured before the fit instead of after, and a noise taken for a variance."""

@@ -3,6 +3,7 @@
 Joints, all evaluated at the reading q and added to it (v = (q - q_home) / 20 mm):
   joint_scale (3)          s_i (q_i - q_home_i), relative
   encoder_cyclic (6)       a1 b1 a2 b2 a3 b3, mm: a sin(2 pi q / pitch) + b cos(2 pi q / pitch)
+  encoder_second (6)       the same with twice the phase: it goes with encoder_cyclic
   backlash (3)             b_i, mm: half of it in the direction of the joint's last motion
   joint_coupling (6) *     k12 k13 k21 k23 k31 k32, mm: q_i error = k_ij v_j v_i
   joint_crosstalk (6) *    same order, mm: q_i error = k_ij v_j
@@ -65,6 +66,7 @@ class Effect:
     positive: bool = False  # physically one-signed
     fixed: int = 0
     catalogued: bool = True
+    goes_with: str = ""  # no cause of its own: asked for where that effect is
 
     @property
     def size(self) -> int:
@@ -74,6 +76,7 @@ class Effect:
 EFFECTS: dict[str, Effect] = {
     "joint_scale": Effect(3, 1e-3),
     "encoder_cyclic": Effect(6, 5e-3),
+    "encoder_second": Effect(6, 2e-3, goes_with="encoder_cyclic"),
     "backlash": Effect(3, 0.01, positive=True),
     "rail_lean": Effect(6, 1e-3),
     "rod_mismatch": Effect(3, 0.05),
@@ -95,7 +98,7 @@ EFFECTS: dict[str, Effect] = {
     "drive_compliance": Effect(3, 0.01, positive=True),
     "link_growth": Effect(3, 1e-4),
 }
-CATALOGUE = tuple(name for name, effect in EFFECTS.items() if effect.catalogued)
+CATALOGUE = tuple(name for name, effect in EFFECTS.items() if effect.catalogued and not effect.goes_with)
 OUTSIDE_CATALOGUE = tuple(name for name, effect in EFFECTS.items() if not effect.catalogued)
 
 
@@ -177,6 +180,7 @@ def true_joints(robot: Robot, home: Array, columns: Columns, effects: Mapping[st
     v = (q - home) / SPAN_MM
     phase = 2 * np.pi * q / robot.pole_pitch
     sine, cosine = effects["encoder_cyclic"].reshape(3, 2).T
+    sine_2, cosine_2 = effects["encoder_second"].reshape(3, 2).T
     lost, when = effects["joint_slip"][:3], effects["joint_slip"][3]
     return (
         q
@@ -185,6 +189,8 @@ def true_joints(robot: Robot, home: Array, columns: Columns, effects: Mapping[st
         + effects["joint_scale"] * (q - home)
         + sine * np.sin(phase)
         + cosine * np.cos(phase)
+        + sine_2 * np.sin(2 * phase)
+        + cosine_2 * np.cos(2 * phase)
         + 0.5 * effects["backlash"] * motion_direction(q, columns["time_s"])
         + (v @ coupling_matrix(effects["joint_coupling"]).T) * v
         + v @ coupling_matrix(effects["joint_crosstalk"]).T

@@ -8,6 +8,7 @@ Joints, all evaluated at the reading r and added to it (joint 1, joint 2):
   joint_offset (2)           constant, rad
   joint_scale (2)            s_i (r_i - home_i), relative
   encoder_eccentricity (4)   a1 b1 a2 b2, rad: a sin(r) + b cos(r)
+  encoder_second (5)         the same at twice those waves; it goes with encoder_cyclic
   encoder_cyclic (5)         a1 b1 a2 b2, rad, then how many waves n a turn has: a sin(n r) + b cos(n r)
   joint_slip (3)             what the joints lost, rad, then the time in s from which they have
   backlash (2)               b_i, rad: half of it in the direction of the joint's last motion
@@ -117,6 +118,8 @@ SPHERICAL_EFFECTS: dict[str, Effect] = {
     "lens_distortion": Effect((0.01, 0.01, 1e-3, 1e-3)),
     "camera_delay": Effect((5e-3,), positive=True),
 }
+#: With what goes with another, and is asked for where that is.
+ALL_EFFECTS = SPHERICAL_EFFECTS | {"encoder_second": Effect((2e-4,) * 4 + (20.0,), fixed=1)}
 
 
 @dataclass(frozen=True)
@@ -147,17 +150,17 @@ PRINCIPAL_POINT = "principal_point"  # fitted by some, hidden by none
 def complete(effects: Effects | None) -> dict[str, Array]:
     """Parameters of every effect, zero where none are given."""
     given = effects or {}
-    if unknown := set(given) - set(SPHERICAL_EFFECTS):
+    if unknown := set(given) - set(ALL_EFFECTS):
         raise ValueError(f"unknown effects {sorted(unknown)}")
-    full = {name: np.zeros(effect.size) for name, effect in SPHERICAL_EFFECTS.items()}
+    full = {name: np.zeros(effect.size) for name, effect in ALL_EFFECTS.items()}
     for name, value in given.items():
-        full[name] = np.asarray(value, float).reshape(SPHERICAL_EFFECTS[name].size)
+        full[name] = np.asarray(value, float).reshape(ALL_EFFECTS[name].size)
     return full
 
 
 def draw_spherical_effect(name: str, rng: np.random.Generator) -> Array:
     """Random parameters of typical size."""
-    effect = SPHERICAL_EFFECTS[name]
+    effect = ALL_EFFECTS[name]
     if effect.positive:
         return np.array(effect.typical) * rng.uniform(0.5, 1.5, effect.size)
     drawn = np.array(effect.typical) * rng.normal(size=effect.size)
@@ -292,6 +295,9 @@ class SecondSpherical:
         *waves, per_turn = hidden["encoder_cyclic"]
         for k in (0, 1):
             theta[:, k] += waves[2 * k] * np.sin(per_turn * r[:, k]) + waves[2 * k + 1] * np.cos(per_turn * r[:, k])
+        *waves, per_turn = hidden["encoder_second"]
+        for k, (sine, cosine) in enumerate(np.reshape(waves, (2, 2))):
+            theta[:, k] += sine * np.sin(2 * per_turn * r[:, k]) + cosine * np.cos(2 * per_turn * r[:, k])
         if np.any(hidden["joint_slip"][:2]):
             lost, when = hidden["joint_slip"][:2], hidden["joint_slip"][2]
             theta = theta + np.outer(now.needed("time_s", "a slip of a joint") >= when, lost)
@@ -513,7 +519,7 @@ class SecondSpherical:
                 for k in (2, 3):
                     vary("camera", self.camera, np.eye(15)[k])
             else:
-                effect = SPHERICAL_EFFECTS[name]
+                effect = ALL_EFFECTS[name]
                 now = self._effects[name].copy()
                 if not np.any(now) and effect.fixed:  # what is not there yet would come at its time
                     now[-effect.fixed :] = effect.typical[-effect.fixed :]
@@ -548,7 +554,7 @@ class SecondSpherical:
         """
         target_px = ratio * noise_px
         plan = spherical_plan(joints, seed=self.seed) if isinstance(joints, np.ndarray) else joints
-        rng = rng or np.random.default_rng([self.seed, 2, tuple(SPHERICAL_EFFECTS).index(effect)])
+        rng = rng or np.random.default_rng([self.seed, 2, tuple(ALL_EFFECTS).index(effect)])
         plain = self.changed(effects=None)
         basis, without = plain.fitted_directions(plan, fitted), plain.truth(plan)
         parameters = draw_spherical_effect(effect, rng)
@@ -565,5 +571,5 @@ class SecondSpherical:
                 power = float(np.clip(np.log(rms / last) / np.log(factor), 0.5, 10.0))
             factor = min((target_px / rms) ** (1 / power), MAX_FACTOR)
             parameters = parameters.copy()
-            parameters[: len(parameters) - SPHERICAL_EFFECTS[effect].fixed] *= factor
+            parameters[: len(parameters) - ALL_EFFECTS[effect].fixed] *= factor
         raise RuntimeError(f"{effect} does not reach {target_px} px")

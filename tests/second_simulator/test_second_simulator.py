@@ -275,6 +275,7 @@ def test_joint_effects_are_the_matching_shift_of_the_readings() -> None:
     expected = {
         "joint_scale": (b, b * (Q - HOME)),
         "encoder_cyclic": (k, k[::2] * np.sin(np.pi * Q) + k[1::2] * np.cos(np.pi * Q)),
+        "encoder_second": (k, k[::2] * np.sin(2 * np.pi * Q) + k[1::2] * np.cos(2 * np.pi * Q)),
         "backlash": (b, 0.5 * b * direction),
         "joint_crosstalk": (k, driving),
         "joint_coupling": (k, driving * s),

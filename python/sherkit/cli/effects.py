@@ -52,7 +52,7 @@ def effects(name: str | None, robot: Path | None, as_json: bool, picture: Path |
         for kind, catalogue in catalogues.items():
             made = output.table(_title(kind), "effect", "acts at", "parameters", "needs", texts=True)
             for e in catalogue.values():
-                made.add_row(e.name, e.link, str(len(e.parameters)), ", ".join(e.needs))
+                made.add_row(e.name, e.link, str(len(e.parameters)), ", ".join([*e.needs, *_partner(e)]))
             output.out.print(made)
         output.say("sherkit effects NAME shows one; your own go into a Python file: --effects my_effects.py")
         return
@@ -98,9 +98,14 @@ def _told(effect: Effect) -> dict[str, Any]:
         "residuals": effect.residuals,
         "remedy": effect.remedy,
         "needs": list(effect.needs),
+        "goes_with": effect.goes_with or None,
         "searched": effect.search,
         "parameters": [{"name": p.name, "plausible_size": p.size, "unit": p.unit} for p in effect.parameters],
     }
+
+
+def _partner(effect: Effect) -> list[str]:
+    return [f"{effect.goes_with} in the model"] if effect.goes_with else []
 
 
 def _title(kind: str) -> str:
@@ -116,7 +121,7 @@ def _show(effect: Effect, of: str) -> None:
         ("physics", effect.physics),
         ("its residuals", effect.residuals),
         ("how to fix it", effect.remedy),
-        ("needs", ", ".join(effect.needs) or "no column besides the readings"),
+        ("needs", ", ".join([*effect.needs, *_partner(effect)]) or "no column besides the readings"),
     ):
         output.out.print(f"  [bold]{title}:[/] {text}")
     if effect.search:

@@ -14,16 +14,18 @@ _TOLD = 3.0
 
 
 def waves_in_words(fit: Fit) -> Iterator[str]:
-    """A sentence for each effect of waves that has a period for each joint: how large they are at the joints where they
-    are told, the second wave of each period behind the first."""
+    """A sentence for each effect of waves that has a period for each joint, or a second wave in it: how large they are at
+    the joints where they are told, the second wave of each period behind the first."""
     for effect in fit.model.effects:
-        if not (effect.is_periodic and isinstance(fit.model.setting_of(effect), tuple)):
+        if not effect.is_periodic:
             continue
         names = [p.name for p in fit.parameters]
         seconds = {p.name for e in fit.model.effects if e.goes_with == effect.name for p in e.qualified()}
+        if not (seconds or isinstance(fit.model.setting_of(effect), tuple)):
+            continue
         said = []
         for sine, cosine in zip(effect.qualified()[::2], effect.qualified()[1::2], strict=True):
-            joint = sine.name.rpartition("_")[2]
+            joint = sine.name.partition(".sine_")[2]
             size, std = _amplitude(fit, [names.index(sine.name), names.index(cosine.name)])
             if size < _TOLD * std:
                 continue

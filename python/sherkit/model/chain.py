@@ -23,7 +23,7 @@ from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
 from .base import CandidateColumns, Derivatives, EffectColumns, ModelColumns, Reachable, carry, column_slices
-from .effect import WITHIN, Effect, Parameter, Setting, freeing, parameters_of_core
+from .effect import WITHIN, Effect, Parameter, Setting, effects_of_row, freeing, parameters_of_core
 from .rows import EffectRows
 from .seen import SeenModel
 
@@ -214,10 +214,10 @@ class ChainModel(SeenModel):
         base = {p.name: p for p in self.base}
         out: list[Parameter] = []
         for row in self.table:
-            own = (
-                (base[p["name"]] for p in row["parameters"]) if row["base"] else self.catalogue[row["name"]].qualified()
-            )
-            out += own
+            if row["base"]:
+                out += (base[p["name"]] for p in row["parameters"])
+            else:
+                out += (p for effect in effects_of_row(self.catalogue, row["name"]) for p in effect.qualified())
         return tuple(out)
 
     @cached_property

@@ -257,8 +257,9 @@ def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str
     rows = {row["name"]: row for row in table if not row["base"] or row["name"] in sentences}
     if differing := set(rows) ^ set(sentences):
         raise EffectError(f"effects of the core and their sentences differ: {listed(sorted(differing), 12)}")
-    made = {
-        name: Effect(
+    out = Catalogue()
+    for name, row in rows.items():
+        effect = Effect(
             name=name,
             link=row["link"],
             parameters=parameters_of_core(row),
@@ -269,9 +270,26 @@ def catalogue_of_core(table: Sequence[Mapping[str, Any]], sentences: Mapping[str
             remedy=sentences[name].remedy,
             sizes=sentences[name].sizes,
         )
-        for name, row in rows.items()
-    }
-    return Catalogue(made)
+        out |= _joint_by_joint(effect) if name == _SECOND_WAVE else {name: effect}
+    return out
+
+
+#: The row of a table that is an effect of each joint by itself, and the effect that it goes with.
+_SECOND_WAVE, _FIRST_WAVE = "encoder_second", "encoder_cyclic"
+
+
+def _joint_by_joint(effect: Effect) -> dict[str, Effect]:
+    """The second wave as an effect of each joint, since one gear has it and another has none."""
+    waves = [effect.parameters[k : k + 2] for k in range(0, len(effect.parameters), 2)]
+    each = {f"{effect.name}_{wave[0].name.partition('_')[2]}": wave for wave in waves}
+    return {name: replace(effect, name=name, parameters=wave, goes_with=_FIRST_WAVE) for name, wave in each.items()}
+
+
+def effects_of_row(catalogue: Mapping[str, Effect], name: str) -> list[Effect]:
+    """The effects of a catalogue that are one row of the compiled table, in the order of its parameters."""
+    if name != _SECOND_WAVE:
+        return [catalogue[name]]
+    return [effect for effect in catalogue.values() if effect.name.startswith(name)]
 
 
 def parameters_of_core(

@@ -27,6 +27,12 @@ COMMON: dict[str, Sentences] = {
         residuals="A ripple along one joint that repeats with the pole pitch, or a whole number of times per turn.",
         remedy="Adjust gap and angle of the reading head; enable the encoder's own harmonic compensation.",
     ),
+    "encoder_second": Sentences(
+        physics="What an encoder's scale or a gear does in each period is no pure sine: a second wave goes with it, of "
+        "half the period.",
+        residuals="A ripple along one joint, two waves in each period of its cyclic error.",
+        remedy="As for encoder_cyclic: the encoder's own compensation may have the second harmonic, too.",
+    ),
     "encoder_eccentricity": Sentences(
         physics="The encoder's ring sits off the axis of its joint, so it errs by a sine once per turn.",
         residuals="A slow wave along one joint: one period in a whole turn.",

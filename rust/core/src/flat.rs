@@ -32,8 +32,6 @@ const VERSION: f64 = 6.0;
 const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
 const SERIAL: f64 = 3.0;
-/// Parameters of an arm whose gears have no second wave, as rows from before that hold them: all but the last.
-const ONE_WAVE: usize = serial::PARAMETERS - 2 * serial::JOINTS;
 
 /// What a branch of a calibrated delta is made from.
 #[derive(Clone, Copy, Debug)]
@@ -252,15 +250,29 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn head(&mut self, kind: f64, parameters: usize) -> Result<()> {
+    /// How many of its `parameters` the row holds: a row from before encoders had a second wave lacks the last, two of
+    /// each of its `joints`.
+    fn head(&mut self, kind: f64, parameters: usize, joints: usize) -> Result<usize> {
         let [version, found, count] = self.take()?;
-        if version != VERSION || count != parameters as f64 {
+        let known = [parameters, parameters - 2 * joints]
+            .into_iter()
+            .find(|known| *known as f64 == count);
+        let Some(known) = known.filter(|_| version == VERSION) else {
             return refuse("calibration: written by another version");
-        }
+        };
         if found != kind {
             return refuse("calibration: that of another kind of robot");
         }
-        Ok(())
+        Ok(known)
+    }
+
+    /// Values of all parameters, of which the row holds the first.
+    fn values<const N: usize>(&mut self, known: usize) -> Result<[f64; N]> {
+        let mut values = [0.0; N];
+        for value in values.iter_mut().take(known) {
+            [*value] = self.finite()?;
+        }
+        Ok(values)
     }
 
     fn end(&self) -> Result<()> {
@@ -310,7 +322,7 @@ impl<'a> Reader<'a> {
         Correction::new(orders, domain, numbers.as_chunks::<3>().0).map(Some)
     }
 
-    fn branch(&mut self) -> Result<Branch<'a>> {
+    fn branch(&mut self, known: usize) -> Result<Branch<'a>> {
         let assembly = self.side(delta::Assembly::Below, delta::Assembly::Above)?;
         let geometry = self.finite()?;
         let target_offset = Vector3::from(self.finite::<3>()?);
@@ -336,7 +348,7 @@ impl<'a> Reader<'a> {
             sensor_slip_time_s,
         };
         Ok(Branch::new(
-            &model.with(&self.finite()?)?,
+            &model.with(&self.values(known)?)?,
             self.correction()?,
         ))
     }
@@ -348,11 +360,11 @@ impl<'a> Reader<'a> {
 /// [`Error::Invalid`] says what the row lacks; otherwise as [`Robot::with`].
 pub fn read_delta(numbers: &[f64]) -> Result<Calibrated<'_>> {
     let mut row = Reader(numbers);
-    row.head(DELTA, delta::PARAMETERS)?;
-    let whole = row.branch()?;
+    let known = row.head(DELTA, delta::PARAMETERS, delta::LIMBS)?;
+    let whole = row.branch(known)?;
     let local = if row.flag()? {
         let region = row.domain()?;
-        Some((row.branch()?, region))
+        Some((row.branch(known)?, region))
     } else {
         None
     };
@@ -370,7 +382,7 @@ pub fn read_delta(numbers: &[f64]) -> Result<Calibrated<'_>> {
 /// [`Error::Invalid`] says what the row lacks; otherwise as [`Robot::with`].
 pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
     let mut row = Reader(numbers);
-    row.head(SPHERICAL, spherical::PARAMETERS)?;
+    let known = row.head(SPHERICAL, spherical::PARAMETERS, spherical::LIMBS)?;
     let assembly = row.side(spherical::Assembly::Outer, spherical::Assembly::Inner)?;
     let model = spherical::Model {
         geometry: spherical::Geometry::from_parameters(&row.finite()?, assembly),
@@ -393,7 +405,7 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
         3.0 => Elbows::Behind,
         _ => return refuse("calibration: the elbows stand nowhere"),
     };
-    let values = row.finite()?;
+    let values = row.values(known)?;
     row.end()?;
     spherical::Calibrated::new(&model, &values, elbows)
 }
@@ -404,12 +416,7 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
 /// [`Error::Invalid`] says what the row lacks; otherwise as [`Robot::with`].
 pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
     let mut row = Reader(numbers);
-    let known = if numbers.get(2) == Some(&(ONE_WAVE as f64)) {
-        ONE_WAVE
-    } else {
-        serial::PARAMETERS
-    };
-    row.head(SERIAL, known)?;
+    let known = row.head(SERIAL, serial::PARAMETERS, serial::JOINTS)?;
     let found = row.one()?;
     let Some(count) = (1..=serial::JOINTS).find(|k| *k as f64 == found) else {
         return refuse("calibration: an arm has one to nine joints");
@@ -442,10 +449,7 @@ pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
         joint_slip_time_s: row.finite::<1>()?[0],
         sensor_slip_time_s: 0.0,
     };
-    let mut values = [0.0; serial::PARAMETERS];
-    for value in values.iter_mut().take(known) {
-        [*value] = row.finite()?;
-    }
+    let values = row.values(known)?;
     row.end()?;
     serial::Calibrated::new(&model, &values, &limits)
 }

@@ -10,7 +10,7 @@ use proptest::prelude::*;
 use sherkit_core::camera::{Description, Face};
 use sherkit_core::chain::{CENTRES, Flat, Frame, PLANES, Robot as _};
 use sherkit_core::delta::correction::{Correction, Domain, coefficients_len};
-use sherkit_core::delta::{Branch, Calibrated, Values};
+use sherkit_core::delta::{self, Branch, Calibrated, Values};
 use sherkit_core::flat::{
     BranchParts, read_delta, read_serial, read_spherical, write_delta, write_serial,
     write_spherical,
@@ -84,6 +84,15 @@ impl Parts {
     }
 }
 
+/// Numbers of the second wave of a delta's encoders.
+const SECOND_OF_DELTA: usize = 2 * delta::LIMBS;
+
+/// Where the values of a delta's first branch end in its row: behind its head, its geometry, its target and sensor, its
+/// rods, its joints, its moments.
+const fn values_of_delta_end() -> usize {
+    3 + (1 + delta::GEOMETRIC + 3 + 12 + 1 + 6 + 4) + delta::PARAMETERS
+}
+
 proptest! {
     #![proptest_config(config())]
 
@@ -105,6 +114,29 @@ proptest! {
                 prop_assert_eq!(read.inverse(&place, &now), made.inverse(&place, &now));
             }
         }
+    }
+
+    /// A row from before encoders had a second wave that is refused, or read from the wrong places: all but the last
+    /// parameters of each branch, and as if those were zero.
+    #[test]
+    fn a_delta_from_before_is_read(robot in robots(), values in effects(), seed in any::<u64>()) {
+        let mut parts = Parts::new(&robot, &values, seed);
+        for own in parts.values.iter_mut().flat_map(|all| &mut all[delta::PARAMETERS - SECOND_OF_DELTA..]) {
+            *own = 0.0;
+        }
+        let mut old = parts.written();
+        let end = values_of_delta_end();
+        if parts.has_local {
+            // behind the first branch's correction: that there is a region, the region, the other branch
+            let correction = if parts.corrected { 1 + 3 + 7 + 3 * parts.coefficients.len() } else { 1 };
+            let other = end + correction + 1 + 7 + end - 3;
+            old.drain(other - SECOND_OF_DELTA..other);
+        }
+        old.drain(end - SECOND_OF_DELTA..end);
+        old[2] -= SECOND_OF_DELTA as f64;
+        let (read, made, now) = (read_delta(&old).expect("one from before"), parts.made(), some_covariates());
+        prop_assert_eq!(read.forward(&parts.robot.joints, &now), made.forward(&parts.robot.joints, &now));
+        prop_assert_eq!(read.local.is_some(), made.local.is_some());
     }
 
     /// A row that is cut, continued or spoilt, and that is taken all the same or panics.
@@ -260,4 +292,15 @@ fn a_spherical_robot_comes_back_to_the_last_bit() {
         }
         assert!(read_delta(&row).is_err());
     }
+    // from before encoders had a second wave
+    let before = spherical::PARAMETERS - 4;
+    let values = std::array::from_fn(|k| if k < before { values[k] } else { 0.0 });
+    let mut old = Vec::new();
+    write_spherical(&model, &values, Elbows::Open, |x| old.push(x));
+    old.truncate(old.len() - 4);
+    old[2] = before as f64;
+    let read = read_spherical(&old).expect("one from before");
+    let made = spherical::Calibrated::new(&model, &values, Elbows::Open).expect("a robot");
+    let joints = Vector2::new(2.1, 0.9);
+    assert_eq!(read.forward(&joints, &now), made.forward(&joints, &now));
 }

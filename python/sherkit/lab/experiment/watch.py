@@ -180,7 +180,9 @@ class Watch:
             odd = [s for s in self._recent if s is seen or s.distance > _ODD]
             found = accuse(odd, self._recent[: -len(odd)] if len(odd) < len(self._recent) else [], self.layout)
             return self._doubt(found, odd)
-        if seen.distance <= _ODD:
+        # of a row where the robot as known so far cannot be, at the edge of its reach, nothing is learnt: a fit would
+        # begin at the drawing again
+        if seen.distance <= _ODD and np.isfinite(self._cost([point], self._values)):
             self._include(point)
         return None
 

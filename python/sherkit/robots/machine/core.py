@@ -134,6 +134,8 @@ def generic_effects(
         which = [i for i in range(k) if units[i] == unit]
         lines = _waves([joints[i] for i in which], unit, 0.005 if by is None else 1e-3 / by)
         out.append(Generic("encoder_cyclic", "joints", lines, _cyclic(which), search=f"period_{unit}"))
+        second = tuple((name, unit, 0.4 * size) for name, unit, size in lines)
+        out.append(Generic("encoder_second", "joints", second, _cyclic(which, 2.0)))
     # who reads a joint a moment after the point sees it where it was then
     late = tuple(f"{name}_per_s" for name in joints)
     out.append(
@@ -250,8 +252,8 @@ def _wave_of(turns: Mapping[int, float]) -> Formula:
     return lambda q, _: _wave(q, turns)
 
 
-def _cyclic(which: Sequence[int]) -> Formula:
-    return lambda q, at: _wave(q, {k: at.wave[k] for k in which})
+def _cyclic(which: Sequence[int], times: float = 1.0) -> Formula:
+    return lambda q, at: _wave(q, {k: times * at.wave[k] for k in which})
 
 
 def _warmer(at: RowCovariates) -> Floats:

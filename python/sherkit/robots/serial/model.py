@@ -22,7 +22,7 @@ from ...data.columns import Layout, unit_in
 from ...errors import FitError, SherkitWarning
 from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
-from ...model.effect import Catalogue, Effect, Parameter, Sentences, Setting, parameters_of_core
+from ...model.effect import Effect, Parameter, Sentences, Setting, effects_of_row, parameters_of_core
 from ...model.relations import Apart
 from ...model.sentences import catalogue_of
 from .plates import PlateChain, as_plates, plates_of, renamed
@@ -32,12 +32,6 @@ from .sockets import Sockets, sockets_of
 # -- Effects ------------------------------------------------------------------------------------------------------
 
 _OWN = {
-    "encoder_second": Sentences(
-        physics="What an encoder's scale or a gear does in each period is no pure sine: a second wave goes with it, of "
-        "half the period.",
-        residuals="A ripple along one joint, two waves in each period of its cyclic error.",
-        remedy="As for encoder_cyclic: the encoder's own compensation may have the second harmonic, too.",
-    ),
     "joint_coupling": Sentences(
         physics="A joint moves a little when the one before it does: a belt or shaft runs through that joint, as in "
         "many wrists, and the controller's ratio for it is missing or not quite right.",
@@ -81,25 +75,8 @@ _OWN = {
     ),
 }
 
-#: The row of the table that is an effect of each joint by itself, and the effect that it goes with.
-_SECOND, _FIRST_WAVE = "encoder_second", "encoder_cyclic"
-
-
-def _joint_by_joint(rows: Mapping[str, Effect]) -> Catalogue:
-    """The effects of a table, the second wave as one of each joint: one gear has it, another has none."""
-    out = Catalogue()
-    for name, effect in rows.items():
-        if name != _SECOND:
-            out[name] = effect
-            continue
-        for k in range(0, len(effect.parameters), 2):
-            own = f"{name}_{k // 2 + 1}"
-            out[own] = replace(effect, name=own, parameters=effect.parameters[k : k + 2], goes_with=_FIRST_WAVE)
-    return out
-
-
 #: The effects by name, in the order of the chain, for all the joints that an arm may have.
-SERIAL_CATALOGUE: dict[str, Effect] = _joint_by_joint(catalogue_of(_core.SerialModel.CATALOGUE, _OWN))
+SERIAL_CATALOGUE: dict[str, Effect] = catalogue_of(_core.SerialModel.CATALOGUE, _OWN)
 
 #: Postures by which the drawing tells what weight does, and the part of what a joint moves that counts as nothing.
 _POSTURES, _NOTHING = 50, 1e-9
@@ -288,9 +265,8 @@ class SerialModel(ChainModel):
         for row in self.table:
             if row["base"]:
                 out += parameters_of_core(row, self.lever_mm)
-                continue
-            named = [row["name"]] if row["name"] != _SECOND else [n for n in self.catalogue if n.startswith(_SECOND)]
-            out += (p for name in named for p in self.catalogue[name].qualified())
+            else:
+                out += (p for effect in effects_of_row(self.catalogue, row["name"]) for p in effect.qualified())
         called = renamed(self.robot)
         return tuple(replace(p, name=called[p.name], unit="rad") if p.name in called else p for p in out)
 

@@ -111,4 +111,8 @@ effects! { At;
     camera_delay: Sensor by joints needs "theta1_rad_per_s" "theta2_rad_per_s" {
         delay: "s", 0.02, LEVER;
     }
+    // the cyclic error's second wave in each period; the last, as rows of numbers from before it hold all but these
+    encoder_second: Joints by joints {
+        sine_1, cosine_1, sine_2, cosine_2: "rad", 3e-4, LEVER;
+    }
 }
