@@ -14,8 +14,8 @@ _TOLD = 3.0
 
 
 def waves_in_words(fit: Fit) -> Iterator[str]:
-    """A sentence for each effect of waves that has a period for each joint, or a second wave in it: how large they are at
-    the joints where they are told, the second wave of each period behind the first."""
+    """A sentence for each effect of waves that has a period for each joint, or a second wave in it: how large they
+    are at the joints where they are told, the second wave of each period behind the first."""
     for effect in fit.model.effects:
         if not effect.is_periodic:
             continue
