@@ -43,8 +43,7 @@ def blocks_of_effects(made: Maker) -> None:
         return
     counts = max((waves_along(made.like.inputs[name]) for name in names), key=len)
     parts = [
-        made.part(made.table(2.0 * np.pi * view.inputs[name] / reach, counts), view.patterns[name][:, :, None])
-        for name in names
+        made.waves(2.0 * np.pi * view.inputs[name] / reach, counts, view.patterns[name][:, :, None]) for name in names
     ]
     for effect in searched:
         for k, count in enumerate(counts.tolist()):

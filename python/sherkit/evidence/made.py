@@ -54,9 +54,15 @@ class Maker:
             values, like = values - self.run.of.data.begins_s, like - like[0]
         return np.asarray(2.0 * (values - like.min()) / max(float(np.ptp(like)), 1e-300) - 1.0)
 
-    def table(self, angle: Floats, counts: Floats) -> Floats:
-        """As :func:`~.waves.table_of`, with their means where a reference says what is tried."""
-        return table_of(angle, counts, centred=self.reference is None)
+    def waves(self, angle: Floats, counts: Floats, carriers: Floats) -> int:
+        """The part of sines, then cosines of so many times an ``angle`` (n,), on ``carriers`` as :meth:`part` has
+        them; without their means unless there is a reference."""
+        posed = self.visits.same(angle) and self.visits.same(carriers)
+        rows = self.visits.first if posed else slice(None)
+        table = table_of(angle[rows], counts)
+        if self.reference is None:
+            table -= np.average(table, axis=0, weights=self.visits.count if posed else None)
+        return self._part(table, carriers[rows], posed)
 
     def function(self, values: Floats) -> Piece:
         """A function (n,) of the row on every axis alone, without its mean unless there is a reference: m columns."""
@@ -86,11 +92,10 @@ class Maker:
         """All products of ``functions`` (n, f) and ``carriers`` (n, c) or (n, m, c): the number of their part."""
         posed = self.visits.same(functions) and self.visits.same(carriers)
         rows = self.visits.first if posed else slice(None)
-        self._parts.append(
-            ColumnPart(
-                np.ascontiguousarray(functions[rows]), np.ascontiguousarray(carriers[rows]), self.view.axes, posed
-            )
-        )
+        return self._part(np.ascontiguousarray(functions[rows]), carriers[rows], posed)
+
+    def _part(self, functions: Floats, carriers: Floats, posed: bool) -> int:
+        self._parts.append(ColumnPart(functions, np.ascontiguousarray(carriers), self.view.axes, posed))
         return 3 + len(self._parts)
 
     def add(self, shape: str, depends_on: tuple[str, ...], pieces: list[Piece], **about: Any) -> None:

@@ -64,8 +64,8 @@ class Ripple:
         """A block of the waves that were found, at the periods of all."""
         view, pieces = made.view, []
         for name, (frequency, _) in self.found.items():
-            waves = made.table(TURN * frequency * view.inputs[name], np.ones(1))
-            pieces.append((made.part(waves, view.patterns[name][:, :, None]), np.arange(2)))
+            angle = TURN * frequency * view.inputs[name]
+            pieces.append((made.waves(angle, np.ones(1), view.patterns[name][:, :, None]), np.arange(2)))
         made.add("effect", (), pieces, effect=self.effect, setting=self.likeliest, ways=self.ways)
 
     def is_shape(self, block: Block) -> bool:
@@ -168,7 +168,7 @@ def _pairs_of(run: Run, effect: Effect, name: str, given: float | None) -> Famil
     counts = waves_of_gear(values, view.axes) if given is None else np.array([reach / given])
     if not reach > 0 or not len(counts):
         return None
-    part = made.part(made.table(TURN * values / reach, counts), view.patterns[name][:, :, None])
+    part = made.waves(TURN * values / reach, counts, view.patterns[name][:, :, None])
     for k, count in enumerate(counts.tolist()):
         pair = np.array([k, len(counts) + k])
         made.add("effect", (), [(part, pair)], effect=effect, setting=reach / count, pattern=name)

@@ -16,7 +16,7 @@ from ..base.types import Floats
 from .linearised import Linearised
 from .made import Maker, Piece
 from .run import unit
-from .waves import told, waves_along, waves_in_time, waves_over_place
+from .waves import table_of, told, waves_along, waves_in_time, waves_over_place
 
 #: Order of polynomials, and the fewest different values of a variable that has a shape, or waves.
 _ORDERS, _FEWEST, _FEWEST_FOR_WAVES, _FEWEST_ALONG = 3, 2, 5, 9
@@ -80,7 +80,7 @@ def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
     if made.reference is not None:
         # a run that chooses its poses goes on: what is quicker is told by place
         counts, places = counts[counts <= _ON_ONE_AXIS], []
-    part = made.part(made.table(np.pi * (t + 1), counts), np.stack([np.ones(len(t)), *places], axis=1))
+    part = made.waves(np.pi * (t + 1), counts, np.stack([np.ones(len(t)), *places], axis=1))
     wide, m = 1 + len(places), view.axes
     for k, count in enumerate(counts.tolist()):
         both = np.array([k, len(counts) + k])
@@ -94,7 +94,7 @@ def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
 def _along(made: Maker, name: str, t: Floats) -> None:
     """Waves of a joint, as an error of it arrives at the readings."""
     counts, reach = waves_along(made.like.variables[name]), float(np.ptp(made.like.variables[name]))
-    part = made.part(made.table(np.pi * (t + 1), counts), made.view.patterns[name][:, :, None])
+    part = made.waves(np.pi * (t + 1), counts, made.view.patterns[name][:, :, None])
     for k, count in enumerate(counts.tolist()):
         at = np.array([k, len(counts) + k])
         made.add("periodic", (name,), [(part, at)], pattern=name, period=reach / count)
@@ -102,10 +102,9 @@ def _along(made: Maker, name: str, t: Floats) -> None:
 
 def _over_place(made: Maker, name: str, t: Floats) -> None:
     reach, counts = float(np.ptp(made.like.variables[name])), waves_over_place()
-    if made.reference is None:
-        counts = counts[told(made.view.variables[name], counts)]
-    table = made.table(np.pi * (t + 1), counts)
-    for k, count in enumerate(counts.tolist()):
+    tried = told(made.view.variables[name], counts) if made.reference is None else np.ones(len(counts), dtype=bool)
+    table = table_of(np.pi * (t + 1), counts)
+    for k, count in zip(np.flatnonzero(tried).tolist(), counts[tried].tolist(), strict=True):
         both = [made.function(table[:, one]) for one in (k, len(counts) + k)]
         made.on_axes("periodic", (name,), both, each=False, period=reach / count)
 

@@ -48,11 +48,15 @@ def waves_over_place() -> Floats:
     return np.arange(*_PLACE, 0.5)
 
 
-def table_of(angle: Floats, counts: Floats, *, centred: bool = True) -> Floats:
-    """Sines, then cosines (n, 2 w) of so many times the ``angle`` (n,) each, without their means where ``centred``."""
-    turns = np.multiply.outer(angle, counts)
-    out = np.concatenate([np.sin(turns), np.cos(turns)], axis=1)
-    return np.asarray(out - out.mean(axis=0) if centred else out)
+def table_of(angle: Floats, counts: Floats) -> Floats:
+    """Sines, then cosines (n, 2 w) of so many times the ``angle`` (n,) each; ``counts`` (w,) are evenly apart, so that
+    all are products of a few (angle addition)."""
+    few = max(int(np.sqrt(len(counts))), 1)
+    apart = counts[1] - counts[0] if len(counts) > 1 else 0.0
+    first = np.exp(1j * np.multiply.outer(angle, counts[:few]))
+    on = np.exp(1j * np.multiply.outer(angle, apart * few * np.arange(-(-len(counts) // few))))
+    waves = (on[:, :, None] * first[:, None, :]).reshape(len(angle), -1)[:, : len(counts)]
+    return np.concatenate([waves.imag, waves.real], axis=1)
 
 
 def told(values: Floats, counts: Floats) -> Bools:
