@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import sherkit as sk
-from sherkit.base.names import CALIBRATED, state_with
+from sherkit.base.figures import CALIBRATED, state_with
 from sherkit.report.residual_arrows import Change
 from sherkit.report.residual_map import still
 from sherkit.report.residuals import on_rows, residuals_of

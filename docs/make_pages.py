@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from sherkit.base.names import listed
+from sherkit.base.figures import listed
 from sherkit.cli.verbs import cli
 from sherkit.errors import SherkitError
 from sherkit.model.effect import Effect

@@ -10,7 +10,7 @@ from scipy import stats
 
 import sherkit as sk
 from driven_worlds import DrivenDelta
-from sherkit.adaptive.agreement import Agreement
+from sherkit.adaptive.noise import Agreement
 from sherkit.data.rows import directions
 from sherkit.errors import MeasurementError
 from sherkit.evidence.thresholds import SCALES

@@ -28,7 +28,7 @@ from second_simulator.unnamed import (
 )
 from sherkit.diagnosis import indistinguishable, sentence
 from sherkit.diagnosis.held_out import PRAISE
-from sherkit.evidence.waves import told
+from sherkit.evidence.made import told
 from worlds import Answer, World
 
 Make = Callable[[Kind, float, Any, int], Unnamed]

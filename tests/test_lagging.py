@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from sherkit.data.lagged import Room
+from sherkit.data.in_time import Room
 from sherkit.evidence.fitted_run import FittedRun
 from sherkit.model.kinds import known_kinds, model_of
 

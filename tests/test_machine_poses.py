@@ -16,9 +16,8 @@ import sherkit as sk
 from second_machines import MACHINES, Hidden, apart, run_of, seen_from, shift, stand_of, turn, zeros_of
 from sherkit.base.types import Floats
 from sherkit.errors import RobotError
-from sherkit.model.sensor_link import by_pose, rotation_matrix
-from sherkit.model.sensor_link import seen_from as seen_by
-from sherkit.model.sensor_pose import POSE, SPACE
+from sherkit.model.sensor_pose import POSE, SPACE, by_pose, rotation_matrix
+from sherkit.model.sensor_pose import seen_from as seen_by
 from sherkit.robots.machine import load_machine
 from sherkit.robots.machine.core import in_space
 

@@ -26,7 +26,7 @@ from browsing import InEachFont, needs_browser, opened, settled
 from sherkit.diagnosis import Diagnosis
 from sherkit.fit.error import ErrorSize
 from sherkit.model.sensor_pose import ANYWHERE, HELD, SensorPose
-from sherkit.report import style
+from sherkit.report import picture as style
 from sherkit.report.candidates import atlas_of, candidates, signature_atlas
 from sherkit.report.page import save_picture
 from sherkit.report.parameters import (

@@ -24,7 +24,7 @@ from sherkit.base.answer import Answer
 from sherkit.base.figures import in_people_units, with_error
 from sherkit.model.effect import effects_by_name
 from sherkit.report.page import Made
-from sherkit.report.style import number
+from sherkit.report.picture import number
 from sherkit.robots.delta import CATALOGUE
 from sherkit.robots.delta.robot import grid
 from sherkit.robots.tool.page import write_estimate

@@ -21,7 +21,7 @@ from consistency import named
 from second_simulator import room_temperature
 from second_simulator.spherical import SPHERICAL_EFFECTS, SecondSpherical, sphere_grid, spherical_plan
 from sherkit.diagnosis import template
-from sherkit.evidence.sizes import ABSURD
+from sherkit.evidence.thresholds import ABSURD
 from sherkit.model.effect import load_effects
 from sherkit.model.sensor_pose import POSE
 from sherkit.robots.spherical import CameraView, Spherical

@@ -16,7 +16,7 @@ import test_spherical_discovery as spherical
 from consistency import named
 from second_simulator import grid
 from sherkit.base.types import Floats
-from sherkit.data.lagged import Room
+from sherkit.data.in_time import Room
 
 NEW = ("thermal_shift", "joint_slip")
 #: Chance with which a correct program fails one of the counts below.

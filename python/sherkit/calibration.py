@@ -11,14 +11,14 @@ import numpy as np
 
 from .base import linalg
 from .base.arguments import NotNegative, Seed, validate_arguments
-from .base.names import listed
+from .base.figures import listed
 from .base.types import Floats
 from .data import Measurements
 from .data.reader import RunLike
 from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .diagnosis.selection import setting_for
 from .errors import EffectError, FitError, SherkitWarning
-from .evidence.sizes import refuse_absurd
+from .evidence.thresholds import refuse_absurd
 from .fit.identify import hold_out, identify
 from .model.base import missing_columns
 from .model.effect import Effect, named_effects

@@ -22,8 +22,7 @@ import polars as pl
 import scipy
 
 from .base.arguments import Level, Seed, validate_arguments
-from .base.figures import sized
-from .base.names import listed
+from .base.figures import listed, sized
 from .base.workers import Outcome, run_tasks
 from .data.noise import MAD
 from .data.reader import RunLike

@@ -1,6 +1,6 @@
 """What a binding of ``rust/core/src/chain/planar.rs`` would be: the table and the chain, in NumPy, for as many rows as
 there are. Its derivatives are complex steps. Where the sensor stands is the link that every NumPy chain can have
-(``sherkit.model.sensor_link``)."""
+(``sherkit.model.sensor_pose``)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from sherkit.base.types import Floats
 from sherkit.fit.numpy_chain import ComplexChain
-from sherkit.model.sensor_link import pose_row, seen_from, slip_row
-from sherkit.model.sensor_pose import SensorPose
+from sherkit.model.sensor_pose import SensorPose, pose_row, seen_from, slip_row
 
 _REFERENCE_C = 20.0
 

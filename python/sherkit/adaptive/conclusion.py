@@ -10,7 +10,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..diagnosis.result import Check
@@ -19,10 +19,9 @@ from ..evidence.thresholds import SURE
 from ..fit.identify import identify
 from . import rule, told
 from .choice import are_beyond
-from .held import BatchLooks
+from .held import BatchLooks, accuracy_um
 from .look import FAR, InterimAnalysis
-from .progress import accuracy_um
-from .unread import mistaken
+from .told import mistaken
 from .vouching import louder_than_told, structure_of, told_of
 
 #: Sets that are still a tie; more are no answer.

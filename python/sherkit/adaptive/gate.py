@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base import linalg
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..evidence.thresholds import SCALES

@@ -9,8 +9,7 @@ from typing import Any, Self
 
 from ..base.arguments import validate_arguments
 from ..data.columns import POSE, REPEAT
-from ..data.files import write_whole
-from ..data.lock import FileLock
+from ..data.files import FileLock, write_whole
 from ..errors import ArgumentError, ExperimentError, MeasurementError
 from ..model.kinds import robot_from_tables
 from ..model.robot_file import RobotLike

@@ -13,14 +13,14 @@ from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
 from ..evidence.base import reference_of
+from ..evidence.blocks import ReferenceRows
 from ..evidence.fitted_run import FittedRun
-from ..evidence.reference import ReferenceRows
 from ..evidence.run import Run
 from ..evidence.whitening import Whitening
 from ..fit.identify import Fit, identify
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
-from .region import PosesToDrive, Region, planned
+from .task import PosesToDrive, Region, planned
 
 #: Rows of the reference, and those from which on something may let go: what one or two rows before it say may be their
 #: own.

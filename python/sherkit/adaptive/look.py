@@ -23,9 +23,8 @@ from ..evidence.run import Run
 from ..evidence.sets import ONE_MORE, EffectSet, Sets
 from ..evidence.settings import refined
 from ..fit.identify import Fit
-from .agreement import ROUGH, rough_of
 from .known import FixedBefore
-from .noise import LoopNoise, expected, left_by, run_of_rows
+from .noise import ROUGH, LoopNoise, expected, left_by, rough_of, run_of_rows
 
 _ROUNDS = 3
 #: Sets that are fitted in full: at most so many, within this of the best (a logarithm).

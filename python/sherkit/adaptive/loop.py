@@ -12,10 +12,9 @@ from ..base.figures import odds
 from ..data.columns import POSE, REPEAT
 from ..diagnosis import Diagnosis
 from . import told
-from .batch import Batches, next_pose
+from .choice import Batches, next_pose
 from .conclusion import Conclusion, conclude
-from .held import BatchLooks
-from .progress import Progress, progress
+from .held import BatchLooks, Progress, progress
 from .vouching import told_of
 
 
@@ -33,7 +32,7 @@ class Adaptive(BatchLooks):
             loop.tell(measure(loop.ask()))
         print(loop.verdict, loop.effects)
 
-    The rule is in :mod:`~sherkit.adaptive.rule`, the evidence in :mod:`~sherkit.evidence.reference`. All that it holds
+    The rule is in :mod:`~sherkit.adaptive.rule`, the evidence in :mod:`~sherkit.evidence.blocks`. All that it holds
     follows from the rows.
     """
 

@@ -15,11 +15,10 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
-from ..base.names import listed
-from ..evidence.sizes import PLAUSIBLE
-from ..evidence.thresholds import SCALES, SURE
-from .agreement import ROUGH, ROUGH_WEIGHT, agreement_of
+from ..base.figures import listed
+from ..evidence.thresholds import PLAUSIBLE, SCALES, SURE
 from .look import FAR, LEFT, FittedSet, InterimAnalysis, Keys
+from .noise import ROUGH, ROUGH_WEIGHT, agreement_of
 
 # -- silence: which effects would have been seen by now, and from which size the others would -------------------------
 

@@ -12,14 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..base.figures import number
-from ..base.names import listed, spans
+from ..base.figures import listed, number, spans
 from ..base.types import Floats, Ints
 from ..data.doubts import doubts
 from ..data.doubts.repeats import copied
 from ..data.noise import noise_of
 from ..diagnosis.gathered import WRONG, gathered, said
-from ..evidence.sizes import PLAUSIBLE, largest, sizes_of
+from ..evidence.thresholds import PLAUSIBLE, largest, sizes_of
 from .look import InterimAnalysis, moved
 from .noise import GROSS
 from .rule import POWER, Unseen, outlook

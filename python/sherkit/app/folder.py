@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..data import Measurements, read_measurements
 from ..data.columns import Columns
 from ..data.files import write_whole

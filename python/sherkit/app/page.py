@@ -17,11 +17,11 @@ from bokeh.models import CustomJS, FileInput, TextAreaInput
 from jinja2 import Environment, PackageLoader
 from tornado.ioloop import IOLoop
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..diagnosis import template
 from ..report.page import fresh_nonce, numbered, policy
+from ..report.picture import number
 from ..report.scene import script as scenes
-from ..report.style import number
 from .controls import TYPE, Notices, Selection, button, text
 from .page_state import EXPORTS, FILES, HISTORY, LINES, ROWS, PageState, Said
 from .views import EffectList, Fall, Maps

@@ -19,13 +19,12 @@ from ..diagnosis import Diagnosis
 from ..model.effect import WITHIN, Effect
 from ..report.card import drawing_of, indistinguishable, its_numbers, what_it_is
 from ..report.parameters import parameters
-from ..report.picture import Picture
+from ..report.picture import MUTED, Picture, number, quantity
 from ..report.residual_against import ResidualAgainst, residual_against
 from ..report.residual_against import note as against_note
 from ..report.residual_arrows import Change
 from ..report.residual_map import residual_map
 from ..report.states import ErrorHistory, ErrorOfStep, current_path, error_history
-from ..report.style import MUTED, number, quantity
 from .controls import TYPE, button
 from .page_state import PageState
 

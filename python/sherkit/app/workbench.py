@@ -20,7 +20,7 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 
-from ..base.names import state_with
+from ..base.figures import state_with
 from ..data import Measurements, read_measurements
 from ..data.columns import Columns
 from ..data.files import write_whole

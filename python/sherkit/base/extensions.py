@@ -15,7 +15,7 @@ from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
 from ..errors import SherkitWarning
-from .names import brief
+from .figures import brief
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

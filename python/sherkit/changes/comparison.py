@@ -21,8 +21,7 @@ from ..errors import FitError
 from ..evidence.base import Base
 from ..evidence.names import Names, names_of
 from ..evidence.sets import EffectSet
-from ..evidence.sizes import PLAUSIBLE
-from ..evidence.thresholds import ALARM
+from ..evidence.thresholds import ALARM, PLAUSIBLE
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .courses import Courses

@@ -17,13 +17,11 @@ from ..base.types import Floats, Ints
 from ..errors import SherkitError
 from ..evidence.base import Base, log_bayes, total
 from ..evidence.blocks import Block, ColumnPart, Columns, Visits
-from ..evidence.effects import blocks_of_effects
 from ..evidence.family import Family
 from ..evidence.made import Maker
 from ..evidence.sets import ONE_MORE, EffectSet, Sets
-from ..evidence.shapes import blocks_of_shapes
-from ..evidence.sizes import is_plausible
-from ..evidence.thresholds import ALARM, TIED
+from ..evidence.shapes import blocks_of_effects, blocks_of_shapes
+from ..evidence.thresholds import ALARM, TIED, is_plausible
 from .pooled_fit import Change, Joined
 
 #: Shapes and effects that all runs may lack alike, changes beside which they are looked for.

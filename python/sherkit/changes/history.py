@@ -18,8 +18,7 @@ import numpy as np
 from ..base import linalg
 from ..base.answer import AFTER, BEFORE, Answer, Bar, ToDo
 from ..base.arguments import validate_arguments
-from ..base.figures import finite, stated
-from ..base.names import listed
+from ..base.figures import finite, listed, stated
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements

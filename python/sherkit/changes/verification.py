@@ -16,12 +16,11 @@ import numpy as np
 import scipy
 
 from ..adaptive.gate import Power, Silent, power_of, silence, still
-from ..adaptive.region import Region, planned
+from ..adaptive.task import Region, planned
 from ..base import linalg
 from ..base.answer import AFTER, TARGET, Answer, Bar, ToDo
 from ..base.arguments import Count, Seed, validate_arguments
-from ..base.figures import finite, number
-from ..base.names import listed
+from ..base.figures import finite, listed, number
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
@@ -30,9 +29,9 @@ from ..errors import FitError, SherkitError
 from ..evidence.base import Base
 from ..evidence.blocks import Columns, Visits
 from ..evidence.design import showing
-from ..evidence.effects import blocks_of_effects
 from ..evidence.family import Family
 from ..evidence.made import Maker
+from ..evidence.shapes import blocks_of_effects
 from ..evidence.thresholds import ALARM, SURE, TIED
 from ..evidence.whitening import Whitening, orthonormal
 from ..fit.error import axes_of
@@ -44,8 +43,7 @@ from .comparison import ParameterChange
 from .pool import told_ties
 from .pooled_fit import estimated, rows_as_run
 from .promise import broken, shows
-from .run_pose import RunPose, stand_of
-from .runs import candidates_of, columns_of, noise_of_repeats
+from .runs import RunPose, candidates_of, columns_of, noise_of_repeats, stand_of
 from .vouching import Work, sights_of, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).

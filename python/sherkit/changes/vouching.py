@@ -14,15 +14,13 @@ import numpy as np
 
 from ..adaptive.gate import TIMES, Power, Sight, Silent, power_of, still
 from ..base import linalg
-from ..base.figures import number
-from ..base.names import listed
+from ..base.figures import listed, number
 from ..base.types import Floats
 from ..data import Measurements
 from ..errors import SherkitError
 from ..evidence.whitening import orthonormal
 from .pooled_fit import Joined
-from .run_pose import stand_of
-from .runs import RunData
+from .runs import RunData, stand_of
 
 #: Places that stand for the workspace.
 _PLACES = 120

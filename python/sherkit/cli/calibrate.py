@@ -10,8 +10,7 @@ import click
 import numpy as np
 from rich.table import Table
 
-from ..base.figures import in_people_units, in_small_units, number, with_error
-from ..base.names import listed
+from ..base.figures import in_people_units, in_small_units, listed, number, with_error
 from ..calibration import CORRECTIONS, Result, to_json
 from ..calibration import calibrate as run_calibration
 from ..data import Measurements

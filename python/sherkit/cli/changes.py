@@ -11,8 +11,7 @@ from typing import TypeVar
 import click
 from rich.markup import escape
 
-from ..base.figures import in_people_units, sized
-from ..base.names import CALIBRATED
+from ..base.figures import CALIBRATED, in_people_units, sized
 from ..base.workers import processes
 from ..changes import Comparison, History
 from ..changes import compare as compare_runs

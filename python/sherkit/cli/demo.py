@@ -12,8 +12,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from ..base.figures import number
-from ..base.names import NOMINAL
+from ..base.figures import NOMINAL, number
 from ..calibration import Result, calibrate
 from ..data import read_measurements
 from ..diagnosis import Diagnosis

@@ -10,8 +10,7 @@ import click
 import tomli_w
 
 from ..base.extensions import SIMULATIONS, plugins
-from ..base.figures import sized
-from ..base.names import listed
+from ..base.figures import listed, sized
 from ..data import Measurements
 from ..data.files import write_whole
 from ..errors import SherkitError

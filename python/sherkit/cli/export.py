@@ -11,7 +11,7 @@ import numpy as np
 from click.shell_completion import CompletionItem
 
 from ..base.extensions import EXPORTERS, declared
-from ..base.names import listed
+from ..base.figures import listed
 from ..data.files import write_whole
 from ..data.tables import write_table
 from ..errors import SherkitError

@@ -7,7 +7,7 @@ from importlib import import_module
 import click
 
 from ..base.extensions import brought, declared, is_own, plugins
-from ..base.names import nearest
+from ..base.figures import nearest
 
 
 class Later(click.Command):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Bools, Floats, Ints
 from ..errors import NotFinite, ShapeError
 from .columns import Layout

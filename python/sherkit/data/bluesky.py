@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.arguments import validate_arguments
-from ..base.names import listed, nearest
+from ..base.figures import listed, nearest
 from ..errors import MeasurementError
 from .columns import POSE, TIME, Columns, bare
 from .frames import from_frame

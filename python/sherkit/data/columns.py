@@ -13,7 +13,7 @@ from typing import Any
 import polars as pl
 
 from ..base import built_in
-from ..base.names import closest, listed
+from ..base.figures import closest, listed
 from ..errors import MeasurementError, SherkitWarning
 from .called import DRIVEN, READ, in_order
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from ..base.names import brief, closest, listed
+from ..base.figures import brief, closest, listed
 from ..errors import FitError, MeasurementError, SherkitWarning
 from .called import is_difference
 from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, known_layouts, meanings, stated, unit_in

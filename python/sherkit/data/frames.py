@@ -10,7 +10,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from ..base.arguments import validate_arguments
-from ..base.names import brief
+from ..base.figures import brief
 from ..base.types import Ints
 from ..errors import MeasurementError
 from . import columns as c

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ..base.names import brief, spans
+from ..base.figures import brief, spans
 from ..errors import MeasurementError
 from .columns import is_unit
 from .head import MARKS, by_spaces, is_number, nameless, names_given, tabbed

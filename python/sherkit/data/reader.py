@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from ..base.arguments import validate_arguments
-from ..base.names import brief
+from ..base.figures import brief
 from ..base.types import Ints
 from ..errors import MeasurementError
 from . import columns as c

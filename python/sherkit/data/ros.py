@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..base.arguments import validate_arguments
-from ..base.names import brief, listed, nearest
+from ..base.figures import brief, listed, nearest
 from ..base.types import Floats
 from ..errors import MeasurementError, SherkitWarning
 from .columns import TIME, factor, unit_in

@@ -13,12 +13,11 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..base.names import listed, nearest
+from ..base.figures import listed, nearest
 from ..base.types import Bools, Floats, Ints
 from ..errors import EffectError, ShapeError, SherkitWarning
 from . import columns as c
-from .in_time import begin_of, directions, order_in_time, velocities
-from .lagged import Room
+from .in_time import Room, begin_of, directions, order_in_time, velocities
 from .row_checks import check_rows
 from .set_up import JoinedSetUp, names_of
 from .tables import write_table

@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from ..base.arguments import Count, validate_arguments
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Ints
 from ..errors import MeasurementError, SherkitWarning
 from .columns import OUTLIER, POSE, REPEAT, Layout

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..base import linalg
-from ..base.names import brief, closest, listed, nearest
+from ..base.figures import brief, closest, listed, nearest
 from ..base.types import Floats
 from ..errors import RobotError, SherkitError
 from .files import of_demo, refuse_device

@@ -13,7 +13,7 @@ from ..evidence.base import Base, chance_of, total
 from ..evidence.blocks import Block
 from ..evidence.fitted_run import FittedRun
 from ..evidence.settings import columns_at
-from ..evidence.sizes import TOLD, is_plausible
+from ..evidence.thresholds import TOLD, is_plausible
 from ..fit.error import ErrorSize, known_of
 from ..fit.folds import Beside
 from .result import CandidateReport

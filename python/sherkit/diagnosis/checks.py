@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..base.figures import number
-from ..base.names import listed
+from ..base.figures import listed, number
 from ..base.types import Floats
 from ..data.columns import bare
 from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
-from ..evidence.sizes import ABSURD, PLAUSIBLE, largest, sizes_of
+from ..evidence.thresholds import ABSURD, PLAUSIBLE, largest, sizes_of
 from ..fit.set_up import Mistake
 from .held_out import PRAISE, Elimination, HeldOutGain
 from .repeats import Repeats

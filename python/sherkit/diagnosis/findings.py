@@ -6,13 +6,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from ..base.answer import FILES
-from ..base.figures import in_names, number, stated
-from ..base.names import listed
+from ..base.figures import in_names, listed, number, stated
 from ..fit.regions import TO_DO
 from ..model.effect import Effect
 from ..model.kinds import required_um
 from ..model.sensor_pose import SLIP
-from .instrument import motion_of
 from .outliers import sentences
 from .result import (  # fmt: skip
     APART,
@@ -27,7 +25,7 @@ from .result import (  # fmt: skip
     Diagnosis,
     Finding,
 )
-from .sensor_pose import pose_in_words
+from .sensor_pose import motion_of, pose_in_words
 from .template import indistinguishable, sentence
 
 #: An effect of one's own is worth another look where it leaves no more than this part of the error.

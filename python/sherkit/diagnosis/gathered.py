@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.figures import number
-from ..base.names import spans
+from ..base.figures import number, spans
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare, unit_in

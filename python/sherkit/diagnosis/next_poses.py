@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import bare

@@ -17,8 +17,7 @@ import scipy
 
 from ..base import linalg
 from ..base.arguments import validate_arguments
-from ..base.figures import number
-from ..base.names import spans
+from ..base.figures import number, spans
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD

@@ -15,7 +15,7 @@ from ..data.reader import RunLike
 from ..errors import EffectError, FitError
 from ..evidence.base import chance_of
 from ..evidence.fitted_run import FittedRun, enough_of
-from ..evidence.sizes import implausible
+from ..evidence.thresholds import implausible
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
@@ -36,8 +36,7 @@ from .result import Diagnosis, verdict_of
 from .rounded import steps_in
 from .selection import NamedEffects, not_needed, searched
 from .sensor_pose import taken_by_pose
-from .signature import signature_of
-from .waves import waves_in_words
+from .signature import signature_of, waves_in_words
 from .where import confounded_with, neighbour_correlation, slow_drift_of, smallest_found, where
 
 LEVEL = 0.01

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Floats, Ints
 from ..data.columns import bare
 from ..evidence.base import Base
 from ..evidence.blocks import Block
-from ..evidence.described import ShapeDescription
 from ..evidence.fitted_run import FittedRun
+from ..evidence.sets import ShapeDescription
 from .template import course
 
 #: Declared noise and what repeats show may differ by this factor.

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..base.answer import AFTER, BEFORE, NOISE, TARGET, Answer, Bar, ToDo
-from ..base.figures import finite, in_names
-from ..base.names import state_with
+from ..base.figures import finite, in_names, state_with
 from ..base.notebook import Shown
 from ..base.types import Ints
 from ..fit.error import ErrorSize
@@ -19,7 +18,7 @@ from ..fit.forms import SimplestForm, known
 from ..fit.identify import Fit
 from ..fit.regions import Elsewhere
 from ..model.kinds import required_um
-from .instrument import called
+from .sensor_pose import called
 from .where import Dependence
 
 # -- What a verdict rests on: checks, each made on numbers that the same report shows ------------------------------

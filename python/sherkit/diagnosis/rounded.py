@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..base.figures import sized
-from ..base.names import listed
+from ..base.figures import listed, sized
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import unit_in

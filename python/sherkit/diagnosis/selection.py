@@ -13,14 +13,13 @@ from ..base.types import Floats, Ints
 from ..errors import EffectError
 from ..evidence.base import Base
 from ..evidence.blocks import Block
-from ..evidence.described import MOST, ShapeDescription
 from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
 from ..evidence.names import Names, names_of
 from ..evidence.noise import base_of
 from ..evidence.periods import Period, period_of
 from ..evidence.run import Run, run_of
-from ..evidence.sets import EffectSet, Sets
+from ..evidence.sets import MOST, EffectSet, Sets, ShapeDescription
 from ..evidence.settings import refined, unit_columns
 from ..fit.identify import Fit
 from ..model.effect import Effect, Setting

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from keyword import iskeyword
 from typing import Any
 
-from ..base.names import listed, on_one_line
+from ..base.figures import listed, on_one_line
 from ..data.columns import Layout, bare, unit_in
 from ..errors import EffectError
 

@@ -13,10 +13,9 @@ import sherkit._core as _core
 
 from ..base import linalg
 from ..base.types import Floats, Ints
-from .blocks import Block
+from .blocks import Block, ReferenceRows, Sort, sorts_of
 from .design import power
 from .family import Family, log_weights
-from .reference import ReferenceRows, Sort, sorts_of
 from .run import Run
 from .thresholds import HELD_EFFECT, HELD_SHAPE, SCALES
 from .whitening import independent, orthonormal

@@ -10,12 +10,10 @@ from typing import Protocol
 import numpy as np
 
 from ..base.types import Bools, Floats, Ints
-from .blocks import Block, Columns, Visits, apart
-from .effects import blocks_of_effects
+from .blocks import Block, Columns, ReferenceRows, Visits, apart, sizes_of
 from .made import Maker
-from .reference import ReferenceRows, sizes_of
 from .run import Run
-from .shapes import blocks_of_shapes
+from .shapes import blocks_of_effects, blocks_of_shapes
 from .thresholds import HELD_EFFECT, HELD_SHAPE, TWIN
 from .whitening import orthonormal
 

@@ -10,11 +10,11 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from ..base.saved import Saved
+from ..base.notebook import Saved
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare
-from ..data.lagged import DRAWN_C, Room
+from ..data.in_time import DRAWN_C, Room
 from ..data.noise import ReadingNoise, noise_of
 from ..errors import FitError
 from ..fit.error import axes_of

@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .base import Base, log_bayes
-from .described import MOST, ShapeDescription
-from .sets import EffectSet, Sets
-from .sizes import ABSURD, PLAUSIBLE, sizes_of
-from .thresholds import ALARM, NEEDED, PLAINLY, SURE, TELLS, TIED
+from .sets import MOST, EffectSet, Sets, ShapeDescription
+from .thresholds import ABSURD, ALARM, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, sizes_of
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Floats, Ints
 from ..model.effect import Effect, Setting
 from .base import Base
 from .blocks import Block
+from .made import TURN
 from .ripple import CLEARLY, Ripple, ripple_of, wave_takes
 from .settings import columns_at
-from .waves import TURN
 
 #: A frequency of the grid may lie half a step off its peak and take this part of it.
 _NEAR_PEAK = 0.6

@@ -18,9 +18,8 @@ from ..model.effect import Effect
 from .base import Base
 from .blocks import Block, Columns, Visits
 from .family import Family
-from .made import Maker
+from .made import TURN, Maker, waves_of_gear
 from .run import Run
-from .waves import TURN, waves_of_gear
 
 #: Change of χ² from which on a period counts as better than another, besides what choosing among all brings by
 #: chance: beyond it the odds are "very strong" (Kass and Raftery, "Bayes factors", JASA 1995).

@@ -10,12 +10,11 @@ from ..base.types import Floats
 from ..model.effect import Effect, Setting
 from .base import Base
 from .blocks import Block
-from .effects import stepped
 from .linearised import Linearised
-from .made import MOMENTS
+from .made import MOMENTS, TURN
 from .ripple import ripple_of
 from .run import Run
-from .waves import TURN
+from .shapes import stepped
 
 #: Moments that are tried about one that was found; lags by factors of a quarter of two; waves over the range.
 _MOMENTS, _LAGS, _WAVES = 90, 2.0 ** np.arange(-0.75, 0.76, 0.25), np.arange(-0.5, 0.51, 0.05)

@@ -21,9 +21,12 @@ from ..base import linalg
 from ..base.figures import finite, number
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
-from ..data.noise import ReadingNoise
+from ..data.noise import MIN_FREEDOM, ReadingNoise
+from ..data.rows import Repeatability, pure_error
 from ..errors import FitError
 from .folds import Folds, blocks, blocks_of
+
+# -- Errors held out ---------------------------------------------------------------------------------------------------
 
 #: Rows below which a fit without some of them is made anew: what it does not tell is then most of it.
 _FEWEST = 10
@@ -244,3 +247,33 @@ def radius_95(covariances: Floats) -> Floats:
     total, squares = axes.sum(axis=1), (axes**2).sum(axis=1)
     freedom = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), 1.0)
     return np.asarray(np.sqrt(total / freedom * scipy.special.chdtri(freedom, 0.05)))
+
+
+# -- Noise by repeats --------------------------------------------------------------------------------------------------
+# The noise as repeats of a pose show it beside a model: what an effect in the model moves between them is no noise.
+
+#: A noise that differs by less than this part is the same.
+_SAME = 0.02
+
+
+def repeatability_of(fit: Any) -> Repeatability | None:
+    """By how much repeats differ in what a :class:`~sherkit.fit.identify.Fit` leaves, pooled over poses; None where no
+    pose was read twice. Source: Draper and Smith, *Applied Regression Analysis*, 1.5, of residuals."""
+    data = fit.data
+    return pure_error(data.layout.readings, fit.residuals, data.used, data.groups)
+
+
+def noise_beside(fit: Any) -> ReadingNoise | None:
+    """The noise of each reading where repeats tell it, with what the model explains of them taken off; None where that
+    is the noise that the fit was weighed with."""
+    found = repeatability_of(fit) if fit.noise.origin == "repeats" else None
+    if found is None:
+        return None
+    before, now = fit.data.repeatability, np.ones(len(fit.data.layout.readings))
+    for k, name in enumerate(fit.data.layout.readings):
+        if before.degrees_of_freedom.get(name, 0) >= MIN_FREEDOM and before.sigma[name] > 0 and found.sigma[name] > 0:
+            now[k] = found.sigma[name] / before.sigma[name]
+    if np.abs(now - 1.0).max() < _SAME:
+        return None
+    declared = np.isfinite(fit.data.sigma)
+    return ReadingNoise(np.where(declared, fit.noise.sigma, fit.noise.sigma * now), "repeats")

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from ..base import linalg
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Floats
 from ..model.effect import Effect, Parameter
 

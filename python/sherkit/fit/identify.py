@@ -31,12 +31,21 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter, named_effects
 from ..model.kinds import Robot, model_of
 from ..model.robot_file import RobotLike, load_robot, run_for
-from .error import ErrorSize, held_out_error, of_residuals
+from .error import ErrorSize, held_out_error, noise_beside, of_residuals, repeatability_of
 from .folds import blocks_of
-from .least_squares import LOSSES, LeastSquaresProblem, reached, scale, spread
-from .minimum import NEAR, ROUGHLY, beginning, noise_ratio, over_the_wall
+from .least_squares import (
+    LOSSES,
+    NEAR,
+    ROUGHLY,
+    LeastSquaresProblem,
+    beginning,
+    noise_ratio,
+    over_the_wall,
+    reached,
+    scale,
+    spread,
+)
 from .regions import Elsewhere, errors_elsewhere
-from .repeats import noise_beside, repeatability_of
 from .set_up import held, set_up_mistakes
 from .strength import in_plausible_sizes, part_of, scaled_sizes
 from .table import Direction, badly_observed, frame_of, table_of, unobserved

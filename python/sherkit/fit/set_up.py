@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base import linalg
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.doubts import angles, commanded, doubts

@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.names import listed, nearest
+from ..base.figures import listed, nearest
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME

@@ -10,14 +10,14 @@ from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
-from ..base.saved import Saved
+from ..base.notebook import Saved
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
 from .effect import Effect, Parameter, Setting, check_user_effect
-from .relations import Apart
 from .rows import EffectRows
+from .tolerances import Apart
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Floats
 from ..errors import NotFinite, OutOfReach, ShapeError, SherkitError
 

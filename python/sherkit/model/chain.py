@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import sherkit._core as _core
 
-from ..base.names import listed, nearest
+from ..base.figures import listed, nearest
 from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in

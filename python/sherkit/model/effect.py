@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..base.arguments import validate_arguments
-from ..base.figures import stated
-from ..base.names import listed, nearest
+from ..base.figures import listed, nearest, stated
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data.columns import unit_in

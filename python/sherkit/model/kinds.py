@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base import built_in
-from ..base.names import brief, listed
+from ..base.figures import brief, listed
 from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import LAYOUTS, Layout, know

@@ -11,7 +11,7 @@ from typing import Any
 import tomli_w
 
 from ..base.arguments import validate_arguments
-from ..base.names import listed
+from ..base.figures import listed
 from ..data import Measurements
 from ..data.columns import Columns, Layout, check_columns, is_known
 from ..data.files import write_whole

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
-from ..base.names import listed, nearest
+from ..base.figures import listed, nearest
 from ..base.types import Floats
 from ..data import Measurements
 from ..errors import EffectError

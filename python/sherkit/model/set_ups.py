@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import SETUP
@@ -17,8 +17,7 @@ from ..data.set_up import JoinedSetUp, Triple
 from ..errors import FitError
 from .effect import Effect
 from .rows import EffectRows, run_of
-from .sensor_link import left_jacobian, rotation_matrix
-from .sensor_pose import POSE, SHIFTS, Registered, in_space
+from .sensor_pose import POSE, SHIFTS, Registered, in_space, left_jacobian, rotation_matrix
 
 #: How the name of a set-up begins among parameters.
 SETUP_PREFIX = f"{SETUP}="

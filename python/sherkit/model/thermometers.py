@@ -11,7 +11,7 @@ import numpy as np
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE
-from ..data.lagged import DRAWN_C
+from ..data.in_time import DRAWN_C
 from .base import ModelWithEffects
 from .effect import Effect
 from .rows import EffectRows

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from ..base import linalg
-from ..base.names import nearest
+from ..base.figures import nearest
 from ..base.types import Floats
 from ..data import Measurements
 from ..errors import EffectError, FitError

@@ -22,9 +22,24 @@ from ..evidence.fitted_run import FittedRun
 from ..evidence.run import Run
 from ..evidence.settings import unit_columns
 from ..model.effect import Effect
-from .picture import Picture, Tables, single, sources_of, stacked
+from .picture import (
+    ADDED,
+    FONT,
+    FONT_SIZE,
+    INK,
+    MUTED,
+    PLAIN,
+    REFUSED,
+    Picture,
+    Tables,
+    figure,
+    hover,
+    quantity,
+    single,
+    sources_of,
+    stacked,
+)
 from .residual_arrows import plane_of_most, round_number
-from .style import ADDED, FONT, FONT_SIZE, INK, MUTED, PLAIN, REFUSED, figure, hover, quantity
 
 _ROW_HEIGHT, _AROUND = 30, 110
 

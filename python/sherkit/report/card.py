@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.figures import sized, stated
-from ..base.names import listed
+from ..base.figures import listed, sized, stated
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
@@ -32,11 +31,11 @@ from ..model.effect import Effect
 from ..model.kinds import Kind, Robot, draw_of, kind_of, model_of
 from .candidates import Atlas, Tile
 from .page import fresh_nonce, policy
+from .picture import number
 from .residual_arrows import Change
 from .residual_map import still
 from .residuals import Residuals
 from .scene import Scene, script
-from .style import number
 
 # -- What an effect does, exaggerated until it can be seen ------------------------------------------------------------
 

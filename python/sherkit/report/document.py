@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from bokeh.models import GridPlot
 
-from ..base.figures import in_people_units, in_small_units, stated, with_error
-from ..base.names import CALIBRATED, listed, state_with
+from ..base.figures import CALIBRATED, in_people_units, in_small_units, listed, state_with, stated, with_error
 from ..calibration import Result
 from ..data.columns import unit_in
 from ..data.files import write_whole
@@ -33,14 +32,13 @@ from .candidates import Atlas, atlas_of, candidates, signature_atlas
 from .card import effect_card
 from .page import Made, rendered
 from .parameters import NextPoses, accuracy_map, accuracy_of, correlations, directions, next_poses, parameters
-from .picture import Picture
+from .picture import Picture, number, quantity
 from .residual_against import ResidualAgainst, noise_picture, residual_against, run_in_time
 from .residual_arrows import Change
 from .residual_map import residual_map, still
 from .residuals import ModelState, Residuals, drawn, residuals_of, said
 from .scene import space_of
 from .states import error_history, error_history_of, packed, states_of
-from .style import number, quantity
 
 #: Cards of effects that cannot be told from those that are named.
 _MOST_TIED = 3

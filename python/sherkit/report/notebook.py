@@ -20,7 +20,7 @@ from bokeh.layouts import column
 from bokeh.models import Div
 from bokeh.resources import Resources
 
-from ..base.names import CALIBRATED, state_with
+from ..base.figures import CALIBRATED, state_with
 from ..changes import Comparison, History, Verification
 from ..diagnosis import Diagnosis
 from ..errors import SherkitError

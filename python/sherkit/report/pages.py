@@ -10,8 +10,7 @@ import numpy as np
 from bokeh.models import DataRange1d, Whisker
 
 from ..adaptive import Adaptive
-from ..base.figures import in_people_units, number
-from ..base.names import brief
+from ..base.figures import brief, in_people_units, number
 from ..changes import Comparison, History
 from ..changes.pooled_fit import Joined
 from ..errors import FitError, SherkitError
@@ -19,9 +18,8 @@ from ..model.drawing import drawing_of_readings
 from ..model.kinds import draw_of
 from .card import growing
 from .page import Made, Section, sentences_of, table_of, write_page
-from .picture import Picture, Tables, sources_of, stacked
+from .picture import COLOURS, MUTED, Picture, Tables, figure, legend, padded, quantity, sources_of, stacked
 from .scene import Scene
-from .style import COLOURS, MUTED, figure, legend, padded, quantity
 
 _HEIGHT, _WIDE = 260, 460
 #: Letters of a name in a legend: more do not lie on a phone.

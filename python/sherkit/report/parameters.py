@@ -20,9 +20,7 @@ from ..diagnosis.next_poses import SEPARATION
 from ..fit.identify import Fit
 from ..model.kinds import required_um
 from ..robots.calibrated import Calibration
-from .picture import Picture, Table, Tables, single, sources_of, stacked
-from .residuals import Residuals
-from .style import (
+from .picture import (
     ADDED,
     DIVERGING_AREAS,
     FONT,
@@ -31,12 +29,19 @@ from .style import (
     MUTED,
     REFUSED,
     SEQUENTIAL,
+    Picture,
+    Table,
+    Tables,
     colour_bar,
     figure,
     hover,
     padded,
     quantity,
+    single,
+    sources_of,
+    stacked,
 )
+from .residuals import Residuals
 
 _ROW_HEIGHT, _AROUND = 26, 80
 _CONFIDENCE = 1.959964

@@ -11,9 +11,26 @@ from bokeh.models import ColumnDataSource, Span
 from numpy.typing import NDArray
 
 from ..base.types import Floats, Ints
-from .picture import Picture, Table, Tables, float32, sources_of, stacked, thinned
+from .picture import (
+    COLOURS,
+    FONT_SIZE,
+    INK,
+    MARKERS,
+    MUTED,
+    PLAIN,
+    Picture,
+    Table,
+    Tables,
+    figure,
+    float32,
+    hover,
+    legend,
+    quantity,
+    sources_of,
+    stacked,
+    thinned,
+)
 from .residuals import Residuals, at_the_rim
-from .style import COLOURS, FONT_SIZE, INK, MARKERS, MUTED, PLAIN, figure, hover, legend, quantity
 
 MOST_POINTS = 3000
 #: Places of the running mean, and the part of the poses that each of them averages.

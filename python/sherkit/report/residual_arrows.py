@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.types import Bools, Floats
-from .picture import Table, Tables, float32
+from .picture import Table, Tables, float32, number, padded, quantity
 from .residuals import Residuals, in_noise, in_place
-from .style import number, padded, quantity
 
 #: One scale for before and after; each its own, so that what is left is seen too; its own, counted in the noise of each
 #: reading (where that is not known, as ``own``).

@@ -15,15 +15,33 @@ from bokeh.core.properties import value
 from bokeh.models import Circle, ColumnDataSource, FixedTicker, LinearColorMapper, Range1d, Segment, Text
 from numpy.typing import NDArray
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Floats
 from ..errors import SherkitError
 from ..model.effect import Effect
 from ..model.kinds import Robot, kind_of, known_kinds
-from .picture import Picture, Table, Tables, single, sources_of, stacked
+from .picture import (
+    DIVERGING,
+    FONT,
+    FONT_SIZE,
+    INK,
+    MUTED,
+    RULE,
+    SEQUENTIAL,
+    Picture,
+    Table,
+    Tables,
+    colour_bar,
+    figure,
+    hover,
+    number,
+    quantity,
+    single,
+    sources_of,
+    stacked,
+)
 from .residual_arrows import MOMENTS, Change, Sheet, cut, note, round_number, shown
 from .residuals import Residuals
-from .style import DIVERGING, FONT, FONT_SIZE, INK, MUTED, RULE, SEQUENTIAL, colour_bar, figure, hover, number, quantity
 
 _NARROWEST = 220
 #: Panels narrower than this have smaller points, px.

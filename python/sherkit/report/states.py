@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from bokeh.models import FactorRange, Label, Range1d, Span
 
-from ..base.names import state_with, told_apart
+from ..base.figures import state_with, told_apart
 from ..base.types import Floats
 from ..data.columns import bare
 from ..diagnosis import Diagnosis
@@ -21,11 +21,24 @@ from ..fit.error import ErrorSize
 from ..fit.identify import Fit
 from ..model.kinds import required_um
 from ..study import Study, StudyStep
-from .picture import Picture, Table, Tables, single, sources_of
+from .picture import (
+    COLOURS,
+    FONT,
+    FONT_SIZE,
+    INK,
+    MARKERS,
+    Picture,
+    Table,
+    Tables,
+    figure,
+    hover,
+    legend,
+    single,
+    sources_of,
+)
 from .residual_against import Windows, gained, means, points, shown
 from .residual_arrows import Change
 from .residuals import ModelState, Residuals, drawn
-from .style import COLOURS, FONT, FONT_SIZE, INK, MARKERS, figure, hover, legend
 
 #: Effects that a reader can see added alone: those that would bring most.
 _MOST_SINGLE = 5

@@ -17,7 +17,7 @@ import tomli_w
 import sherkit._core as _core
 
 from ..base.arguments import validate_arguments
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.notebook import Shown
 from ..base.types import Bools
 from ..data.files import write_whole

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..base import linalg
-from ..base.names import CALIBRATED, NOMINAL, listed
+from ..base.figures import CALIBRATED, NOMINAL, listed
 from ..base.types import Bools, Floats, Ints
 from ..errors import SherkitWarning
 from ..fit.error import ErrorSize, of_residuals

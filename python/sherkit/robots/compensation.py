@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from ..base import linalg
-from ..base.names import listed, nearest
+from ..base.figures import listed, nearest
 from ..base.types import Bools, Floats
 from ..data.columns import unit_in
 from ..errors import CalibrationError

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..base.names import nearest
-from ..base.saved import Saved
+from ..base.figures import nearest
+from ..base.notebook import Saved
 from ..base.types import Bools, Floats
 from ..data.columns import unit_in
 from ..errors import CalibrationError, SherkitWarning

@@ -21,11 +21,11 @@ from typing import Any, Self
 import numpy as np
 
 from ..base import linalg
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
-from ..data.lagged import DRAWN_C
+from ..data.in_time import DRAWN_C
 from ..data.toml import Table
 from ..fit.identify import Fit
 from ..model.chain import ChainModel

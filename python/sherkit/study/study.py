@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.arguments import Level, NotNegative, Positive, Seed, validate_arguments
-from ..base.names import CALIBRATED, NOMINAL, listed
+from ..base.figures import CALIBRATED, NOMINAL, listed
 from ..base.notebook import Shown
 from ..base.types import Ints
 from ..data import Measurements

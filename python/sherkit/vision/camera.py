@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.names import listed
+from ..base.figures import listed
 from ..base.types import Floats
 from ..errors import SherkitError
 from .pictures import CameraPicture, picture_in, picture_of

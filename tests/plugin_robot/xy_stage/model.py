@@ -16,8 +16,7 @@ from sherkit.data.columns import Layout
 from sherkit.fit.numpy_chain import ComplexChain
 from sherkit.model.chain import ChainModel
 from sherkit.model.effect import Effect, Sentences
-from sherkit.model.sensor_link import pose_row, seen_in_plane, slip_row
-from sherkit.model.sensor_pose import IN_PLANE, SensorPose
+from sherkit.model.sensor_pose import IN_PLANE, SensorPose, pose_row, seen_in_plane, slip_row
 from sherkit.model.sentences import catalogue_of
 
 from .stage import XYStage

@@ -10,7 +10,7 @@ from itertools import combinations, combinations_with_replacement
 import numpy as np
 
 from ...base import linalg
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Bools, Floats
 from .. import columns as c
 from ..noise import MAD

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import scipy
 
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Ints
 from ..noise import step_of
 from ..rows import Measurements

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...base import linalg
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Floats, Ints
 from .. import columns as c
 from ..columns import TEMPERATURE, TIME, unit_in

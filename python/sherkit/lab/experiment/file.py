@@ -14,7 +14,7 @@ import tomli_w
 
 from ...adaptive import Adaptive
 from ...adaptive.task import BATCH, BUDGET
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import POSE, REASON, REPEAT, TIME

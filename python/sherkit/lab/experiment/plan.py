@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Floats
 from ...errors import ExperimentError
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 import polars as pl
 
-from ...base.names import on_one_line
+from ...base.figures import on_one_line
 from ...data import Measurements, from_frame
 from ...data.columns import OUTLIER, POSE, REASON, REPEAT, TIME
 from ...errors import ExperimentError

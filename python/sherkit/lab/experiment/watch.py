@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from ...base import linalg
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import TIME

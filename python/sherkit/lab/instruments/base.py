@@ -13,7 +13,7 @@ from statistics import median
 from types import TracebackType
 from typing import Any, ClassVar, Self, TypeVar
 
-from ...base.names import listed, nearest
+from ...base.figures import listed, nearest
 from ...errors import Disconnected, Garbled, InstrumentError, NotReferenced, OutOfRange, ShapeError, Timeout
 from .transport import Transport, open_port
 

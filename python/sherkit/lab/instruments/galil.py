@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from ...base.names import listed
+from ...base.figures import listed
 from ...errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, Timeout
 from .base import LETTERS, Axis, AxisReference, Reading, middle_of
 from .galil_line import LARGEST_COUNT, ZEROED, GalilLine

@@ -14,7 +14,7 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 
-from ...base.names import listed
+from ...base.figures import listed
 from ...errors import Disconnected, Garbled, InstrumentError, Refused
 from .base import LETTERS, Axis, AxisController, AxisReference, Identity, Reading
 from .transport import deadline_in, now_s

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from ...base.extensions import INSTRUMENTS
-from ...base.names import listed, nearest
+from ...base.figures import listed, nearest
 from ...errors import Disconnected, ExperimentError, Garbled, InstrumentError, OutOfRange, Timeout
 from .base import Axis, AxisController, AxisReference, Identity, Instrument, Reading
 from .devices import begun, error_of, is_done, waited

@@ -17,7 +17,7 @@ from typing import NoReturn
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from ...base.names import listed
+from ...base.figures import listed
 from ...cli import output
 from ...cli.file_kinds import PAGE, RUN
 from ...cli.next_command import completed

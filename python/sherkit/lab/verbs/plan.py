@@ -9,8 +9,7 @@ import click
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ...base.figures import in_names, sized
-from ...base.names import listed
+from ...base.figures import in_names, listed, sized
 from ...cli import output
 from ...cli.file_kinds import RESULTS
 from ...cli.output import out, table

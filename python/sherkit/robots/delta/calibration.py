@@ -18,7 +18,7 @@ import numpy as np
 import sherkit._core as _core
 
 from ...base.types import Bools, Floats, Ints
-from ...data.lagged import DRAWN_C
+from ...data.in_time import DRAWN_C
 from ...data.toml import Table
 from ...errors import CalibrationError, FitError
 from ...fit.identify import Fit

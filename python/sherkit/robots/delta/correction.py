@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import sherkit._core as _core
 
-from ...base.saved import Saved
+from ...base.notebook import Saved
 from ...base.types import Floats
 from ...data.toml import Table
 from ...errors import FitError, ShapeError

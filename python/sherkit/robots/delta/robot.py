@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
-from ...base.notebook import Shown
-from ...base.saved import Saved
+from ...base.notebook import Saved, Shown
 from ...base.types import Floats
 from ...data.columns import Layout
 from ...data.declared import Declared, Inner, key

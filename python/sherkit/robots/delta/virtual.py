@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...base import linalg
-from ...base.names import nearest
+from ...base.figures import nearest
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from ...base.names import listed
+from ...base.figures import listed
 from ...errors import RobotError
 from ...model.kinds import Kind, Robot, known_kinds, register
 from ...model.python_file import carried, portable, run_python

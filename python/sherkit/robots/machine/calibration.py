@@ -11,7 +11,7 @@ import numpy as np
 from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...data.columns import TEMPERATURE, TIME, bare, unit_in
-from ...data.lagged import DRAWN_C
+from ...data.in_time import DRAWN_C
 from ...data.toml import Table
 from ...errors import NotConverged, OutOfReach
 from ...model.chain import Block, ChainModel

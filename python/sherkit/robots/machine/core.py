@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from ...base.types import Bools, Floats
 from ...data.columns import bare, factor, unit_in
-from ...data.lagged import DRAWN_C
+from ...data.in_time import DRAWN_C
 from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block
 from ...model.effect import Effect, Sentences, catalogue_of_core
-from ...model.sensor_link import by_pose, pose_row, seen_from, slip_row, turn_of
-from ...model.sensor_pose import POSE, SensorPose
+from ...model.sensor_pose import POSE, SensorPose, by_pose, pose_row, seen_from, slip_row, turn_of
 from ...model.sentences import COMMON
 from .function import UserFunction
 

@@ -12,10 +12,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...base.figures import in_small_units
-from ...base.names import listed
-from ...base.notebook import Shown
-from ...base.saved import Saved
+from ...base.figures import in_small_units, listed
+from ...base.notebook import Saved, Shown
 from ...base.types import Floats
 from ...data.columns import TEMPERATURE, TIME, Layout, know_unit, unit_in
 from ...data.toml import Table

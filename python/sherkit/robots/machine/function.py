@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ...base import linalg
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Bools, Floats
 from ...errors import FitError, SherkitError
 from ...model.effect import Parameter

@@ -18,7 +18,7 @@ from ...errors import EffectError, FitError
 from ...model.base import Reachable
 from ...model.chain import ChainModel
 from ...model.effect import Effect, Setting
-from ...model.sensor_link import seen_from
+from ...model.sensor_pose import seen_from
 from .core import MachineCore
 from .described import MachineDescription
 

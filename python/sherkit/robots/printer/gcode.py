@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.names import brief
+from ...base.figures import brief
 from ...errors import MeasurementError, RobotError
 from .klipper import text_of
 from .robot import ANGLES, ImportedPrinter, Printer, ProbedRows, Towers

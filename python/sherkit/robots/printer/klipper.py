@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.names import brief, listed
+from ...base.figures import brief, listed
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError, RobotError
 from ..delta.robot import Triple

@@ -12,7 +12,7 @@ import numpy as np
 
 import sherkit._core as _core
 
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...errors import FitError

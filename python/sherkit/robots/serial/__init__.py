@@ -6,12 +6,11 @@ from ...base.lazy_imports import door
 
 if TYPE_CHECKING:
     from .calibration import SerialCalibration
-    from .distances import Distance
     from .full_poses import points_of_poses
     from .identified import as_identified
     from .kind import KIND as KIND
     from .model import SerialModel
-    from .points import Plane
+    from .points import Distance, Plane
     from .programs import program_of, read_targets
     from .robot import MOST_JOINTS, Joint, Serial
     from .virtual import Hidden, VirtualSerial, postures
@@ -39,7 +38,7 @@ if not TYPE_CHECKING:
         {
             "KIND": "kind",
             "SerialCalibration": "calibration",
-            "Distance": "distances",
+            "Distance": "points",
             "points_of_poses": "full_poses",
             "as_identified": "identified",
             "SerialModel": "model",

@@ -1,12 +1,23 @@
-"""Rigid transforms as 4 x 4 matrices, mm, and as files have them: a shift and URDF's roll, pitch and yaw."""
+"""Rigid transforms as 4 x 4 matrices, mm, and as files have them: a shift and URDF's roll, pitch and yaw; and
+turns as programs and controllers write them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any
 
 import numpy as np
+import scipy
 
-from ...base.types import Floats
+from ...base.types import Floats, Ints
+from ...data.columns import stated
+from ...errors import MeasurementError, SherkitWarning
+
+# -- Frames ------------------------------------------------------------------------------------------------------------
 
 Triple = tuple[float, float, float]
 
@@ -60,3 +71,177 @@ def as_written(made: Floats) -> tuple[Triple, Triple]:
     """Shift, mm, and roll, pitch, yaw, degrees, of a transform (4, 4), as a file has them."""
     shift, rpy = (made[:3, 3] + 0.0).tolist(), (np.rad2deg(rpy_of(made[:3, :3])) + 0.0).tolist()
     return (shift[0], shift[1], shift[2]), (rpy[0], rpy[1], rpy[2])
+
+
+# -- Turns -------------------------------------------------------------------------------------------------------------
+# Turns of a tool as programs and controllers write them: which convention, by the names of columns and by the arm.
+#
+# Where names leave it open, as ``rx, ry, rz`` do, the convention is the one in which the turns between poses are as
+# large as the arm's joints say: that asks neither where the instrument stands nor how the tool is held.
+
+#: Turns (n, 3, 3) of numbers (n, 3), angles in rad.
+Convention = Callable[[Floats], Floats]
+
+#: Columns that tell a turn: of angles with their unit at the end, of a quaternion, of a matrix row by row.
+VECTOR: tuple[str, ...] = ("rx", "ry", "rz")
+QUATERNION: tuple[str, ...] = ("qx", "qy", "qz", "qw")
+_NAMED: dict[tuple[str, ...], str] = {
+    ("roll", "pitch", "yaw"): "xyz",
+    # KUKA: A about z, then B about y, then C about x; FANUC: W, P, R about the fixed x, y, z
+    ("a", "b", "c"): "ZYX",
+    ("w", "p", "r"): "xyz",
+}  # fmt: skip
+#: ABB: the real part first.
+_REAL_FIRST: tuple[tuple[str, ...], ...] = (("q1", "q2", "q3", "q4"), ("qw", "qx", "qy", "qz"))
+_MATRIX = re.compile(r"(?:t|r|m|rot|h|a)_?(\d)_?(\d)")
+_SCALES = {"rad": 1.0, "deg": np.pi / 180.0, "": np.pi / 180.0}
+#: A quaternion is of length one, and a matrix turns, but for its digits.
+_LENGTH = 1e-3
+#: Sets of poses that are compared; an arm whose zeros are off turns by other angles, but not by so many rad; by so
+#: much better must a convention fit than what the names say, where that is off by more than this.
+_PAIRS, _FITS, _BETTER, _OFF, _ALIKE = 2000, 0.06, 4.0, 0.004, 1.001
+
+
+def _rotation() -> Any:
+    return scipy.spatial.transform.Rotation  # loaded when it is first asked for
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Turns (n, 3, 3) from the tool's axes to those of the instrument, and the ``columns`` that told them."""
+
+    matrices: Floats
+    columns: tuple[str, ...]
+
+
+def turns_of(
+    numbers: Callable[[Sequence[str]], Floats], names: Sequence[str], drawn: Floats | None, source: str
+) -> Turns | None:
+    """The turns that columns of a table tell, ``numbers`` giving those of some (n, ·), for an arm whose tool as drawn
+    is turned by ``drawn`` (n, 3, 3), None where no joints tell that; None where no columns do. What names leave open,
+    and what they say and does not fit the arm, is said in a :class:`~sherkit.errors.SherkitWarning`.
+
+    Raises :class:`~sherkit.errors.MeasurementError` for a quaternion that is not of length one and a matrix that does
+    not turn.
+    """
+    told = {stated(name)[0].lower(): name for name in names}
+    for wanted in (QUATERNION, *_REAL_FIRST):
+        if set(wanted) <= set(told) and not (wanted[0] == "q1" and "q5" in told):
+            columns = tuple(told[one] for one in wanted)
+            q = numbers(columns)
+            if (off := np.abs(np.linalg.norm(q, axis=1) - 1.0) > _LENGTH).any():
+                raise MeasurementError(
+                    f"{source}: {', '.join(columns)}: expected a quaternion of length one, found "
+                    f"{float(np.linalg.norm(q[off][0])):.4g} in row {int(np.argmax(off))}"
+                )
+            q = q if wanted == QUATERNION else np.roll(q, -1, axis=1)
+            return Turns(
+                _checked({"a quaternion": _rotation().from_quat(q).as_matrix()}, drawn, source, columns), columns
+            )
+    if columns := _of_matrix(names)[0]:
+        m = numbers(columns).reshape(-1, 3, 3)
+        apart = np.abs(m @ m.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        if (off := (apart > 10 * _LENGTH) | (np.linalg.det(m) < 0)).any():
+            raise MeasurementError(
+                f"{source}: {', '.join(columns)}: expected the matrix of a turn; that of row {int(np.argmax(off))} is "
+                "none"
+            )
+        return Turns(_checked({"a matrix": _rotation().from_matrix(m).as_matrix()}, drawn, source, columns), columns)
+    for wanted in (VECTOR, *_NAMED):
+        if not set(wanted) <= set(told):
+            continue
+        columns = tuple(told[one] for one in wanted)
+        units = {stated(name)[1] for name in columns}
+        if len(units) > 1 or not units <= {*_SCALES}:
+            raise MeasurementError(f"{source}: {', '.join(columns)}: expected angles, all in rad or all in deg")
+        angles = _SCALES[units.pop()] * numbers(columns)
+        own = _named_way(wanted)
+        every = {own[0]: own[1](angles)} | {name: way(angles) for name, way in _ways().items() if name != own[0]}
+        return Turns(_checked(every, drawn, source, columns), columns)
+    return None
+
+
+def place_in_matrix(names: Sequence[str]) -> tuple[str, ...]:
+    """The columns of a 4 × 4 matrix that hold the place; empty where there is none."""
+    return _of_matrix(names)[1]
+
+
+def _of_matrix(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Columns of the turn of a matrix, row by row, and of its place."""
+    found: dict[tuple[int, int], str] = {}
+    for name in names:
+        if at := _MATRIX.fullmatch(stated(name)[0].lower()):
+            found.setdefault((int(at[1]), int(at[2])), name)
+    for first in (1, 0):
+        own = [(first + i, first + j) for i in range(3) for j in range(3)]
+        if all(one in found for one in own) and (first == 0 or (0, 0) not in found):
+            place = [(first + i, first + 3) for i in range(3)]
+            return tuple(found[one] for one in own), tuple(found[one] for one in place if one in found)
+    return (), ()
+
+
+def _named_way(wanted: Sequence[str]) -> tuple[str, Convention]:
+    if tuple(wanted) == VECTOR:
+        return "a rotation vector", lambda v: _rotation().from_rotvec(v).as_matrix()
+    axes = _NAMED[tuple(wanted)]
+    return _called(axes), lambda v: _rotation().from_euler(axes, v).as_matrix()
+
+
+def _called(axes: str) -> str:
+    """A sequence of turns in words: small letters about fixed axes, capitals about those that turn along."""
+    sort = "the fixed axes" if axes.islower() else "the tool's own axes"
+    return f"angles about {sort} {', '.join(axes.lower())}, one after the other"
+
+
+def _ways() -> Mapping[str, Convention]:
+    """Everything that three numbers may be: a rotation vector, and angles about three axes, each about its own axis
+    where the names say which that is."""
+
+    def about(axes: str, columns: Sequence[int]) -> Convention:
+        return lambda v: _rotation().from_euler(axes, v[:, list(columns)]).as_matrix()
+
+    out: dict[str, Convention] = {"a rotation vector": lambda v: _rotation().from_rotvec(v).as_matrix()}
+    for order in permutations(range(3)):
+        axes = "".join("xyz"[k] for k in order)
+        out[_called(axes)] = about(axes, order)
+    for axes in ("ZYX", "XYZ", "ZYZ", "ZXZ", "YXY", "YZY", "XYX", "XZX"):
+        out.setdefault(f"{_called(axes)} by column", about(axes, (0, 1, 2)))
+    return out
+
+
+def _checked(ways: Mapping[str, Floats], drawn: Floats | None, source: str, columns: Sequence[str]) -> Floats:
+    """The turns of the way that fits the arm: the first unless another fits far better, the other way round too."""
+    if drawn is None:
+        return next(iter(ways.values()))
+    every = dict(ways) | {
+        f"{name}, from the instrument's axes to the tool's": m.transpose(0, 2, 1) for name, m in ways.items()
+    }
+    usual = next(iter(every))
+    few = np.random.default_rng(0).integers(len(drawn), size=(_PAIRS, 4))
+    wanted = _angles(drawn, few)
+    off = {name: float(np.median(np.abs(_angles(m, few) - wanted))) for name, m in every.items()}
+    # of two that differ by how axes are called alone, the first
+    best = next(name for name in every if off[name] <= _ALIKE * min(off.values()))
+    said = f"{source}: {', '.join(columns)}: read as {usual} the tool turns otherwise than the joints of this arm do"
+    if off[usual] > _OFF and _BETTER * off[best] < off[usual] and off[best] < _FITS:
+        message = (
+            f"{said} (by {np.rad2deg(off[usual]):.2g}° in the middle); they are read as {best}, which fits "
+            f"({np.rad2deg(off[best]):.2g}°)"
+        )
+        warnings.warn(message, SherkitWarning, stacklevel=2)
+        return every[best]
+    if off[usual] > _FITS:
+        message = (
+            f"{said} (by {np.rad2deg(off[usual]):.2g}° in the middle), and so it does in every other convention: are "
+            "the joints those of this arm, in the order and the unit of its file?"
+        )
+        warnings.warn(message, SherkitWarning, stacklevel=2)
+    return every[usual]
+
+
+def _angles(m: Floats, few: Ints) -> Floats:
+    """By how much one turns from the first to the second and on by as much as from the third to the fourth of ``few``
+    (k, 4) rows, rad: of two rows alone the turn back would be as large."""
+    turns = [m[rows] for rows in few.T]
+    cosine = 0.5 * (np.einsum("nab,nac,ndc,ndb->n", *turns, optimize=True) - 1.0)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from ...base.arguments import validate_arguments
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import stated
@@ -22,9 +22,8 @@ from ...data.frames import clean, to_polars
 from ...data.reader import RunLike, checked, csv_blocks
 from ...data.tables import PARQUET, read_parquet
 from ...errors import MeasurementError, SherkitWarning
-from .frames import Triple, of_rpy
+from .frames import QUATERNION, Triple, of_rpy, place_in_matrix, turns_of
 from .robot import POSITION, TARGET, Serial
-from .turns import QUATERNION, place_in_matrix, turns_of
 
 #: What controllers call the readings of the joints, before the number of each.
 _JOINTS = re.compile(r"(?:joint|axis|achse|j|a|q)[\s_]*([1-9])")

@@ -21,7 +21,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ...base.names import brief, listed, nearest
+from ...base.figures import brief, listed, nearest
 from ...base.types import Floats
 from ...data.head import head_of
 from ...errors import RobotError

@@ -2,7 +2,7 @@
 
 from ...model.kinds import Kind
 from .calibration import SerialCalibration
-from .drawing import drawing
+from .identified import drawing
 from .imported import read_in_the_other_convention
 from .model import SerialModel
 from .robot import POSITION, Joint, Serial, layout_of_arm

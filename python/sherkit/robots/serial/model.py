@@ -23,11 +23,10 @@ from ...errors import FitError, SherkitWarning
 from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
 from ...model.effect import Effect, Parameter, Sentences, Setting, effects_of_row, parameters_of_core
-from ...model.relations import Apart
 from ...model.sentences import catalogue_of
-from .plates import PlateChain, as_plates, plates_of, renamed
+from ...model.tolerances import Apart
+from .plates import PlateChain, Sockets, as_plates, plates_of, renamed, sockets_of
 from .robot import CENTRE, PAYLOAD, PLANE, POSITION, TARGET, Joint, Serial
-from .sockets import Sockets, sockets_of
 
 # -- Effects ------------------------------------------------------------------------------------------------------
 

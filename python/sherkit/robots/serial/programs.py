@@ -16,7 +16,7 @@ import polars as pl
 import scipy
 
 from ...base import linalg
-from ...base.names import listed
+from ...base.figures import listed
 from ...base.types import Bools, Floats, Ints
 from ...data.columns import factor, stated
 from ...data.reader import checked, csv_blocks
@@ -24,11 +24,10 @@ from ...data.tables import PARQUET, read_parquet
 from ...errors import MeasurementError, OutOfReach
 from ..accuracy import PredictedAccuracies
 from .calibration import SerialCalibration
-from .frames import of_rpy
+from .frames import of_rpy, turns_of
 from .full_poses import meant
 from .identified import as_identified
 from .robot import POSITION, Serial
-from .turns import turns_of
 
 # -- How controllers write a pose ---------------------------------------------------------------------------------
 

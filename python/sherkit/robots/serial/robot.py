@@ -14,21 +14,18 @@ from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
-from ...base.names import listed
-from ...base.notebook import Shown
-from ...base.saved import Saved
+from ...base.figures import listed
+from ...base.notebook import Saved, Shown
 from ...base.types import Bools, Floats
 from ...data.columns import Layout, know
 from ...data.declared import Declared, Inner, key, keys_from, keys_of
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.batch import Batch, matrix, vector, why
-from ...model.relations import Apart
 from ...model.sensor_pose import ANYWHERE, SensorPose
-from ...model.tolerances import NOT_STATED, Stated, Stating
-from .distances import Distance
+from ...model.tolerances import NOT_STATED, Apart, Stated, Stating
 from .frames import Triple, frame, of_rpy, onto
-from .points import Plane, check_groups, grouped, plane_of, points
+from .points import Distance, Plane, check_groups, grouped, plane_of, points
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
 

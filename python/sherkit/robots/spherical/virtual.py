@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...base.names import nearest
+from ...base.figures import nearest
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table

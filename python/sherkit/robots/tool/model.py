@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ...base import linalg
-from ...base.saved import Saved
+from ...base.notebook import Saved
 from ...base.types import Floats
 from ...data import Measurements, from_arrays
 from ...errors import FitError, MeasurementError, RobotError

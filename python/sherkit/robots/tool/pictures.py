@@ -11,8 +11,20 @@ from bokeh.models import Span
 from numpy.typing import NDArray
 
 from ...base.types import Floats
-from ...report.picture import Picture, Tables, sources_of, stacked
-from ...report.style import ADDED, COLOURS, INK, MUTED, PLAIN, figure, hover, legend
+from ...report.picture import (
+    ADDED,
+    COLOURS,
+    INK,
+    MUTED,
+    PLAIN,
+    Picture,
+    Tables,
+    figure,
+    hover,
+    legend,
+    sources_of,
+    stacked,
+)
 from .filters import Estimate
 
 _HEIGHT, _BELOW = 320, 190

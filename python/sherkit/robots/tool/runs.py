@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from ...base import linalg
-from ...base.names import closest, listed
+from ...base.figures import closest, listed
 from ...base.types import Bools, Floats
 from ...data.columns import TIME
 from ...data.reader import checked

@@ -19,7 +19,7 @@ import tomli_w
 
 import sherkit._core as _core
 
-from ...base.saved import Saved
+from ...base.notebook import Saved
 from ...base.types import Floats
 from ...data.columns import TIME
 from ...data.declared import Declared, Inner, key

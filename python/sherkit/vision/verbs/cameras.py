@@ -10,7 +10,7 @@ import click
 import polars as pl
 import tomli_w
 
-from ...base.names import listed
+from ...base.figures import listed
 from ...cli import output
 from ...cli.file_kinds import CAMERA, PRINTED, TABLE
 from ...cli.paths import InputFile, OutputFile

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from ....base.answer import AFTER, BEFORE, Bar, ToDo, as_sentence
-from ....base.names import listed
+from ....base.figures import listed
 from ....cli import output
 from ....cli.file_kinds import PICTURE, TABLE, TOOL
 from ....cli.paths import InputFile, OutputFile

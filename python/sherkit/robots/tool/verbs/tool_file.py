@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from ....base.names import listed
+from ....base.figures import listed
 from ....cli import output
 from ....cli.file_kinds import PAGE, TOOL
 from ....cli.output import refuse_given
