@@ -26,7 +26,7 @@ import sherkit as sk
 from running import command
 from sherkit.base.figures import number, stated
 from sherkit.cli.next_command import completed
-from sherkit.data.head import columns_called
+from sherkit.data.tables import columns_called
 from sherkit.errors import EffectError, MeasurementError, RobotError
 from sherkit.model.effect import load_effects
 from sherkit.robots.machine import load_machine

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import sherkit as sk
 from sherkit.base.types import Floats
 from sherkit.data.noise import step_of
-from sherkit.diagnosis.rounded import shared_by_repeats
+from sherkit.diagnosis.repeats import shared_by_repeats
 from sherkit.robots.serial import Serial, postures
 from test_arm_counted import OwnArm, arm_in
 from test_discovery import DELTA, SIGMA, Run, measured, whole_grid

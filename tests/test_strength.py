@@ -11,8 +11,7 @@ import sherkit as sk
 from field_counts import WORSE, WORSE_INSIDE, counted
 from field_worlds import REGIONS, Field, best_frame, field
 from sherkit.base.types import Floats
-from sherkit.fit.regions import frame_of
-from sherkit.fit.strength import drawn_by, part_of, scaled_sizes
+from sherkit.fit.regions import drawn_by, frame_of, part_of, scaled_sizes
 from sherkit.model.kinds import model_of, robot_from_tables
 from sherkit.robots.delta import VirtualDelta, paper_whole
 from strategies import EXAMPLE

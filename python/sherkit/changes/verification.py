@@ -42,9 +42,8 @@ from ..robots.deployed import SENSOR
 from .comparison import ParameterChange
 from .pool import told_ties
 from .pooled_fit import estimated, rows_as_run
-from .promise import broken, shows
 from .runs import RunPose, candidates_of, columns_of, noise_of_repeats, stand_of
-from .vouching import Work, sights_of, unable
+from .vouching import Work, broken, shows, sights_of, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
 _REFUSED, _CHANGED = 0.005, 0.015

@@ -18,7 +18,7 @@ from ..changes import compare as compare_runs
 from ..changes import history as history_of
 from ..changes import verify as verify_run
 from ..data.columns import unit_in
-from ..data.head import names_given
+from ..data.tables import names_given
 from ..errors import SherkitError
 from ..fleets import FEWEST, Fleet, fleet
 from ..model.effect import load_effects

@@ -23,7 +23,7 @@ from rich.text import Text
 from ..base.answer import Answer, as_sentence
 from ..base.figures import finite
 from ..data.files import is_output
-from ..data.head import columns_called
+from ..data.tables import columns_called
 from ..errors import SherkitError
 from .file_kinds import PAGE
 from .next_command import KEPT, completed

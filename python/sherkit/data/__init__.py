@@ -1,8 +1,7 @@
 """Rows of readings with units, repeats and covariates, from files and frames."""
 
-from .arrays import from_arrays
 from .bluesky import from_bluesky
-from .frames import from_frame
+from .frames import from_arrays, from_frame
 from .reader import read_measurements
 from .ros import from_rosbag
 from .rows import Measurements, Repeatability

@@ -20,11 +20,10 @@ from .called import is_difference
 from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, known_layouts, meanings, stated, unit_in
 from .doubts import doubts
 from .frames import clean
-from .head import is_number
 from .raw_table import NOTHING, WITH_UNIT, Problem, RawTable, raw_table
 from .reader import checked
 from .rows import Measurements
-from .tables import PARQUET, read_parquet
+from .tables import PARQUET, is_number, read_parquet
 
 #: The column of the temperature, which effects of warmth ask for.
 _TEMPERATURE = "temperature_c"

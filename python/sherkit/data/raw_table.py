@@ -17,7 +17,7 @@ from pathlib import Path
 from ..base.figures import brief, spans
 from ..errors import MeasurementError
 from .columns import is_unit
-from .head import MARKS, by_spaces, is_number, nameless, names_given, tabbed
+from .tables import MARKS, by_spaces, is_number, nameless, names_given, tabbed
 
 #: Cells that say that nothing was read.
 NOTHING = ("---", "--", "-", "n/a", "na", "nan", "#n/a", "#nv", "null", "none", "?", "k.a.", "x", "*", "err", "error")

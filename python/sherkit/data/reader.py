@@ -22,9 +22,8 @@ from . import columns as c
 from .columns import Columns
 from .files import bag_in, of_demo, refuse_device
 from .frames import clean, from_frame
-from .head import MARKS, by_spaces, head_of, is_number, names_given
 from .rows import Measurements
-from .tables import PARQUET, read_parquet
+from .tables import MARKS, PARQUET, by_spaces, head_of, is_number, names_given, read_parquet
 
 # -- Decimal commas, in files whose cells are not parted by commas --------------------------------------------------
 

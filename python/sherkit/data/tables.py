@@ -1,19 +1,177 @@
-"""Tables as files: the kind of a file is the ending of its name."""
+"""Tables as files: the kind of a file is the ending of its name; how a text parts its cells and names its columns."""
 
 from __future__ import annotations
 
 import io
+import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import polars as pl
 
 from ..errors import MeasurementError
 from .files import write_whole
-from .head import head_of
+
+# -- How a text parts its cells ----------------------------------------------------------------------------------------
+# How a text parts its cells and what it calls its columns: asked first by everything that reads a table of text.
+#
+# Cells are parted by comma, semicolon, tab or spaces; spaces become tabs here, so that nobody else has to know of
+# them. A table without names has those that a person gives (``--columns a,b,c``), or those of the note right above
+# its rows, as ``numpy.savetxt`` writes it.
+
+MARKS = ",;\t"
+#: Names of columns in the order of the file, for the files that are read now.
+_GIVEN: ContextVar[tuple[str, ...]] = ContextVar("names of columns", default=())
+_NUMBER = re.compile(r"[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?")
+#: One with a decimal comma, or whole: cells that spaces part may hold commas.
+_WITH_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?")
+_SPACES = re.compile(r"\s+")
+#: Between two names, not before the unit of one.
+_BETWEEN = re.compile(r"\s+(?![\[(])")
+_WIDE = re.compile(r"\t|\s{2,}")
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, with whatever marks between its digits."""
+    return _NUMBER.fullmatch(cell) is not None
+
+
+@contextmanager
+def columns_called(names: Sequence[str]) -> Iterator[None]:
+    """Tables of text that are read in here have these columns, in the order of the file; none given: their own.
+
+    Raises :class:`~sherkit.errors.MeasurementError` for a name that is empty or given twice.
+    """
+    tidy = tuple(name.strip() for name in names)
+    if not all(tidy) or len(set(tidy)) < len(tidy):
+        raise MeasurementError(
+            f"--columns: expected a name of its own for each column, as in a,b,c; got '{','.join(names)}'"
+        )
+    token = _GIVEN.set(tidy)
+    try:
+        yield
+    finally:
+        _GIVEN.reset(token)
+
+
+def names_given() -> tuple[str, ...]:
+    """The names that a person gave for the columns of what is read now; empty where none were given."""
+    return _GIVEN.get()
+
+
+# -- Cells parted by spaces ------------------------------------------------------------------------------------------
+
+
+def by_spaces(line: str) -> bool:
+    """Whether nothing but spaces can part the cells of a line."""
+    parts = line.split()
+    if len(parts) < 2 or '"' in line or ";" in line or "\t" in line.strip():
+        return False
+    return "," not in line or all(_WITH_COMMA.fullmatch(one) for one in parts)
+
+
+def tabbed(line: str, cells: int = 0) -> str:
+    """A line whose cells spaces part, with tabs for them; names may hold spaces where the rows have so many ``cells``:
+    two spaces part them, or what is no unit in brackets begins the next."""
+    text, end = line.strip(), "\n" if line.endswith("\n") else ""
+    ways = [one.split(text) for one in (_SPACES, _BETWEEN, _WIDE)]
+    fitting = [way for way in ways if len(way) == cells]
+    return "\t".join((fitting or ways)[0]) + end
+
+
+# -- Where a text begins ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Head:
+    """The ``names`` line of a table with its number, or the names in ``called`` where it has none; the mark that parts
+    its cells; and the ``lines`` below, each with its number, in which that mark parts the cells."""
+
+    number: int
+    names: str
+    called: tuple[str, ...]
+    separator: str
+    lines: Iterator[tuple[int, str]]
+
+
+def head_of(source: str, lines: Iterator[tuple[int, str]]) -> Head | None:
+    """Where a table of text begins, of its numbered ``lines``; None where it holds none.
+
+    Raises :class:`~sherkit.errors.MeasurementError` for one that has no names.
+    """
+    called = names_given()
+    note, (number, first) = _first(lines)
+    if not first:
+        return None
+    while called and not _is_row(first, len(called)):
+        # what stands above the first row is no row, whatever it is
+        number, first = next(lines, (0, ""))
+        if not first:
+            raise MeasurementError(f"{source}: has no row of {len(called)} cells, as many as --columns names")
+    spaced = by_spaces(first)
+    separator = "\t" if spaced else max(MARKS, key=first.count)
+    begun = tabbed(first) if spaced else first
+    cells = [cell.strip() for cell in begun.split(separator)]
+    if called:
+        # a word alone is the end of many a log
+        rows = ((n, s) for n, s in chain([(number, first)], lines) if not s.strip().isalpha())
+        return Head(number, "", called, separator, _tabs(rows, spaced))
+    if not all(map(is_number, cells)):
+        if not spaced:
+            return Head(number, first, (), separator, lines)
+        row = next(((n, s) for n, s in lines if not _is_note(s)), None)
+        below = lines if row is None else chain([row], lines)
+        if row is None or not by_spaces(row[1]):  # a line of words above another sort of table
+            return Head(number, first, (), max(MARKS, key=first.count), below)
+        return Head(number, tabbed(first, len(row[1].split())), (), separator, _tabs(below, True))
+    for own in (note.split(separator), tabbed(note, len(cells)).split("\t")):
+        told = tuple(name.strip() for name in own)
+        if len(told) == len(cells) == len({*told}) and all(told) and not any(map(is_number, told)):
+            return Head(number, "", told, separator, _tabs(chain([(number, first)], lines), spaced))
+    raise MeasurementError(f"{source}: {nameless(number, len(cells))}")
+
+
+def nameless(number: int, cells: int) -> str:
+    """What to say of a table whose ``cells`` columns have no names."""
+    return (
+        f"has no line of column names: line {number} is a row of {cells} cells already; --columns with {cells} names, "
+        "as in a,b,c, says what they are, or a first line does"
+    )
+
+
+def _first(lines: Iterator[tuple[int, str]]) -> tuple[str, tuple[int, str]]:
+    """The last note above the first line that is none, and that line."""
+    note = ""
+    for number, line in lines:
+        if not _is_note(line):
+            return note, (number, line)
+        note = line.strip().lstrip("#").strip() or note
+    return note, (0, "")
+
+
+def _is_note(line: str) -> bool:
+    return not line.strip() or line.lstrip().startswith("#")
+
+
+def _is_row(line: str, cells: int) -> bool:
+    """Whether a line is a row of so many cells, most of them numbers."""
+    parts = line.split() if by_spaces(line) else line.strip().split(max(MARKS, key=line.count))
+    return len(parts) == cells and sum(is_number(one.strip()) for one in parts) * 2 > cells
+
+
+def _tabs(lines: Iterator[tuple[int, str]], spaced: bool) -> Iterator[tuple[int, str]]:
+    if not spaced:
+        return lines
+    return ((number, line if _is_note(line) else tabbed(line)) for number, line in lines)
+
+
+# -- Tables ------------------------------------------------------------------------------------------------------------
 
 PARQUET = (".parquet", ".pq")
 #: The first and the last bytes of every Parquet file.

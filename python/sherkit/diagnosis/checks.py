@@ -16,7 +16,7 @@ from ..evidence.fitted_run import FittedRun
 from ..evidence.thresholds import ABSURD, PLAUSIBLE, largest, sizes_of
 from ..fit.set_up import Mistake
 from .held_out import PRAISE, Elimination, HeldOutGain
-from .repeats import Repeats
+from .repeats import Repeats, Rounded, rounded
 from .result import (  # fmt: skip
     AS_DRAWN,
     DECLARED,
@@ -30,7 +30,6 @@ from .result import (  # fmt: skip
     STANDS,
     Check,
 )
-from .rounded import Rounded, rounded
 from .selection import NamedEffects
 from .sensor_pose import KNOWN_LEVEL, known_stand
 from .where import SlowDrift

@@ -24,16 +24,14 @@ from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
 from ..model.thermometers import thermometers_of
-from .candidates import candidates_of, strongest, unnamed
 from .checks import checks_of
 from .findings import findings_of
 from .gathered import checks_of_outliers
-from .held_out import backward_elimination, noise_quantile
+from .held_out import backward_elimination, candidates_of, noise_quantile, strongest, unnamed
 from .next_poses import Proposal, next_poses
 from .outliers import is_first_by_side, sentences, without_outliers
-from .repeats import contradicted, in_repeats
+from .repeats import contradicted, in_repeats, steps_in
 from .result import Diagnosis, verdict_of
-from .rounded import steps_in
 from .selection import NamedEffects, not_needed, searched
 from .sensor_pose import taken_by_pose
 from .signature import signature_of, waves_in_words

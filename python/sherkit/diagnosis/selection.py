@@ -23,8 +23,7 @@ from ..evidence.sets import MOST, EffectSet, Sets, ShapeDescription
 from ..evidence.settings import refined, unit_columns
 from ..fit.identify import Fit
 from ..model.effect import Effect, Setting
-from .candidates import strongest
-from .held_out import HeldOutGain, error_of, held_out_gain
+from .held_out import HeldOutGain, error_of, held_out_gain, strongest
 from .result import StepReport
 
 #: Deviations from which on a value is certainly not zero.

@@ -45,9 +45,8 @@ from .least_squares import (
     scale,
     spread,
 )
-from .regions import Elsewhere, errors_elsewhere
+from .regions import Elsewhere, errors_elsewhere, in_plausible_sizes, part_of, scaled_sizes
 from .set_up import held, set_up_mistakes
-from .strength import in_plausible_sizes, part_of, scaled_sizes
 from .table import Direction, badly_observed, frame_of, table_of, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.

@@ -15,7 +15,7 @@ from bokeh.models import FactorRange, Range1d, Span, Whisker
 from ..base import linalg
 from ..base.types import Floats
 from ..diagnosis import Diagnosis, largest
-from ..diagnosis.candidates import strongest
+from ..diagnosis.held_out import strongest
 from ..evidence.base import Base
 from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun

@@ -23,7 +23,7 @@ import numpy as np
 
 from ...base.figures import brief, listed, nearest
 from ...base.types import Floats
-from ...data.head import head_of
+from ...data.tables import head_of
 from ...errors import RobotError
 from .frames import Triple, about, as_written, frame, of_rpy
 from .robot import MOST_JOINTS, TYPES, Joint, Serial
