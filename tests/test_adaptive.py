@@ -99,7 +99,7 @@ def test_what_is_tried_does_not_hang_on_the_rows_read_so_far() -> None:
     rows = [
         {"pose": k + 1, "repeat": 1, **dict(zip(world.joints, q.tolist(), strict=True))} for k, q in enumerate(places)
     ]
-    data = told.in_time(pl.DataFrame(world.read(rows)), loop.robot, loop.model, loop.layout)
+    data = told.in_order_of_time(pl.DataFrame(world.read(rows)), loop.robot, loop.model, loop.layout)
     known = FixedBefore.of(loop.model.for_run(data), loop.region, data.select(np.arange(12)), (0, 1, 2), 1800.0)
     fit = sk.identify(known.model, data)
     early, late = (

@@ -13,8 +13,8 @@ from sherkit.base.types import Floats
 from sherkit.evidence.base import Base
 from sherkit.evidence.family import Family
 from sherkit.evidence.fitted_run import FittedRun
-from sherkit.evidence.names import Names, names_of
-from sherkit.evidence.run import run_of
+from sherkit.evidence.names import Names, judged_names
+from sherkit.evidence.run import weighed_run
 from sherkit.evidence.sets import Sets
 from sherkit.evidence.settings import refined
 from worlds import World
@@ -23,7 +23,7 @@ from worlds import World
 def sets_of(world: World) -> Sets:
     """Of a run without outliers or mistakes."""
     fit = FittedRun(world.study().fit)
-    run = run_of(fit, np.flatnonzero(fit.whole), fit.catalogue, fit.noise[0])
+    run = weighed_run(fit, np.flatnonzero(fit.whole), fit.catalogue, fit.noise[0])
     family = Family(run)
     return Sets(family, Base.of(family, run))
 
@@ -31,12 +31,12 @@ def sets_of(world: World) -> Sets:
 @cache
 def asked(*hidden: str) -> Names:
     """Names in a delta's run with these effects hidden, each of four noises."""
-    return names_of(sets_of(worlds.delta_world(1, dict.fromkeys(hidden, 4 * worlds.NOISE_UM))))
+    return judged_names(sets_of(worlds.delta_world(1, dict.fromkeys(hidden, 4 * worlds.NOISE_UM))))
 
 
 def test_nothing_hidden_names_nothing() -> None:
     """Catches evidence that grows with how much is tried. Level: one run in a hundred; this seed is fixed."""
-    found = names_of(sets_of(worlds.clean(0)))
+    found = judged_names(sets_of(worlds.clean(0)))
     assert found.lead is None
     assert found.alone.shapes == ()
 
@@ -69,7 +69,7 @@ def test_an_unknown_is_described_and_not_explained() -> None:
     """Catches an effect that stands in for physics of no catalogue, and a description that stops at its first shape."""
     bow = next(kind for kind in DELTA_KINDS if kind.__name__ == "bowed_rails")
     made = delta_unnamed(bow, 5.0, "shuffled", 0)
-    found = names_of(sets_of(World(made.settings, made.columns, made.noise)))
+    found = judged_names(sets_of(World(made.settings, made.columns, made.noise)))
     assert not (found.explains and found.named)
     assert len(found.alone.shapes) > 1
     assert all(block.effect is None for block in found.alone.shapes)

@@ -10,7 +10,7 @@ import pytest
 
 import sherkit as sk
 import worlds
-from sherkit.fit.forms import known, known_of
+from sherkit.fit.forms import known, simplest_form
 from sherkit.model.effect import Effect, Parameter
 
 RAIL_LEAN = sk.delta.CATALOGUE["rail_lean"]
@@ -45,7 +45,7 @@ def test_the_form_is_the_one_that_made_the_numbers(name: str) -> None:
     right = inside = 0
     size = np.rad2deg(max(hidden))
     for draw in rng.multivariate_normal(hidden, covariance, 200):
-        one = known_of(fit_with(draw, covariance), RAIL_LEAN)
+        one = simplest_form(fit_with(draw, covariance), RAIL_LEAN)
         if one is not None and (one.form, one.at, len(one.values)) == (form, at, 1):
             right += 1
             inside += abs(one.values[0].value - size) < 2 * one.values[0].std
@@ -56,7 +56,7 @@ def test_the_form_is_the_one_that_made_the_numbers(name: str) -> None:
 def test_six_numbers_that_are_known_stay_six() -> None:
     """Catches a form that is forced on numbers that refuse it."""
     hidden = [1e-3, -2e-3, 2e-3, 1e-3, -3e-3, 2e-3]
-    assert known_of(fit_with(hidden, 1e-9 * np.eye(6)), RAIL_LEAN) is None
+    assert simplest_form(fit_with(hidden, 1e-9 * np.eye(6)), RAIL_LEAN) is None
 
 
 def test_the_best_known_combination_is_said_where_no_form_holds() -> None:
@@ -66,7 +66,7 @@ def test_the_best_known_combination_is_said_where_no_form_holds() -> None:
     across = np.array([-1.0, 2.0]) / np.sqrt(5.0)
     covariance = 1e-6 * np.outer(along, along) + 25.0 * np.outer(across, across)
     values = 0.1 * along + 40.0 * across
-    one = known_of(fit_with(values, covariance, effect), effect)
+    one = simplest_form(fit_with(values, covariance, effect), effect)
     assert one.form == "combination"
     assert one.values[0].what == "a_1 + 0.5 a_2"
     assert one.values[0].value == pytest.approx(0.1 * np.sqrt(5.0) / 2.0)
@@ -102,4 +102,4 @@ def test_effects_without_limbs_are_left_alone() -> None:
     for name in ("drift", "thermal_growth", "beam_alignment"):
         effect = sk.delta.CATALOGUE[name]
         count = len(effect.parameters)
-        assert known_of(fit_with(np.ones(count), np.eye(count), effect), effect) is None
+        assert simplest_form(fit_with(np.ones(count), np.eye(count), effect), effect) is None

@@ -28,7 +28,7 @@ from second_simulator.unnamed import (
 )
 from sherkit.diagnosis import indistinguishable, sentence
 from sherkit.diagnosis.held_out import PRAISE
-from sherkit.evidence.made import told
+from sherkit.evidence.made import distinguishable_waves
 from worlds import Answer, World
 
 Make = Callable[[Kind, float, Any, int], Unnamed]
@@ -159,8 +159,8 @@ def test_shapes_that_do_as_well_are_told() -> None:
         place={"x_mm": x}, readings=shown, names=("y_mm",), unit="mm", time_s=t, covariates={"humidity_pct": damp}
     )
     d = sk.diagnose(sk.identify(model, data))
-    told = {tuple(one["depends_on"]) for one in (d.signature, *d.signature["indistinguishable"])}
-    assert {("time_s",), ("humidity_pct",)} <= told
+    distinguishable_waves = {tuple(one["depends_on"]) for one in (d.signature, *d.signature["indistinguishable"])}
+    assert {("time_s",), ("humidity_pct",)} <= distinguishable_waves
     assert "longer run" in d.signature["apart"]
     assert indistinguishable(d.signature) in repr(d)
     assert sentence(d.signature) in repr(d)
@@ -172,8 +172,12 @@ def test_a_wave_that_slower_ones_stand_in_for_is_an_alias() -> None:
     rng = np.random.default_rng(0)
     lines = np.repeat(np.linspace(-20.0, 20.0, 9), 40)
     for values in (lines, lines + rng.normal(0, 0.1, lines.size)):
-        assert told(values, float(np.ptp(values)) / np.array([5.0, 7.0, 12.0])).tolist() == [False, False, True]
-    assert told(rng.uniform(-20, 20, 300), 40.0 / np.array([2.0, 5.0, 12.0])).all()
+        assert distinguishable_waves(values, float(np.ptp(values)) / np.array([5.0, 7.0, 12.0])).tolist() == [
+            False,
+            False,
+            True,
+        ]
+    assert distinguishable_waves(rng.uniform(-20, 20, 300), 40.0 / np.array([2.0, 5.0, 12.0])).all()
 
 
 @dataclass(frozen=True)

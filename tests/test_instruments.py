@@ -47,7 +47,7 @@ from sherkit.lab.emulators import (
 )
 from sherkit.lab.instruments import Axis, Galil, Hyperion, Keyence, NetFT, Scale, Sm130, VideoCamera, fetch_scale
 from sherkit.lab.instruments.base import Reading, middle_of
-from sherkit.lab.instruments.galil_line import parse_answer, parse_numbers
+from sherkit.lab.instruments.galil_line import parse_answer, parse_galil_numbers
 from sherkit.lab.instruments.keyence import parse_reply, parse_value
 from sherkit.lab.instruments.transport import TcpPort, deadline_in, open_port
 
@@ -123,8 +123,8 @@ def test_galil_emulator_speaks_the_documents_bytes():
 
 def test_galil_driver_reads_the_documents_bytes():
     """Catches a parser that takes an echo, a refusal or a lost line end for a value."""
-    assert parse_numbers(parse_answer(b" 200, -10, 0\r\n:"), 3) == (200.0, -10.0, 0.0)
-    assert parse_numbers(parse_answer(b" 200.0000 -10.0000\r\n:"), 2) == (200.0, -10.0)
+    assert parse_galil_numbers(parse_answer(b" 200, -10, 0\r\n:"), 3) == (200.0, -10.0, 0.0)
+    assert parse_galil_numbers(parse_answer(b" 200.0000 -10.0000\r\n:"), 2) == (200.0, -10.0)
     assert parse_answer(b":") == ""
     # CW1: unsolicited text has its high bit set, and may hold prompts
     assert parse_answer(b" 2" + bytes(b | 0x80 for b in b"HI:\r\n") + b"00.0000\r\n:") == " 200.0000"

@@ -108,7 +108,7 @@ PARSERS = {
         answer_is_right,
     ),
     "galil numbers": (
-        lambda data: galil_line.parse_numbers(data.decode("latin-1"), 3),
+        lambda data: galil_line.parse_galil_numbers(data.decode("latin-1"), 3),
         [b" 200, -10, 0", b" 200.0000 -10.0000 0.0000", b" 1,2,3"],
         numbers_are_right,
     ),

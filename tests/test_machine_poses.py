@@ -19,7 +19,7 @@ from sherkit.errors import RobotError
 from sherkit.model.sensor_pose import POSE, SPACE, by_pose, rotation_matrix
 from sherkit.model.sensor_pose import seen_from as seen_by
 from sherkit.robots.machine import load_machine
-from sherkit.robots.machine.core import in_space
+from sherkit.robots.machine.core import is_point_in_space
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "machines"
 MACHINE: dict[str, sk.Machine] = {}
@@ -219,7 +219,7 @@ def test_readings_of_a_plane_are_in_its_own_axes() -> None:
 )  # fmt: skip
 def test_places_are_known_by_their_names(readings: tuple[str, ...], is_place: bool) -> None:
     """Catches three lengths that are taken for a point, and a point that is not seen as one."""
-    assert in_space(readings) is is_place
+    assert is_point_in_space(readings) is is_place
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import sherkit as sk
 from field_counts import WORSE, WORSE_INSIDE, counted
 from field_worlds import REGIONS, Field, best_frame, field
 from sherkit.base.types import Floats
-from sherkit.fit.regions import drawn_by, frame_of, part_of, scaled_sizes
+from sherkit.fit.regions import drawn_by, frame_parameters, part_of, scaled_sizes
 from sherkit.model.kinds import model_of, robot_from_tables
 from sherkit.robots.delta import VirtualDelta, paper_whole
 from strategies import EXAMPLE
@@ -63,7 +63,11 @@ def test_sizes_of_the_drawing_alone_are_scaled() -> None:
     size = np.array([p.size for p in model.parameters])
     scaled = scaled_sizes(model, 0.5) / size
     names = [p.name for p in model.parameters]
-    still = {"rod_length_2", *(names[k] for k in frame_of(model)), *(n for n in names if n.startswith("backlash"))}
+    still = {
+        "rod_length_2",
+        *(names[k] for k in frame_parameters(model)),
+        *(n for n in names if n.startswith("backlash")),
+    }
     assert {n for n, by in zip(names, scaled, strict=True) if by == 1.0} == still
     assert set(scaled.tolist()) == {0.5, 1.0}
 

@@ -62,7 +62,7 @@ def conclude(loop: BatchLooks) -> Conclusion:
     if loop.readings == 0:
         return Conclusion()
     # of the rows and not of the loop, which would then outlive who forgets it, and its lock with it
-    rows = partial(told.in_time, loop.frame, robot, loop.model, loop.layout)
+    rows = partial(told.in_order_of_time, loop.frame, robot, loop.model, loop.layout)
 
     def make() -> Diagnosis:
         data = rows()

@@ -59,7 +59,7 @@ class BatchLooks(Kept):
     @property
     def data(self) -> Measurements:
         """What was told, in the order of time. Raises :class:`~sherkit.errors.MeasurementError` before that."""
-        return told.in_time(self.frame, self.robot, self.model, self.layout)
+        return told.in_order_of_time(self.frame, self.robot, self.model, self.layout)
 
     @property
     def last(self) -> InterimAnalysis | None:
@@ -97,7 +97,7 @@ class BatchLooks(Kept):
         Rows may be fewer, more, later or elsewhere than asked; those that were told before are known. Raises
         :class:`~sherkit.errors.MeasurementError` for what are no rows of this robot, and nothing is taken then.
         """
-        frame = told.frame_of(rows)
+        frame = told.frame_of_rows(rows)
         if not frame.height:
             return
         whole = told.added(self.frame, told.taken(frame, self._asked, self.region.targets, self.layout), self.layout)

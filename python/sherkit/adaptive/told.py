@@ -33,7 +33,7 @@ _WHERE = "the rows told"
 _SAME_PLACE = 1e-4
 
 
-def frame_of(rows: Any) -> pl.DataFrame:
+def frame_of_rows(rows: Any) -> pl.DataFrame:
     """Rows in any form as a frame. Raises :class:`~sherkit.errors.MeasurementError`."""
     if isinstance(rows, Measurements):
         return rows.to_frame()
@@ -137,7 +137,7 @@ def _elsewhere(frame: pl.DataFrame, layout: Layout) -> pl.DataFrame:
     return frame if out == poses else frame.with_columns(pl.Series(POSE, out))
 
 
-def in_time(frame: pl.DataFrame, robot: Any, model: ModelWithEffects, layout: Layout) -> Measurements:
+def in_order_of_time(frame: pl.DataFrame, robot: Any, model: ModelWithEffects, layout: Layout) -> Measurements:
     """As :func:`measurements`, in the order in which they were read."""
     data = measurements(frame, robot, model, layout)
     return data.select(np.argsort(data.order, kind="stable"))

@@ -18,7 +18,7 @@ from ..data.doubts import doubts
 from ..data.doubts.repeats import copied
 from ..data.noise import noise_of
 from ..diagnosis.gathered import WRONG, gathered, said
-from ..evidence.thresholds import PLAUSIBLE, largest, sizes_of
+from ..evidence.thresholds import PLAUSIBLE, farthest_parameter, times_plausible
 from .look import InterimAnalysis, moved
 from .noise import GROSS
 from .rule import POWER, Unseen, outlook
@@ -40,9 +40,9 @@ def against(found: InterimAnalysis, required_um: float | None, level: float, see
     # rows that are told again are no witnesses, whatever time is given to them
     told = (*doubts(found.data), *copied(replace(found.data, time_s=None)))
     out += dict.fromkeys(one.sentence for one in told if not one.poses)
-    sizes = sizes_of(found.fit)
+    sizes = times_plausible(found.fit)
     if sizes.max(initial=0.0) > PLAUSIBLE:
-        out.append(f"{largest(found.fit, int(np.argmax(sizes)))}: is the robot's file that of this robot?")
+        out.append(f"{farthest_parameter(found.fit, int(np.argmax(sizes)))}: is the robot's file that of this robot?")
     if required_um is not None and found.log_evidence < -np.log(level):
         out += _unseen(found, outlook(found, level), required_um, found.known.accuracy_um(found.data, found.fit, seed))
     return tuple(out)

@@ -33,7 +33,7 @@ from ..data import Measurements
 from ..data.files import write_whole
 from ..errors import EffectError, SherkitError
 from ..model.effect import Effect, load_effects
-from ..model.rows import EffectRows, run_of
+from ..model.rows import EffectRows, handed_on_run
 
 # -- Processes as Linux tells of them -------------------------------------------------------------------------------
 
@@ -197,7 +197,7 @@ class _Process:
             raise
 
     def ask(self, name: str, which: str, rows: EffectRows, p: SimpleNamespace) -> Floats:
-        self._send(("call", name, which, self._key(run_of(rows)), vars(p)))
+        self._send(("call", name, which, self._key(handed_on_run(rows)), vars(p)))
         out: Floats = self._answer(rows)
         return out
 

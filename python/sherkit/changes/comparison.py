@@ -19,7 +19,7 @@ from ..data.columns import bare, unit_in
 from ..data.reader import RunLike
 from ..errors import FitError
 from ..evidence.base import Base
-from ..evidence.names import Names, names_of
+from ..evidence.names import Names, judged_names
 from ..evidence.sets import EffectSet
 from ..evidence.thresholds import ALARM, PLAUSIBLE
 from ..model.effect import Effect
@@ -27,7 +27,7 @@ from ..model.robot_file import RobotLike, load_robot
 from .courses import Courses
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
 from .pooled_fit import About, Joined
-from .vouching import error_of
+from .vouching import error_in_another
 
 #: Evidence (a logarithm) up to which nothing has changed.
 QUIET = np.log(20.0)
@@ -201,8 +201,8 @@ def concluded(pool: Pool) -> Comparison:
         # what says nothing may hide what others say
         return concluded(speaking)
     sets = made.sets()
-    names = names_of(sets) if made.evidence >= ALARM else None
-    verdict = verdict_of(made, names)
+    names = judged_names(sets) if made.evidence >= ALARM else None
+    verdict = change_verdict(made, names)
     lead = names.lead if names else None
     named = names.named if names else ()
     ties = [lead, *names.ties] if names and lead and named == tuple(one.name for one in lead.blocks) else []
@@ -213,7 +213,7 @@ def concluded(pool: Pool) -> Comparison:
     before = joined.fit.error
     rows = [len(run.rows) for run in joined.runs[1:]]
     # each seen from where its sensor stands
-    after = float(np.sqrt(np.average([error_of(run) ** 2 for run in joined.runs[1:]], weights=rows)))
+    after = float(np.sqrt(np.average([error_in_another(run) ** 2 for run in joined.runs[1:]], weights=rows)))
     poses = next_poses(joined, ties) if len(ties) > 1 else ()
     error = {"before": float(before.rms), "after": after, "needed": pool.needed}
     called = [_called(one, number) for one, number in zip(data, pool.numbers, strict=True)]
@@ -297,7 +297,7 @@ def _called(data: Measurements, number: int) -> str:
     return f"{number + 1}: {data.source}"
 
 
-def verdict_of(made: Courses, names: Names | None) -> str:
+def change_verdict(made: Courses, names: Names | None) -> str:
     """What is said of changes: ``names`` where there is evidence of any."""
     if names is None:
         readings = sum(run.used.sum() - run.stand.columns.shape[2] for run in made.joined.runs[1:])

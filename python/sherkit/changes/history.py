@@ -34,7 +34,7 @@ from .comparison import QUIET
 from .courses import Courses
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, unchanged_advice
 from .pooled_fit import About, Joined
-from .vouching import error_of
+from .vouching import error_in_another
 
 STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"
 _MOST = 4
@@ -329,7 +329,7 @@ def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tu
     for k, (given, date) in enumerate(zip(every, dates, strict=True)):
         run, silent = seen.get(k), pool.silent.get(pool.names[k])
         out.append({"run": given.source, "date": date, "rows": len(given),
-                    "error": None if run is None else finite(error_of(run)),
+                    "error": None if run is None else finite(error_in_another(run)),
                     "stand": {} if run is None else run.stand.moved,
                     "left_out": "" if silent is None else str(silent)})  # fmt: skip
     return tuple(out)

@@ -27,7 +27,7 @@ from ..evidence.whitening import Whitening, orthonormal
 from ..fit.identify import Fit
 from ..model.base import ModelWithEffects
 from ..model.effect import WITHIN, Effect, Parameter
-from .runs import OWN_NOISE, RunData, candidates_of, columns_of, growth_of, seen
+from .runs import OWN_NOISE, RunData, change_candidates, change_columns, growth_of, seen
 
 #: Part of a column that must be left of it to be seen.
 _SEEN = 1e-5
@@ -191,7 +191,9 @@ class Joined:
         self.fit, self.axes, self.model, self.moved = fit, axes, fit.model, tuple(moved)
         self._data = [data.select(np.argsort(data.order, kind="stable")) for data in runs]
         self.growth: list[Effect] = growth_of(self.model, self._data) if before is None else before.growth
-        self.candidates: list[Effect] = candidates_of(self.model, self._data) if before is None else before.candidates
+        self.candidates: list[Effect] = (
+            change_candidates(self.model, self._data) if before is None else before.candidates
+        )
         self._before, names = before, [p.name for p in self.model.parameters]
         self.runs: list[RunData] = [
             seen(*self._now(k), data, axes, names, [*self.candidates, *self.growth],
@@ -377,7 +379,7 @@ class Joined:
 
     def columns_at(self, data: Measurements) -> dict[str, Floats]:
         """Columns (n, m, k) of every candidate for other rows, by the model as the first run has it."""
-        return columns_of(self.model, self.fit.values, data, self.axes, self.candidates)
+        return change_columns(self.model, self.fit.values, data, self.axes, self.candidates)
 
     def columns_of(self, name: str, factors: Floats) -> Floats:
         """Columns (n, m, k) of a candidate, by plausible sizes, at factors (R,) of the runs."""

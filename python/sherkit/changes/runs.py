@@ -189,7 +189,7 @@ def seen(
     places = {p.name: k for k, p in enumerate(model.parameters)}
     derivatives = model.linearised(data, values)
     every = derivatives.parameters[:, chosen]
-    columns = columns_of(model, values, data, axes, candidates, every)
+    columns = change_columns(model, values, data, axes, candidates, every)
     inputs = None if derivatives.inputs is None else derivatives.inputs[:, chosen]
     own = every[:, :, [places[name] for name in shared]]
 
@@ -244,7 +244,7 @@ def noise_of_repeats(data: Measurements, axes: Sequence[int]) -> float:
 # -- What may change ---------------------------------------------------------------------------------------------------
 
 
-def candidates_of(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Effect]:
+def change_candidates(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Effect]:
     """Every parameter that does not say where the sensor stands, as an effect that frees it, and every effect that does
     not live in time."""
     inside = {e.name: model.owns(e) for e in model.effects}
@@ -278,7 +278,7 @@ def _possible(model: ModelWithEffects, effect: Effect, runs: Sequence[Measuremen
     return all(bool(model.is_testable([effect], data)[0]) for data in runs)
 
 
-def columns_of(
+def change_columns(
     model: Any, values: Floats, data: Measurements, axes: Sequence[int], candidates: Sequence[Effect],
     own: Floats | None = None,
 ) -> dict[str, Floats]:  # fmt: skip

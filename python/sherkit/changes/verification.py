@@ -42,7 +42,7 @@ from ..robots.deployed import SENSOR
 from .comparison import ParameterChange
 from .pool import told_ties
 from .pooled_fit import estimated, rows_as_run
-from .runs import RunPose, candidates_of, columns_of, noise_of_repeats, stand_of
+from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, stand_of
 from .vouching import Work, broken, shows, sights_of, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
@@ -214,7 +214,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
                 valid, mute = None, unable(power, (noise or off * unit) * per_row, data.layout.unit)
     names, ties, moved = _moved(base)
     held = [name for name, same in zip(data.layout.joints, still(data.joints), strict=True) if same]
-    shown = {one.name: _power(base, one.name) for one in candidates_of(model, [data])}
+    shown = {one.name: _power(base, one.name) for one in change_candidates(model, [data])}
     return Verification(
         valid=valid,
         error={
@@ -245,7 +245,7 @@ def _predicted(known: _Known, data: Measurements) -> Floats | None:
 
 def _unsaid(known: _Known, data: Measurements, why: Silent) -> Verification:
     """Of a run that says nothing by its rows alone."""
-    candidates = candidates_of(known.model, [data])
+    candidates = change_candidates(known.model, [data])
     return Verification(
         valid=None, error={"seen": None, "promised": None, "smallest_found": None}, unit=data.layout.unit, changed=(),
         indistinguishable=(), parameters=(), evidence=0.0, stand={}, would_show=(),
@@ -259,7 +259,7 @@ def _power_at_work(
     """How often a change would have shown that is three times as large as needed, or as promised, where the robot
     works."""
     work, view = Work.of(model, data, known.values, axes), base.family.run.view
-    at = columns_of(model, known.values, work.rows, axes, [e for e, _ in view.effects])
+    at = change_columns(model, known.values, work.rows, axes, [e for e, _ in view.effects])
     columns = {name: _columns(base, name) for name in base.family.names}
     needed = required_um(known.calibration.robot) if data.layout.unit == "µm" else None
     if needed is None:
@@ -317,8 +317,8 @@ def _evidence(
     """Of every change beside what the calibration does not know, and what readings scatter by, in its unit."""
     rows, values = np.flatnonzero(used.all(axis=1)), known.values
     own = model.linearised(data, values).parameters[:, list(axes)]
-    candidates = candidates_of(model, [data])
-    columns = columns_of(model, values, data, axes, candidates, own)
+    candidates = change_candidates(model, [data])
+    columns = change_columns(model, values, data, axes, candidates, own)
     unit = noise or float(np.sqrt(np.square(stand.residual[rows]).mean())) or 1.0
     count, m = len(known.root), len(axes)
     beyond = -(-count // m)
@@ -425,9 +425,9 @@ def verifying_poses(
     ways = {f"direction_{k + 1}": rng.choice([-1.0, 1.0], len(places)) for k in range(places.joints.shape[1])}
     rows = planned(places.joints, layout, ways)
     axes = axes_of(rows)
-    candidates = candidates_of(known.model, [rows])
+    candidates = change_candidates(known.model, [rows])
     own = known.model.linearised(rows, known.values).parameters[:, list(axes)]
-    columns = columns_of(known.model, known.values, rows, axes, candidates, own)
+    columns = change_columns(known.model, known.values, rows, axes, candidates, own)
     exact = rows.with_readings(np.zeros(rows.readings.shape) + known.model.predict(rows, known.values))
     used = np.ones((len(rows), len(axes)), dtype=bool)
     stand = stand_of(known.model, exact, known.values, axes, used).columns

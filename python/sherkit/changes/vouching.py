@@ -238,7 +238,7 @@ class Gate:
         runs, before = self.joined.runs, float(self.joined.fit.error.rms)
         far, out = TIMES * self.required, {}
         for k, run in enumerate(runs):
-            off = error_of(run) if k else before
+            off = error_in_another(run) if k else before
             others = [other.data for j, other in enumerate(runs) if j != k]
             if off > (max(far, TIMES * before) if k else far) and (held := held_in(run.data, others)):
                 out[k] = stuck(held, f"and it is off by {number(off)} {self._unit.unit}")
@@ -255,7 +255,7 @@ class Gate:
         if not power.speaks:
             noise = (run.sigma or self.joined.noise) * float(np.sqrt(len(self.joined.axes))) * self._unit.per_unit
             return unable(power, noise, unit)
-        off = error_of(run)
+        off = error_in_another(run)
         if off <= TIMES * max(self.required, before):
             return None
         return Silent(
@@ -297,7 +297,7 @@ def _unknown(run: RunData, sizes: Floats, covariance: Floats) -> float:
     return float(np.sqrt(max(total, 0.0) / max(int(run.used.any(axis=1).sum()), 1)))
 
 
-def error_of(run: RunData) -> float:
+def error_in_another(run: RunData) -> float:
     """How far the model of the first run is off in another (root mean square of a row), as people read it."""
     left = np.where(run.used, run.stand.residual, 0.0)
     rows = max(int(run.used.any(axis=1).sum()), 1)

@@ -219,7 +219,7 @@ def called(look: FileContent) -> str:
     return next((kind.called for kind in KINDS if kind.holds(look)), "a file of another kind")
 
 
-def run_of(path: Path) -> Path | None:
+def run_file_of(path: Path) -> Path | None:
     """The run file that a path is, or beside which SQLite and its runner keep it; None where it is none.
 
     Its newest rows may stand beside it and nowhere else: a run whose program was killed is not whole without them.

@@ -60,7 +60,9 @@ class OpenGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """A line or two each."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, told(command)) for name, command in {**self.commands, **self.brought}.items()])
+            formatter.write_dl(
+                [(name, help_line(command)) for name, command in {**self.commands, **self.brought}.items()]
+            )
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -77,7 +79,7 @@ def examples(*lines: str) -> str:
     return "\n".join(["\b", "Examples:", *(f"  {line}" for line in lines)])
 
 
-def told(command: click.Command) -> str:
+def help_line(command: click.Command) -> str:
     """What a command of another package says of itself in a line; one that cannot takes no help with it."""
     try:
         return command.get_short_help_str(80)

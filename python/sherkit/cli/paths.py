@@ -19,7 +19,7 @@ import click
 
 from ..data.files import bag_in, refuse_device
 from ..errors import SherkitError
-from .file_kinds import RUN, FileContent, FileKind, called, run_of
+from .file_kinds import RUN, FileContent, FileKind, called, run_file_of
 
 _KEY = "sherkit.paths"
 
@@ -138,7 +138,7 @@ def require_kind(path: Path, option: str, kinds: Sequence[FileKind]) -> None:
         raise SherkitError(f"{path}: is a folder; {option} names a file")
     refuse_device(path, SherkitError)
     made = " or ".join(dict.fromkeys(kind.called for kind in kinds))
-    if RUN not in kinds and (run := run_of(path)) is not None:
+    if RUN not in kinds and (run := run_file_of(path)) is not None:
         what = "is" if run.name == os.path.basename(os.path.realpath(path)) else f"belongs to {run.name}, which is"
         raise SherkitError(f"{path}: {what} the run file of an experiment; give {option} another name")
     if all(kind.only for kind in kinds) and not any(path.suffix.lower() in kind.endings for kind in kinds):

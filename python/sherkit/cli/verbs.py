@@ -16,7 +16,7 @@ import sherkit._core as _core
 from ..base.extensions import VERBS as VERBS_OF_PACKAGES
 from ..base.starting import loaded
 from ..errors import MeasurementError, SherkitError
-from .groups import Later, OpenGroup, told
+from .groups import Later, OpenGroup, help_line
 
 # -- The command ------------------------------------------------------------------------------------------------------
 
@@ -166,7 +166,7 @@ class _Verbs(OpenGroup):
         """By what they are for, a line each."""
         for title, commands in self.grouped.items():
             with formatter.section(title):
-                formatter.write_dl([(name, told(command)) for name, command in commands.items()])
+                formatter.write_dl([(name, help_line(command)) for name, command in commands.items()])
 
 
 @click.group(

@@ -293,7 +293,7 @@ _SPELT = {"µm": "um", "μm": "um", "micron": "um", "inch": "in", "°": "deg", "
           "degC": "c"}  # fmt: skip
 
 
-def stated(header: str) -> tuple[str, str]:
+def header_unit(header: str) -> tuple[str, str]:
     """A header's name and the unit that it states, in brackets or at its end; empty where it states none."""
     found = _HEADER.match(header.strip())
     if found is None:
@@ -330,7 +330,7 @@ def renamed(frame: pl.DataFrame, columns: Columns, source: str) -> tuple[pl.Data
             raise MeasurementError(f"{source}: column '{theirs}' is missing, which is to be read as '{ours}'{hint}")
         if ours != theirs and ours in frame.columns:
             raise MeasurementError(f"{source}: has a column '{ours}' itself; '{theirs}' cannot be read as it")
-        unit, wanted = stated(theirs)[1], unit_in(ours)
+        unit, wanted = header_unit(theirs)[1], unit_in(ours)
         if not unit or not wanted:
             continue
         by = factor(unit, wanted)
@@ -374,7 +374,7 @@ def proposal(names: Sequence[str], own: Sequence[Layout] = ()) -> str:
     found = meanings(names, own)[1]
     if not found:
         return ""
-    bare_ones = [theirs for theirs in found.values() if not stated(theirs)[1]]
+    bare_ones = [theirs for theirs in found.values() if not header_unit(theirs)[1]]
     unit = ", those without a unit in ours" if bare_ones else ""
     return (
         f"; if these are meant{unit}, say so at the beginning of the robot file, or to read_measurements: "
@@ -400,7 +400,7 @@ def _matched(names: Sequence[str], layout: Layout) -> dict[str, str]:
     out = _same(names, layout)
     words: dict[str, dict[str, str]] = {}
     for name in free:
-        numbered = re.fullmatch(r"(.*?)[\s_-]*(\d)", stated(name)[0])
+        numbered = re.fullmatch(r"(.*?)[\s_-]*(\d)", header_unit(name)[0])
         if numbered and name not in out.values():
             words.setdefault(numbered[1], {})[numbered[2]] = name
     wanted = {str(k + 1): ours for k, ours in enumerate(layout.joints)}
@@ -421,7 +421,7 @@ def _likely(names: Sequence[str], layout: Layout) -> dict[str, str]:
     words: dict[str, dict[str, str]] = {}
     out: dict[str, str] = {}
     for name in (n for n in names if n not in layout.known):
-        stem, unit = stated(name)
+        stem, unit = header_unit(name)
         last = re.fullmatch(r"(.*?)[\s_-]*([a-z])", stem, re.IGNORECASE)
         if last and last[2].lower() in letters and (not unit or _fits(name, letters[last[2].lower()])):
             words.setdefault(last[1].lower(), {})[last[2].lower()] = name
@@ -437,12 +437,14 @@ def _same(names: Sequence[str], layout: Layout) -> dict[str, str]:
     """Readings by columns whose header is their name with a unit in brackets, each by one alone."""
     out: dict[str, str] = {}
     for ours in layout.readings:
-        same = [n for n in names if n.strip()[-1:] in "])" and stated(n)[0].lower() == bare(ours) and _fits(n, ours)]
+        same = [
+            n for n in names if n.strip()[-1:] in "])" and header_unit(n)[0].lower() == bare(ours) and _fits(n, ours)
+        ]
         if len(same) == 1:
             out[ours] = same[0]
     return out
 
 
 def _fits(theirs: str, ours: str) -> bool:
-    unit = stated(theirs)[1]
+    unit = header_unit(theirs)[1]
     return bool(unit) and factor(unit, unit_in(ours)) is not None

@@ -17,7 +17,7 @@ import polars as pl
 from ..base.figures import brief, closest, listed
 from ..errors import FitError, MeasurementError, SherkitWarning
 from .called import is_difference
-from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, known_layouts, meanings, stated, unit_in
+from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, header_unit, known_layouts, meanings, unit_in
 from .doubts import doubts
 from .frames import clean
 from .raw_table import NOTHING, WITH_UNIT, Problem, RawTable, raw_table
@@ -330,7 +330,7 @@ class _Checking:
         for name in free:
             if name in columns.values():
                 continue
-            stem, unit = stated(name)
+            stem, unit = header_unit(name)
             for ours in (*layout.known, *layout.velocities):
                 convertible = not unit or factor(unit, unit_in(ours)) is not None
                 if stem.lower() == bare(ours).lower() and ours not in columns and convertible:
@@ -396,7 +396,7 @@ def _seconds(texts: Sequence[str]) -> tuple[list[float] | None, int]:
 
 def _could_be(name: str, ours: set[str]) -> str:
     """What of ours a column could be; empty where nothing is near."""
-    stem = stated(name)[0].lower()
+    stem = header_unit(name)[0].lower()
     for one, called in _CALLED.items():
         if stem in called and one in ours:
             return one

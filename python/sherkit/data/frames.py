@@ -17,7 +17,7 @@ from . import columns as c
 from .columns import Columns, Layout, proposal, refuse_unmapped, renamed
 from .in_time import begin_of, order_in_time
 from .rows import Measurements
-from .set_up import names_of
+from .set_up import set_up_names
 
 # -- From NumPy arrays -------------------------------------------------------------------------------------------------
 # Rows of any machine, from NumPy arrays.
@@ -189,7 +189,7 @@ def clean(
     for name in frame.columns:
         column = frame[name]
         if name == c.SETUP:
-            made[name] = names_of(column.to_numpy(), place, line)
+            made[name] = set_up_names(column.to_numpy(), place, line)
             continue
         number = _numbers(column, name, place, line, layout)
         made[name] = _labels(column) if number is None else number * factors.get(name, 1.0)

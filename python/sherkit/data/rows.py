@@ -19,7 +19,7 @@ from ..errors import EffectError, ShapeError, SherkitWarning
 from . import columns as c
 from .in_time import Room, begin_of, directions, order_in_time, velocities
 from .row_checks import check_rows
-from .set_up import JoinedSetUp, names_of
+from .set_up import JoinedSetUp, set_up_names
 from .tables import write_table
 
 
@@ -132,7 +132,7 @@ class Measurements:
         if not {*layout.velocities} & {*rest} and (moving := velocities(joints, values.get(c.TIME))) is not None:
             rest |= dict(zip(layout.velocities, moving.T, strict=False))
         if c.SETUP in rest:
-            rest[c.SETUP] = names_of(rest[c.SETUP], f"{source}: {counted}", line)
+            rest[c.SETUP] = set_up_names(rest[c.SETUP], f"{source}: {counted}", line)
         data = cls(
             joints=joints,
             to_joints=to,

@@ -42,7 +42,7 @@ class JoinedSetUp:
         return np.array(self.turn).T @ (np.array(self.middle_mm) - self.shift_mm)
 
 
-def names_of(values: NDArray[Any], place: str, line: NDArray[np.int64]) -> NDArray[Any]:
+def set_up_names(values: NDArray[Any], place: str, line: NDArray[np.int64]) -> NDArray[Any]:
     """The column as names (n,): whole numbers without a point. Raises :class:`~sherkit.errors.MeasurementError` for a
     cell that is empty, or a number that is not whole."""
     out = []

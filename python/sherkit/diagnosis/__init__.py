@@ -8,6 +8,13 @@ from .result import Diagnosis, Finding
 from .template import indistinguishable, sentence, template
 
 __all__ = [
-    "Diagnosis", "Finding", "diagnose", "gross_errors", "indistinguishable", "largest", "play_operator", "sentence",
+    "Diagnosis",
+    "Finding",
+    "diagnose",
+    "gross_errors",
+    "indistinguishable",
+    "largest",
+    "play_operator",
+    "sentence",
     "template",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ from ..data.columns import bare
 from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
-from ..evidence.thresholds import ABSURD, PLAUSIBLE, largest, sizes_of
+from ..evidence.thresholds import ABSURD, PLAUSIBLE, farthest_parameter, times_plausible
 from ..fit.set_up import Mistake
 from .held_out import PRAISE, Elimination, HeldOutGain
 from .repeats import Repeats, Rounded, rounded
@@ -147,9 +147,9 @@ def _plausible(final: FittedRun, used: str) -> Check:
     tested = "no parameter is absurdly large"
     if not len(final.fit.values):
         return Check("plausible", tested, used, "there is none", holds=True)
-    sizes = sizes_of(final.fit)
+    sizes = times_plausible(final.fit)
     worst = int(np.argmax(sizes))
-    told = largest(final.fit, worst)
+    told = farthest_parameter(final.fit, worst)
     return Check(
         "plausible", tested, used, f"the largest is {told}", holds=bool(sizes[worst] <= ABSURD),
         fails=f"{told}: that is absurd",
@@ -164,8 +164,8 @@ def _as_drawn(final: FittedRun, used: str) -> Check:
         own[final.owns(effect)] = False
     if not own.any():
         return Check(AS_DRAWN, tested, used, "nothing of the drawing is free", holds=None, decisive=False)
-    sizes = np.where(own, sizes_of(final.fit), 0.0)
-    told, far = largest(final.fit, int(np.argmax(sizes))), int((sizes > PLAUSIBLE).sum())
+    sizes = np.where(own, times_plausible(final.fit), 0.0)
+    told, far = farthest_parameter(final.fit, int(np.argmax(sizes))), int((sizes > PLAUSIBLE).sum())
     more = f" (and {far - 1} more)" if far > 1 else ""
     return Check(
         AS_DRAWN, tested, used, f"farthest is {told}{more}", holds=far == 0, decisive=False,

@@ -22,7 +22,7 @@ from ..evidence.linearised import Linearised
 from ..evidence.run import in_time
 from ..evidence.settings import columns_at
 from ..evidence.thresholds import TOLD, is_plausible
-from ..fit.error import ErrorSize, held_out_error, known_of
+from ..fit.error import ErrorSize, held_out_error, known_deviations
 from ..fit.folds import Beside, Folds, roots_of
 from ..model.effect import Effect
 from .result import CandidateReport
@@ -37,7 +37,7 @@ _ENOUGH = 200
 _DRAWS = 999
 
 
-def error_of(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> ErrorSize:
+def error_held_out(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]) -> ErrorSize:
     """The error of a fit on rows held out. ``sigma`` (columns,) weighs the readings."""
     refit = run.fit.refitted if run.model.in_sockets(run.data) else None
     return held_out_error(run.fit, refit=refit, sigma=sigma, repeated_folds=repeated_folds, derivatives=run.derivatives)
@@ -75,7 +75,7 @@ def noise_quantile(run: FittedRun, sigma: Floats, repeated_folds: Sequence[Ints]
     folds = folds_of(
         run.linearised(rows, (), sigma[list(run.axes)]),
         np.stack([fold[rows] for fold in repeated_folds]),
-        known_of(run.fit),
+        known_deviations(run.fit),
     )
     rng = np.random.default_rng(seed)
     each = [_drawn(folds.repetition(k), rng) for k in range(len(repeated_folds))]
@@ -151,7 +151,9 @@ def held_out_gain(
         views = tuple(one.linearised(rows, (), scale) for one in (full, less))
     except SherkitError:
         return HeldOutGain(effect.name, np.inf, 0.0, 0.0)
-    with_it, without = (squares_of(v, fold, known_of(one.fit)) for v, one in zip(views, (full, less), strict=True))
+    with_it, without = (
+        squares_of(v, fold, known_deviations(one.fit)) for v, one in zip(views, (full, less), strict=True)
+    )
     gain = without.sum(axis=2) - with_it.sum(axis=2)
     return HeldOutGain(
         effect.name,
@@ -355,7 +357,7 @@ def _held_out(base: Base, columns: Sequence[Floats], fold: Ints) -> list[_HeldOu
         # in the unit of the readings, so that axes count by their error
         return np.concatenate([view.fitted(rows), every[rows]], axis=2) * sigma[:, None]
 
-    known = known_of(run.of.fit)
+    known = known_deviations(run.of.fit)
     known = None if known is None else known * np.square(sigma).mean()
     folds = Beside(of, [one.shape[2] for one in columns], view.residual * sigma, fold, known)
     return [_error(folds, squares, run.of.per_row) for squares in folds.held_out]

@@ -15,15 +15,15 @@ from ..evidence.base import Base
 from ..evidence.blocks import Block
 from ..evidence.family import Family
 from ..evidence.fitted_run import FittedRun
-from ..evidence.names import Names, names_of
+from ..evidence.names import Names, judged_names
 from ..evidence.noise import base_of
 from ..evidence.periods import Period, period_of
-from ..evidence.run import Run, run_of
+from ..evidence.run import Run, weighed_run
 from ..evidence.sets import MOST, EffectSet, Sets, ShapeDescription
 from ..evidence.settings import refined, unit_columns
 from ..fit.identify import Fit
 from ..model.effect import Effect, Setting
-from .held_out import HeldOutGain, error_of, held_out_gain, strongest
+from .held_out import HeldOutGain, error_held_out, held_out_gain, strongest
 from .result import StepReport
 
 #: Deviations from which on a value is certainly not zero.
@@ -91,14 +91,14 @@ def searched(
     """Asks the evidence of these rows what is missing, and names what may be named. Nothing is looked for where there
     is nothing to ``look`` for: what a mistake of the set-up leaves says nothing on physics."""
     inside = tuple(e.name for e in run.model.effects if e.name not in run.model.within)
-    first = StepReport(None, error_of(run, sigma, repeated_folds), inside)
+    first = StepReport(None, error_held_out(run, sigma, repeated_folds), inside)
     step("evidence")
-    base = base_of(run_of(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma), effects)
+    base = base_of(weighed_run(run.on(np.arange(len(run.data)), sigma), rows, effects, sigma), effects)
     sets = Sets(base.family, base, step)
     nothing = NamedEffects(base, base, ShapeDescription((), 0.0, base), None, run, steps=(first,))
     if run.is_exact or not look or base.evidence < -np.log(level):
         return nothing
-    names = names_of(sets)
+    names = judged_names(sets)
     lead = names.lead
     if lead is None:
         return replace(nothing, names_judged=names, left=names.alone)
@@ -170,7 +170,7 @@ class _Judged:
         gain = held_out_gain(final, effect, sigma=sigma, repeated_folds=repeated_folds)
         if not gain.holds:
             return None
-        more = StepReport(effect.name, error_of(final, sigma, repeated_folds))
+        more = StepReport(effect.name, error_held_out(final, sigma, repeated_folds))
         added = [*self.added, Block("effect", effect=effect)]
         return _Judged(final, added, [*self.gains, gain], (*self.steps, more), self.told)
 
@@ -198,7 +198,7 @@ def _judged(
     steps, partial = [base], run
     ordered: list[Block] = []
     while left:
-        options = [(error_of(with_it, sigma, repeated_folds), k, with_it)
+        options = [(error_held_out(with_it, sigma, repeated_folds), k, with_it)
                    for k, with_it in enumerate(refit(partial, (c,)) for c in left)]  # fmt: skip
         error, k, partial = min(options, key=lambda o: (o[0].rms, o[1]))
         ordered.append(left.pop(k))

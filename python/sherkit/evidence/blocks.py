@@ -295,7 +295,7 @@ def sorts_of(block: Block) -> tuple[Sort, Sort]:
     return (*any_, block.setting, block.period), any_
 
 
-def sizes_of(block: Block) -> Floats:
+def block_sizes(block: Block) -> Floats:
     """By what its columns (k,) are multiplied to be of plausible sizes; a step of each reading has one for each."""
     parameters = () if block.effect is None else block.effect.parameters
     return np.array([p.size for p in parameters]) if len(parameters) == len(block.at) else np.ones(len(block.at))

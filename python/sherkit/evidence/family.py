@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from ..base.types import Bools, Floats, Ints
-from .blocks import Block, Columns, ReferenceRows, Visits, apart, sizes_of
+from .blocks import Block, Columns, ReferenceRows, Visits, apart, block_sizes
 from .made import Maker
 from .run import Run
 from .shapes import blocks_of_effects, blocks_of_shapes
@@ -96,7 +96,7 @@ class Family:
     def prior(self, block: Block) -> Floats:
         """By what its columns (k,), of unit length, are multiplied so that a coefficient of one leaves a root mean
         square of one over the reference."""
-        return np.asarray(self.columns.length[block.at] * sizes_of(block) * self.scale_of(block))
+        return np.asarray(self.columns.length[block.at] * block_sizes(block) * self.scale_of(block))
 
     def scale_of(self, block: Block) -> float:
         """The same of plausible sizes."""
@@ -110,7 +110,7 @@ class Family:
         for which, at, _ in self.groups:
             prior = self.columns.length[at] * self._scale[which][:, None]
             for k in np.flatnonzero(self.is_effect[which]):
-                prior[k] *= sizes_of(self.blocks[which[k]])
+                prior[k] *= block_sizes(self.blocks[which[k]])
             out.append(prior)
         return tuple(out)
 

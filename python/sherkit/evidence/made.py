@@ -56,7 +56,7 @@ def waves_over_place() -> Floats:
     return np.arange(*_PLACE, 0.5)
 
 
-def table_of(angle: Floats, counts: Floats) -> Floats:
+def wave_table(angle: Floats, counts: Floats) -> Floats:
     """Sines, then cosines (n, 2 w) of so many times the ``angle`` (n,) each; ``counts`` (w,) are evenly apart, so that
     all are products of a few (angle addition)."""
     few = max(int(np.sqrt(len(counts))), 1)
@@ -67,7 +67,7 @@ def table_of(angle: Floats, counts: Floats) -> Floats:
     return np.concatenate([waves.imag, waves.real], axis=1)
 
 
-def told(values: Floats, counts: Floats) -> Bools:
+def distinguishable_waves(values: Floats, counts: Floats) -> Bools:
     """Which waves (w,) the ``values`` that a variable has can tell: on the lines of a grid one as short as their
     distance is next to nothing, or what any slow bend is."""
     some = np.sort(values)[:: max(len(values) // _LOOKED_AT, 1)]
@@ -132,7 +132,7 @@ class Maker:
         them; without their means unless there is a reference."""
         posed = self.visits.same(angle) and self.visits.same(carriers)
         rows = self.visits.first if posed else slice(None)
-        table = table_of(angle[rows], counts)
+        table = wave_table(angle[rows], counts)
         if self.reference is None:
             table -= np.average(table, axis=0, weights=self.visits.count if posed else None)
         return self._part(table, carriers[rows], posed)

@@ -8,7 +8,7 @@ import numpy as np
 
 from .base import Base, log_bayes
 from .sets import MOST, EffectSet, Sets, ShapeDescription
-from .thresholds import ABSURD, ALARM, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, sizes_of
+from .thresholds import ABSURD, ALARM, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, times_plausible
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
@@ -62,7 +62,7 @@ class Names:
         return self.lead is not None and self.alone.evidence > self.lead.value + self.beside.evidence + SURE
 
 
-def names_of(sets: Sets) -> Names:
+def judged_names(sets: Sets) -> Names:
     """Searches a run's sets of effects and judges each effect of the leading one."""
     found = sets.found()
     alone = sets.described(sets.base, MOST, 1)
@@ -100,7 +100,7 @@ def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDes
     block = lead.blocks[k]
     assert block.effect is not None, "shapes are not named"
     fit = lead.run.of
-    size = float(sizes_of(fit.fit)[fit.owns(block.effect)].max())
+    size = float(times_plausible(fit.fit)[fit.owns(block.effect)].max())
     others = tuple(one for one in lead.blocks if one is not block)
     less = sets.fitted(others) if others else None
     if others and less is None:

@@ -101,7 +101,7 @@ class Run:
         return Run(fit, self.rows, self.sigma, view, self.white, self.shared, self.kept)
 
 
-def run_of(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Run:
+def weighed_run(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Floats) -> Run:
     """The ``rows`` of a fit over the noise ``sigma`` (columns,), with what gives columns of the ``effects``.
 
     Raises :class:`~sherkit.errors.FitError` for too few rows.

@@ -16,7 +16,7 @@ from sherkit._core import play
 
 from ..base.types import Floats
 from .linearised import Linearised
-from .made import Maker, Piece, table_of, told, waves_along, waves_in_time, waves_over_place
+from .made import Maker, Piece, distinguishable_waves, wave_table, waves_along, waves_in_time, waves_over_place
 from .run import unit
 
 # -- Effects -----------------------------------------------------------------------------------------------------------
@@ -165,8 +165,12 @@ def _along(made: Maker, name: str, t: Floats) -> None:
 
 def _over_place(made: Maker, name: str, t: Floats) -> None:
     reach, counts = float(np.ptp(made.like.variables[name])), waves_over_place()
-    tried = told(made.view.variables[name], counts) if made.reference is None else np.ones(len(counts), dtype=bool)
-    table = table_of(np.pi * (t + 1), counts)
+    tried = (
+        distinguishable_waves(made.view.variables[name], counts)
+        if made.reference is None
+        else np.ones(len(counts), dtype=bool)
+    )
+    table = wave_table(np.pi * (t + 1), counts)
     for k, count in zip(np.flatnonzero(tried).tolist(), counts[tried].tolist(), strict=True):
         both = [made.function(table[:, one]) for one in (k, len(counts) + k)]
         made.on_axes("periodic", (name,), both, each=False, period=reach / count)

@@ -58,7 +58,7 @@ UNEVEN = 0.3
 TOLD, PLAUSIBLE, ABSURD = 3.0, 5.0, 500.0
 
 
-def sizes_of(fit: Fit) -> Floats:
+def times_plausible(fit: Fit) -> Floats:
     """How many plausible sizes each parameter (p,) is at least, give or take two deviations; none of what is free of
     where the sensor stands, of where it was put since, and of where targets sit."""
     of_pose = fit.model.free_of_pose
@@ -77,16 +77,16 @@ def displaces(fit: Fit, before: Fit) -> bool:
     An effect that fits only where the machine stands as nobody would have built it is no cause: expansion about the
     origin of the base, say, does what warm rods do if the base lies a tenth of a metre elsewhere.
     """
-    was = {p.name: size for p, size in zip(before.parameters, sizes_of(before), strict=True)}
+    was = {p.name: size for p, size in zip(before.parameters, times_plausible(before), strict=True)}
     # a robot that is far from its drawing already is not the effect's doing
     return any(
         size > PLAUSIBLE + 2 * was[p.name]
-        for p, size in zip(fit.parameters, sizes_of(fit), strict=True)
+        for p, size in zip(fit.parameters, times_plausible(fit), strict=True)
         if p.name in was
     )
 
 
-def largest(fit: Fit, k: int) -> str:
+def farthest_parameter(fit: Fit, k: int) -> str:
     """A parameter by its number, beside what is usual."""
     p = fit.parameters[k]
     # all that a person reads of a value has one deviation: that of readings and plausible sizes together
@@ -102,7 +102,7 @@ def refuse_absurd(fit: Fit, names: Sequence[str]) -> None:
     told = implausible(fit, names, PLAUSIBLE)
     if told is None:
         return
-    sizes = sizes_of(fit)
+    sizes = times_plausible(fit)
     if any(sizes[fit.model.owns(e)].max() > ABSURD for e in fit.model.effects if e.name in names):
         raise FitError(f"{fit.data.source}: {told}; nothing that such a fit says can be believed")
     warnings.warn(f"{fit.data.source}: {told}", SherkitWarning, stacklevel=3)
@@ -110,15 +110,15 @@ def refuse_absurd(fit: Fit, names: Sequence[str]) -> None:
 
 def implausible(fit: Fit, names: Sequence[str], most: float = TOLD) -> str | None:
     """The named effect whose size is beyond so many times what is plausible, as a sentence; None where none is."""
-    sizes = sizes_of(fit)
+    sizes = times_plausible(fit)
     for effect in fit.model.effects:
         place = fit.model.owns(effect)
         if effect.name in names and sizes[place].max() > most:
             k = place.start + int(np.argmax(sizes[place]))
-            return f"{largest(fit, k)} ({sizes[k]:.2g} ×): look for another cause, or for why it is so large"
+            return f"{farthest_parameter(fit, k)} ({sizes[k]:.2g} ×): look for another cause, or for why it is so large"
     return None
 
 
 def is_plausible(run: FittedRun, effect: Effect, most: float = PLAUSIBLE) -> bool:
     """Whether no parameter of an effect is beyond so many times its plausible size."""
-    return bool((sizes_of(run.fit)[run.owns(effect)] <= most).all())
+    return bool((times_plausible(run.fit)[run.owns(effect)] <= most).all())

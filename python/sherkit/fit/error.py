@@ -193,13 +193,13 @@ def held_out_error(
             last[:] = [(some, by_model(some).parameters * weight[some, :, None])]
         return last[0][1]
 
-    folds = Folds.of(columns, residual, fold, known_of(fit))
+    folds = Folds.of(columns, residual, fold, known_deviations(fit))
     errors = [(folds.errors(columns(some), residual[some], some) ** 2).mean(axis=0) for some in blocks(len(rows))]
     squares = np.where(there, np.concatenate(errors) * (data.layout.per_unit * sigma) ** 2, np.nan)
     return ErrorSize.of(squares, data.layout.unit, held_out=True, names=data.layout.readings, together=axes_of(data))
 
 
-def known_of(fit: FitLike) -> Floats | None:
+def known_deviations(fit: FitLike) -> Floats | None:
     """What is known of how far the parameters are off their fitted values, as :class:`~.folds.Folds` has it; None where
     nothing is."""
     known = np.array([p.known or fit.priors > 0.0 for p in fit.model.parameters], dtype=bool)

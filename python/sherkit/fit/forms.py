@@ -119,11 +119,11 @@ class SimplestForm:
 def known(fit: Any) -> dict[str, SimplestForm]:
     """What is known of each effect of a :class:`~sherkit.fit.identify.Fit`, by its name; effects whose numbers each
     stand for themselves are left out."""
-    found = {e.name: known_of(fit, e) for e in fit.model.effects}
+    found = {e.name: simplest_form(fit, e) for e in fit.model.effects}
     return {name: one for name, one in found.items() if one is not None}
 
 
-def known_of(fit: Any, effect: Effect) -> SimplestForm | None:
+def simplest_form(fit: Any, effect: Effect) -> SimplestForm | None:
     """What is known of an effect that is in a fit; None where it has no number for each limb, or each of them is."""
     kinds = _by_limb(effect.parameters)
     if not kinds:

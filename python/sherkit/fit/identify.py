@@ -47,7 +47,7 @@ from .least_squares import (
 )
 from .regions import Elsewhere, errors_elsewhere, in_plausible_sizes, part_of, scaled_sizes
 from .set_up import held, set_up_mistakes
-from .table import Direction, badly_observed, frame_of, table_of, unobserved
+from .table import Direction, badly_observed, parameter_frame, parameter_table, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
 _ROBUST_ROUNDS = 30
@@ -228,7 +228,7 @@ class Fit(Identified, Shown):
         what the readings tell of it: ``observed``, ``in part``, ``unobserved``, of an effect with a simpler form ``not
         by itself``, or ``fixed``.
         """
-        return frame_of(self)
+        return parameter_frame(self)
 
     def rms(self, which: Floats | None = None) -> dict[str, float]:
         """RMS of residuals per reading, in the unit that people read; of :attr:`residuals` unless others are given.
@@ -250,7 +250,7 @@ class Fit(Identified, Shown):
         return f"Fit({len(self.values)} parameters, rank {self.rank}, RMS {each} {unit})"
 
     def __str__(self) -> str:
-        return table_of(self)
+        return parameter_table(self)
 
     def _repr_html_(self) -> str:
         return super()._repr_html_() or f"<pre>{escape(str(self))}</pre>"

@@ -89,7 +89,7 @@ def plausible_fit(model: ModelWithEffects, data: Measurements, datum: Bools, rou
     data = thinned(data)
     used = data.used
     spread = spread_of(data)
-    sizes = sizes_of(model)
+    sizes = plausible_sizes(model)
     far = [
         _ANY_TURN if p.unit == "rad" else 1e3 * (np.nanmax(spread) + np.abs(data.readings).max())
         for p in model.parameters
@@ -126,11 +126,11 @@ def as_fitted(model: ModelWithEffects, data: Measurements, values: Floats) -> Pl
     rms = robust_rms(data.readings - model.predict(data, values), data.used)
     datum = of_set_up(model)
     return Plausible(
-        values, rms, spread_of(data), moved_by(values, sizes_of(model), datum), part_elsewhere(model, data)
+        values, rms, spread_of(data), moved_by(values, plausible_sizes(model), datum), part_elsewhere(model, data)
     )
 
 
-def sizes_of(model: ModelWithEffects) -> Floats:
+def plausible_sizes(model: ModelWithEffects) -> Floats:
     """How far a parameter may be from the drawing (p,), sd."""
     return SIZES * np.array([p.size for p in model.parameters])
 

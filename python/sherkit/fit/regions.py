@@ -23,7 +23,7 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..errors import FitError
 from ..model.base import ModelWithEffects
-from .error import ErrorSize, FitLike, axes_of, known_of, sigma_of
+from .error import ErrorSize, FitLike, axes_of, known_deviations, sigma_of
 from .folds import Folds, blocks
 
 # -- Regions -----------------------------------------------------------------------------------------------------------
@@ -172,7 +172,7 @@ def errors_elsewhere(fit: FitLike) -> Elsewhere | None:
         return None
     sigma, there = sigma_of(fit, used), used[rows] & np.isfinite(drawn)
     weight = np.where(there, 1.0 / sigma, 0.0)
-    frame = frame_of(model)
+    frame = frame_parameters(model)
 
     def squares(values: Floats, residuals: Floats, which: Ints, known: Floats | None) -> Floats:
         left = np.where(there, residuals, 0.0) * weight
@@ -183,7 +183,7 @@ def errors_elsewhere(fit: FitLike) -> Elsewhere | None:
         return np.where(there, (left * data.layout.per_unit * sigma) ** 2, np.nan)
 
     every = np.arange(len(fit.values))
-    both = [squares(fit.values, fit.residuals[rows], every, known_of(fit)), squares(start, drawn, frame, None)]
+    both = [squares(fit.values, fit.residuals[rows], every, known_deviations(fit)), squares(start, drawn, frame, None)]
     errors = [
         ErrorSize.of(one, data.layout.unit, held_out=True, names=data.layout.readings, together=axes_of(data))
         for one in both
@@ -196,7 +196,7 @@ def errors_elsewhere(fit: FitLike) -> Elsewhere | None:
     return Elsewhere(errors[0], errors[1], each[0], each[1], _about(data, rows, region))
 
 
-def frame_of(model: Any) -> Ints:
+def frame_parameters(model: Any) -> Ints:
     """Which parameters say only where the instrument stands and where its target sits, whatever the robot is."""
     own = {*model.free_of_pose, *model.targets_anywhere}
     for effect in (*model.effects, *getattr(model, "set_ups", ())):
@@ -246,7 +246,7 @@ def drawn_by(model: ModelWithEffects) -> Bools:
     """Which parameters (p,) a drawing states: none of an effect, of the instrument, or that somebody has measured."""
     drawn = np.array([not p.known for p in model.parameters], dtype=bool)
     drawn[len(model.bare) :] = False
-    drawn[frame_of(model)] = False
+    drawn[frame_parameters(model)] = False
     return drawn
 
 

@@ -22,7 +22,7 @@ from .plausible import (
     as_fitted,
     may_be_anything,
     plausible_fit,
-    sizes_of,
+    plausible_sizes,
     thinned,
 )
 from .set_up_hypotheses import SetUpHypothesis, hypotheses, turned_frame
@@ -87,7 +87,7 @@ def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator
     if distance is not None and data.layout.readings.index(distance) in still:
         # a probe that touches, a ball in its socket: constant, where an arm a little off its drawing makes it so
         k = data.layout.readings.index(distance)
-        by_plausible = model.derivatives(data, model.start(data))[:, k] * sizes_of(model)
+        by_plausible = model.derivatives(data, model.start(data))[:, k] * plausible_sizes(model)
         if moves[k] < _BY_DESIGN * np.sqrt(np.square(np.std(by_plausible, axis=0)).sum()):
             still = still[still != k]
     if model.stands_anywhere:

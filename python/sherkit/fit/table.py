@@ -119,7 +119,7 @@ _COLUMNS = ("parameter", "nominal", "deviation", "value", "± readings", "± tot
 _CORRELATIONS, _LEAST = 5, 0.1
 
 
-def table_of(fit: Any) -> str:
+def parameter_table(fit: Any) -> str:
     """Text of some lines for a :class:`~sherkit.fit.identify.Fit`: errors, noise, rank, then each parameter: as it is
     drawn, where the robot's file says so, by how much it is off, and both together; and the strongest correlations.
 
@@ -213,7 +213,7 @@ def _correlated(fit: Any) -> list[str]:
     return ["", "correlations", *lines] if lines else []
 
 
-def frame_of(fit: Any) -> pl.DataFrame:
+def parameter_frame(fit: Any) -> pl.DataFrame:
     """The same for programs, without the forms; see :attr:`~sherkit.fit.identify.Fit.params`."""
     parameters, held = (*fit.parameters, *fit.model.fixed), len(fit.model.fixed)
     return pl.DataFrame(

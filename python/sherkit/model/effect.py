@@ -21,7 +21,7 @@ from ..base.types import Floats
 from ..data.columns import unit_in
 from ..errors import EffectError, SherkitError
 from .python_file import NamedObject, named, run_python
-from .rows import run_of
+from .rows import handed_on_run
 
 #: What is searched for besides parameters: a moment, a lag, a period, or a period for each joint that has waves.
 Setting = float | tuple[float, ...]
@@ -184,8 +184,8 @@ class Effect(Shown):
         wrong = ~np.isfinite(out).all(axis=1)
         if wrong.any():
             # a row that was marked since no model reaches it has no position either
-            out[wrong & run_of(rows).outlier] = 0.0
-            wrong &= ~run_of(rows).outlier
+            out[wrong & handed_on_run(rows).outlier] = 0.0
+            wrong &= ~handed_on_run(rows).outlier
         if wrong.any():
             row = int(np.argmax(wrong))
             raise EffectError(f"effect '{self.name}' is not finite at row {row}")

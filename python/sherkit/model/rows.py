@@ -60,6 +60,6 @@ class EffectRows:
         return self._data.covariates[found]
 
 
-def run_of(rows: EffectRows | Measurements) -> Measurements:
+def handed_on_run(rows: EffectRows | Measurements) -> Measurements:
     """The run itself, which a model may hand on as it is; as an attribute its name would hide a column of the file."""
     return rows if isinstance(rows, Measurements) else rows._data

@@ -28,12 +28,12 @@ from .sensor_pose import (
     Registered,
     SensorPose,
     Triple,
-    in_space,
+    as_places,
     registered,
     slip_of,
 )
 from .set_ups import effect_of, seen_from_the_last
-from .tolerances import sizes_of
+from .tolerances import stated_sizes
 
 #: A turn by so little, rad, moves no arrow of a picture.
 _TO_THE_EYE = 0.02
@@ -107,7 +107,7 @@ class SeenModel(ModelWithEffects):
     @cached_property
     def stated_sizes(self) -> Mapping[str, tuple[float, bool]]:
         """Sizes that the robot's file states, see :mod:`~sherkit.model.tolerances`."""
-        return sizes_of(self.robot, tuple(self.unstated_base()))
+        return stated_sizes(self.robot, tuple(self.unstated_base()))
 
     @abstractmethod
     def unstated_base(self) -> Iterable[Parameter]:
@@ -158,7 +158,7 @@ class SeenModel(ModelWithEffects):
         self.require_own(seen)
         pose = self.sensor_pose
         shown, _ = self.drawn(seen)  # NaN where it cannot be computed
-        found = registered(in_space(shown[:, :size]), in_space(seen.readings[:, :size]), mirrored=mirrored)
+        found = registered(as_places(shown[:, :size]), as_places(seen.readings[:, :size]), mirrored=mirrored)
         if found is None:
             return None
         # what is shown is turned and shifted already as the file says
@@ -199,7 +199,7 @@ class SeenModel(ModelWithEffects):
         turn, shift = self.sensor_frame(values)
         if (turn == np.eye(3)).all() and not shift.any():
             return places_mm
-        return ((in_space(places_mm) - shift) @ turn)[:, : places_mm.shape[1]]
+        return ((as_places(places_mm) - shift) @ turn)[:, : places_mm.shape[1]]
 
     def axes_of_readings(self, data: Measurements, values: Floats) -> Floats | None:
         """The turn (c, c) from the base's axes to those in which readings of places are shown; None where they are

@@ -189,7 +189,7 @@ class Registered:
     missed_mm: float
 
 
-def in_space(places: Floats) -> Floats:
+def as_places(places: Floats) -> Floats:
     """Places (n, 3); of those in a plane (n, 2) the third coordinate is zero."""
     if places.shape[1] == 3:
         return places

@@ -16,8 +16,8 @@ from ..data.columns import SETUP
 from ..data.set_up import JoinedSetUp, Triple
 from ..errors import FitError
 from .effect import Effect
-from .rows import EffectRows, run_of
-from .sensor_pose import POSE, SHIFTS, Registered, in_space, left_jacobian, rotation_matrix
+from .rows import EffectRows, handed_on_run
+from .sensor_pose import POSE, SHIFTS, Registered, as_places, left_jacobian, rotation_matrix
 
 #: How the name of a set-up begins among parameters.
 SETUP_PREFIX = f"{SETUP}="
@@ -57,7 +57,7 @@ class InSetUp:
 
     def _seen(self, rows: EffectRows, p: Any) -> tuple[Bools, Floats, Floats]:
         """Rows of this set-up, where they are seen from its middle (k, 3), and the turn (3,)."""
-        names = run_of(rows).set_up
+        names = handed_on_run(rows).set_up
         mine = np.zeros(len(rows), dtype=bool) if names is None else np.asarray(names == self.name)
         at = np.zeros((int(mine.sum()), 3))
         # what the model cannot compute says its row elsewhere
@@ -117,11 +117,11 @@ def seen_from_the_last(model: Any, data: Measurements) -> Measurements:
         _require_whole(data, rows, turn, name)
         size = data.coordinates
         readings[rows, :size] = np.where(
-            data.taken[rows, :size], (in_space(data.readings[rows, :size]) @ turn.T + shift)[:, :size], 0.0
+            data.taken[rows, :size], (as_places(data.readings[rows, :size]) @ turn.T + shift)[:, :size], 0.0
         )
         square = np.square(turn[:size, :size]).T
         variances[:, rows, :size] = variances[:, rows, :size] @ square
-        middle = in_space(readings[rows[used[rows]], :size]).mean(axis=0)
+        middle = as_places(readings[rows[used[rows]], :size]).mean(axis=0)
         made.append(JoinedSetUp(name, last, _rows_of(turn), _triple(shift), _triple(middle)))
     sigma, pose_sigma = np.sqrt(variances)
     return replace(data, readings=readings, sigma=sigma, pose_sigma=pose_sigma, set_ups=tuple(made))

@@ -119,7 +119,7 @@ def stated_by(robot: object) -> tuple[Stated, Stated]:
     return robot.tolerances, robot.known
 
 
-def sizes_of(robot: object, base: tuple[Parameter, ...]) -> Mapping[str, tuple[float, bool]]:
+def stated_sizes(robot: object, base: tuple[Parameter, ...]) -> Mapping[str, tuple[float, bool]]:
     """Of each of these parameters that the robot's file states: its size, in its unit, and whether it is known.
 
     Raises :class:`~sherkit.errors.RobotError` for a name that is not there, a number without a unit, a unit that

@@ -90,7 +90,7 @@ class _Bringer:
         return cls.cell == here
 
 
-def pictures_of(value: Any) -> list[Picture[Any]]:
+def telling_pictures(value: Any) -> list[Picture[Any]]:
     """The pictures that say most about a value, the first one first. Raises ``TypeError`` for what has none."""
     if isinstance(value, Study):
         states = [*states_so_far(value).values()]
@@ -123,7 +123,7 @@ def cell(value: Any) -> str | None:
         if isinstance(value, Effect):
             return _framed(card_page("", [effect_card(value, _example_with(value))]))
         if isinstance(value, Study | Diagnosis | Calibration | Fit) or bool(getattr(value, "drawn_by", "")):
-            return _with_bokeh(value, pictures_of(value), _cards(value) if isinstance(value, Diagnosis) else "")
+            return _with_bokeh(value, telling_pictures(value), _cards(value) if isinstance(value, Diagnosis) else "")
         if isinstance(value, Comparison | History | Verification):
             return _framed(card_page("", [_text(value)]))
         return _framed(card_page("", [_text(value), scene_of_robot(value).html()]))

@@ -164,7 +164,7 @@ class Section:
         return re.sub(r"\W+", "_", self.title.lower()).strip("_")
 
 
-def table_of(heads: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
+def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
     """A table as HTML, its texts escaped."""
 
     def line(tag: str, cells: Sequence[str]) -> str:
@@ -174,7 +174,7 @@ def table_of(heads: Sequence[str], rows: Iterable[Sequence[str]], caption: str =
     return f"<table>{above}{line('th', heads)}{''.join(line('td', cells) for cells in rows)}</table>"
 
 
-def sentences_of(*texts: str) -> str:
+def html_sentences(*texts: str) -> str:
     """Sentences as HTML, one below the other."""
     return "".join(f"<p>{escaping.escape(one)}</p>" for one in texts)
 

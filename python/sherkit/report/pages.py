@@ -17,7 +17,7 @@ from ..errors import FitError, SherkitError
 from ..model.drawing import drawing_of_readings
 from ..model.kinds import draw_of
 from .card import growing
-from .page import Made, Section, sentences_of, table_of, write_page
+from .page import Made, Section, html_sentences, html_table, write_page
 from .picture import COLOURS, MUTED, Picture, Tables, figure, legend, padded, quantity, sources_of, stacked
 from .scene import Scene
 
@@ -186,7 +186,7 @@ def write_adaptive(path: Path, loop: Adaptive, made: Made) -> None:
     sections = []
     if loop.looks:
         sections += [
-            Section("Evidence", sentences_of(loop.sentence()), _evidence(loop),
+            Section("Evidence", html_sentences(loop.sentence()), _evidence(loop),
                     "Of what is missing, as powers of ten to one; above the dashed line something leads."),
             Section("Error", "", _error_lines(loop), "At readings that no fit knew yet; what is promised."),
         ]  # fmt: skip
@@ -271,15 +271,15 @@ def write_comparison(path: Path, found: Comparison, made: Made) -> None:
     sections, drawn = [], mechanism_with_change(found)
     if found.parameters:
         rows = [(one.name, one.by, str(one.since + 1)) for one in found.parameters]
-        sections.append(Section("What has changed", table_of(("parameter", "change", "since run"), rows)))
+        sections.append(Section("What has changed", html_table(("parameter", "change", "since run"), rows)))
     if drawn is not None:
-        sections.append(Section("On the machine", f"{drawn[0].html()}{sentences_of(drawn[1])}"))
+        sections.append(Section("On the machine", f"{drawn[0].html()}{html_sentences(drawn[1])}"))
     picture = before_and_after(found)
     sections.append(Section("Before and after", "", picture.root, picture.note))
     if found.next_poses:
         poses = [[f"{value:.4g}" for value in pose.values()] for pose in found.next_poses]
         heads = [quantity(name) for name in found.next_poses[0]]
-        sections.append(Section("Poses that would tell", table_of(heads, poses)))
+        sections.append(Section("Poses that would tell", html_table(heads, poses)))
     write_page(path, found.answer, sections, made)
 
 
@@ -291,5 +291,5 @@ def write_history(path: Path, found: History, made: Made) -> None:
     if any(run["error"] is not None for run in found.runs):
         picture = course(found)
         sections.append(Section("The course", "", picture.root, picture.note))
-    sections.append(Section("Runs", table_of(("run", "date", "rows", f"error, {found.unit}"), rows)))
+    sections.append(Section("Runs", html_table(("run", "date", "rows", f"error, {found.unit}"), rows)))
     write_page(path, found.answer, sections, made)

@@ -244,7 +244,7 @@ _ICON = (
 )
 
 
-def thinned(count: int, most: int, keep: Any = None, seed: int = 0) -> Any:
+def rows_to_draw(count: int, most: int, keep: Any = None, seed: int = 0) -> Any:
     """Indices of rows to draw: all, or ``most`` of them at random (the same ones each time), ``keep`` among them."""
     if count <= most:
         return np.arange(count)

@@ -26,9 +26,9 @@ from .picture import (
     hover,
     legend,
     quantity,
+    rows_to_draw,
     sources_of,
     stacked,
-    thinned,
 )
 from .residuals import Residuals, at_the_rim
 
@@ -107,7 +107,7 @@ def earlier(before: Residuals | None, now: Residuals) -> Table:
 
 def shown(left: Residuals) -> NDArray[np.int64]:
     """Rows whose points are drawn, the same for every state of a run."""
-    return np.asarray(thinned(len(left), MOST_POINTS, np.flatnonzero(left.outlier)))
+    return np.asarray(rows_to_draw(len(left), MOST_POINTS, np.flatnonzero(left.outlier)))
 
 
 def points(left: Residuals) -> Table:
@@ -295,7 +295,7 @@ def _below(left: Residuals) -> list[str]:
 
 
 def _in_time(left: Residuals) -> Tables:
-    rows = np.asarray(thinned(len(left), _MOST_IN_TIME, np.flatnonzero(left.outlier)))
+    rows = np.asarray(rows_to_draw(len(left), _MOST_IN_TIME, np.flatnonzero(left.outlier)))
     time = left.variables.get("time_s", left.row.astype(float))
     table: dict[str, Any] = {"t": time[rows], "line": left.line[rows].astype(np.int32)}
     table["size"] = np.where(left.outlier[rows], 11, 7 if len(left) < _FEW_ROWS else 4)

@@ -28,7 +28,7 @@ from ..model.kinds import draw_of, kind_of
 from ..model.sensor_pose import POSE, SPACE
 from ..robots.calibrated import Calibration
 from ..robots.deployed import BASE, SENSOR
-from .picture import thinned
+from .picture import rows_to_draw
 from .residual_arrows import round_number
 from .residuals import ModelState
 
@@ -299,7 +299,7 @@ def space_of(
     if len(rows) < 2:
         return None
     _, first, group = np.unique(data.groups[rows], return_index=True, return_inverse=True)
-    keep = thinned(len(first), _MOST_ARROWS)
+    keep = rows_to_draw(len(first), _MOST_ARROWS)
     try:
         where, errors, machine = _errors(draw, (before.fit, after.fit), data.select(rows), first[keep], group, keep)
     except SherkitError:

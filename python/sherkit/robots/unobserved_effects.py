@@ -14,7 +14,7 @@ import scipy
 
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
-from ..fit.error import known_of
+from ..fit.error import known_deviations
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
 from ..model.effect import Effect
@@ -129,7 +129,7 @@ class LinearFit:
         """A basis (N, s) of what the identified values move, and their change (p, s) along it: what they take of
         something is its part along the basis. Orthonormal, but where the drawing is a measurement: then with its rows,
         which are none of any effect."""
-        size, known = self.fit.sizes, known_of(self.fit)
+        size, known = self.fit.sizes, known_deviations(self.fit)
         whole = (self._by_values * self._weights[:, :, None] * size).reshape(-1, len(size))
         rows = whole if known is None else np.concatenate([whole, np.diag(size * np.sqrt(known[0] * self._noise))])
         left, singular, right = linalg.svd(rows, full_matrices=False)
@@ -152,7 +152,7 @@ class LinearFit:
     def _residual(self) -> Floats:
         """What the fit leaves (N,), over the noise, before any correction."""
         basis = self._moved[0]
-        return self._left if known_of(self.fit) is not None else self._left - basis @ (basis.T @ self._left)
+        return self._left if known_deviations(self.fit) is not None else self._left - basis @ (basis.T @ self._left)
 
     @cached_property
     def _cells(self) -> Ints:
@@ -270,7 +270,7 @@ class LinearFit:
         return (noise * shared * inverse + np.outer(mean, mean)) * np.outer(size, size), noise
 
 
-def rows_of(fit: Fit, *, one_each: bool) -> Ints:
+def used_rows(fit: Fit, *, one_each: bool) -> Ints:
     """Rows of which anything is used; of each pose only the first where asked for."""
     rows = np.flatnonzero(fit.data.used.any(axis=1))
     if one_each:
@@ -337,12 +337,12 @@ class Search:
 
     @cached_property
     def _all(self) -> LinearFit:
-        return LinearFit(self.run.fit, self.part, self.asked, rows_of(self.run.fit, one_each=False))
+        return LinearFit(self.run.fit, self.part, self.asked, used_rows(self.run.fit, one_each=False))
 
     @cached_property
     def _quick(self) -> LinearFit:
         """One row of each pose: enough to see which periods they show."""
-        return replace(self._all, rows=rows_of(self.run.fit, one_each=True))
+        return replace(self._all, rows=used_rows(self.run.fit, one_each=True))
 
     def told(self, effect: Effect, setting: float | None) -> tuple[Floats, BiasBound]:
         """How much is hidden in each frame (mean square at the asked places), and what of it."""

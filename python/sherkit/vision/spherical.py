@@ -79,7 +79,7 @@ def seen_run(
 ) -> Measurements:
     """The run of a plan (columns of joints, time, pose, repeat) whose pixels are read from its pictures, in its order.
 
-    ``save_in`` keeps all pictures as PNG. Raises and warns as :func:`run_of`.
+    ``save_in`` keeps all pictures as PNG. Raises and warns as :func:`run_of_pictures`.
     """
     if save_in is not None:
         save_in.mkdir(parents=True, exist_ok=True)
@@ -91,10 +91,10 @@ def seen_run(
             yield picture
 
     frame = marker_rows(kept(), kind)
-    return run_of(plan, frame, [f"picture {k + 1}" for k in range(len(frame))])
+    return run_of_pictures(plan, frame, [f"picture {k + 1}" for k in range(len(frame))])
 
 
-def run_of(plan: Mapping[str, Floats], seen: pl.DataFrame, names: Sequence[str]) -> Measurements:
+def run_of_pictures(plan: Mapping[str, Floats], seen: pl.DataFrame, names: Sequence[str]) -> Measurements:
     """The run of a plan whose pictures gave the :func:`marker_rows` ``seen``, picture by picture; ``names`` for people.
 
     A picture in which no marker was found has no row in the run, with a warning that says which and why. Raises

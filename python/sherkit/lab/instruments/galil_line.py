@@ -53,7 +53,7 @@ def parse_answer(raw: bytes) -> str:
     return data.decode("ascii")
 
 
-def parse_numbers(data: str, count: int) -> tuple[float, ...]:
+def parse_galil_numbers(data: str, count: int) -> tuple[float, ...]:
     """``count`` numbers parted by commas or spaces. Raises :class:`~sherkit.errors.Garbled`."""
     # a comma may have spaces around it, or none: both forms are printed by the same controller
     words = data.replace(",", " ").split(" ")
@@ -66,7 +66,7 @@ def parse_numbers(data: str, count: int) -> tuple[float, ...]:
 
 def parse_counts(data: str, count: int) -> tuple[int, ...]:
     """``count`` encoder positions: whole numbers of 32 bits. Raises :class:`~sherkit.errors.Garbled`."""
-    numbers = parse_numbers(data, count)
+    numbers = parse_galil_numbers(data, count)
     if not all(n == int(n) and abs(n) <= LARGEST_COUNT + 1 for n in numbers):
         raise Garbled("expected whole numbers of 32 bits", received=data.encode("ascii", "replace"))
     return tuple(int(n) for n in numbers)
@@ -188,7 +188,7 @@ class GalilLine(AxisController):
                 count -= 1
             data = self.command(line, timeout_s)
             try:
-                parse_numbers(data, count)
+                parse_galil_numbers(data, count)
             except Garbled as error:
                 raise self._garbled(error.message, line, data) from None
             values += data.replace(",", " ").split()
@@ -235,7 +235,7 @@ class GalilLine(AxisController):
                 try:
                     # an echo that is still on repeats the question before its answer
                     data = parse_answer(raw).rpartition("\r\n")[2].rpartition("\r")[2]
-                    if parse_numbers(data, 1)[0] == mark:
+                    if parse_galil_numbers(data, 1)[0] == mark:
                         break
                 except (Garbled, Refused):
                     continue

@@ -64,7 +64,7 @@ def plan(
     nominal, _ = robot_at(robot)
     noise = _noise(robot, nominal, {"µm": noise_um, "px": noise_px})
     chosen = load_experiment(experiment, robot=robot, offline=True)
-    rows = rows_of(chosen)
+    rows = planned_rows(chosen)
     planning = planning_of(model_of(nominal), rows, noise / rows.layout.per_unit, effects=effects)
     effect_powers = planning.effect_powers
     found = _study(planning, effect_powers, runs, keep, workers) if runs else ()
@@ -109,7 +109,7 @@ def _noise(path: Path, robot: Robot, given: dict[str, float | None]) -> float:
     return _NOISE[unit] if chosen is None else chosen
 
 
-def rows_of(experiment: Experiment) -> Measurements:
+def planned_rows(experiment: Experiment) -> Measurements:
     """The rows that the plan will give: joints, directions and, as far as they are known, times."""
     plan = experiment.plan
     directions = {f"direction_{k + 1}": d for k, d in enumerate(plan.directions.T)}

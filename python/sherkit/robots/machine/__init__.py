@@ -15,7 +15,7 @@ from ...model.kinds import Kind, Robot, known_kinds, register
 from ...model.python_file import carried, portable, run_python
 from ...model.robot_file import RobotLike, load_robot
 from .calibration import MachineCalibration
-from .core import catalogue_of
+from .core import machine_catalogue
 from .described import MachineDescription
 from .model import MachineModel
 
@@ -33,8 +33,11 @@ def kind_for(machine: MachineDescription) -> Kind:
     ]
     readings = tuple(machine.readings)
     tables = {
-        "catalogue": catalogue_of(machine.effects), "layouts": (machine.layout,), "table": table, "targets": readings,
-    }  # fmt: skip
+        "catalogue": machine_catalogue(machine.effects),
+        "layouts": (machine.layout,),
+        "table": table,
+        "targets": readings,
+    }
     model = type("MachineModel", (MachineModel,), tables | {"__doc__": MachineModel.__doc__})
     deployed = {"coordinates": readings, "__doc__": MachineCalibration.__doc__}
     calibration = type("MachineCalibration", (MachineCalibration,), deployed)

@@ -186,7 +186,7 @@ def sensor_pose(names: Collection[str]) -> Generic:
                    lambda x, _: _diagonal(np.ones_like(x))[:, :, which], by_pose=True)  # fmt: skip
 
 
-def in_space(readings: Sequence[str]) -> bool:
+def is_point_in_space(readings: Sequence[str]) -> bool:
     """Whether readings are x, y and z of one point, mm: by their names, which differ in that alone."""
     words = [bare(name).lower().split("_") for name in readings]
     if len(readings) != 3 or {unit_in(name) for name in readings} != {"mm"} or len({len(one) for one in words}) > 1:
@@ -195,7 +195,7 @@ def in_space(readings: Sequence[str]) -> bool:
     return apart == [("x", "y", "z")]
 
 
-def catalogue_of(effects: Sequence[Generic]) -> dict[str, Effect]:
+def machine_catalogue(effects: Sequence[Generic]) -> dict[str, Effect]:
     """As effects with their sentences."""
     sentences: Mapping[str, Sentences] = COMMON | _OWN
     return catalogue_of_core([one.row for one in effects], {one.name: sentences[one.name] for one in effects})

@@ -21,7 +21,7 @@ from ...errors import FitError, NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
 from ...model.effect import Parameter
 from ...model.sensor_pose import FREE, OWN_AXES, POSE, SensorPose
-from .core import Generic, generic_effects, in_space
+from .core import Generic, generic_effects, is_point_in_space
 from .function import Derivative, Forward, UserFunction, settled, starts
 from .same import not_in
 
@@ -84,7 +84,7 @@ class MachineDescription(Saved, Shown):
 
     def _stands(self, told: object) -> SensorPose:
         """Where its instrument stands, by what its owner told of that."""
-        places = in_space(self.readings)
+        places = is_point_in_space(self.readings)
         if told is None:
             return _POSES["free" if places else "held"]
         pose = _POSES.get(told) if isinstance(told, str) else told
@@ -127,7 +127,7 @@ class MachineDescription(Saved, Shown):
         """Where its instrument stands; None where its readings are no place in space."""
         made = self.sensor_pose
         assert isinstance(made, SensorPose)
-        return made if in_space(self.readings) or made != OWN_AXES else None
+        return made if is_point_in_space(self.readings) or made != OWN_AXES else None
 
     @cached_property
     def links(self) -> tuple[Generic, ...]:

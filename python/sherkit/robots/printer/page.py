@@ -10,7 +10,7 @@ import numpy as np
 
 from ...base.types import Floats
 from ...fit.forms import known
-from ...report.page import Made, Section, sentences_of, table_of, write_page
+from ...report.page import Made, Section, html_sentences, html_table, write_page
 from .model import distances
 from .printer_diagnosis import Examined
 
@@ -28,8 +28,8 @@ def write_printer(path: Path, examined: Examined, made: Made) -> None:
     """A page that opens without a network. Raises :class:`~sherkit.errors.NotWritten`."""
     sections = [
         Section("The machine and its plate", f'<div class="picture">{drawing(examined)}</div>'),
-        Section("Numbers of the firmware", table_of(("", "now", "better"), examined.numbers)),
-        *(Section(title, sentences_of(*said)) for title, said in examined.sections if title in _FURTHER),
+        Section("Numbers of the firmware", html_table(("", "now", "better"), examined.numbers)),
+        *(Section(title, html_sentences(*said)) for title, said in examined.sections if title in _FURTHER),
     ]
     write_page(path, examined.answer, sections, made)
 

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ...base.types import Floats, Ints
-from ...data.columns import stated
+from ...data.columns import header_unit
 from ...errors import MeasurementError, SherkitWarning
 
 # -- Frames ------------------------------------------------------------------------------------------------------------
@@ -67,7 +67,7 @@ def onto(axis: Sequence[float]) -> Floats:
     return np.array([[z + (1.0 - z) * s * s, -h, x], [-h, z + (1.0 - z) * c * c, y], [-x, -y, z]])
 
 
-def as_written(made: Floats) -> tuple[Triple, Triple]:
+def rpy_of_transform(made: Floats) -> tuple[Triple, Triple]:
     """Shift, mm, and roll, pitch, yaw, degrees, of a transform (4, 4), as a file has them."""
     shift, rpy = (made[:3, 3] + 0.0).tolist(), (np.rad2deg(rpy_of(made[:3, :3])) + 0.0).tolist()
     return (shift[0], shift[1], shift[2]), (rpy[0], rpy[1], rpy[2])
@@ -124,7 +124,7 @@ def turns_of(
     Raises :class:`~sherkit.errors.MeasurementError` for a quaternion that is not of length one and a matrix that does
     not turn.
     """
-    told = {stated(name)[0].lower(): name for name in names}
+    told = {header_unit(name)[0].lower(): name for name in names}
     for wanted in (QUATERNION, *_REAL_FIRST):
         if set(wanted) <= set(told) and not (wanted[0] == "q1" and "q5" in told):
             columns = tuple(told[one] for one in wanted)
@@ -151,7 +151,7 @@ def turns_of(
         if not set(wanted) <= set(told):
             continue
         columns = tuple(told[one] for one in wanted)
-        units = {stated(name)[1] for name in columns}
+        units = {header_unit(name)[1] for name in columns}
         if len(units) > 1 or not units <= {*_SCALES}:
             raise MeasurementError(f"{source}: {', '.join(columns)}: expected angles, all in rad or all in deg")
         angles = _SCALES[units.pop()] * numbers(columns)
@@ -170,7 +170,7 @@ def _of_matrix(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Columns of the turn of a matrix, row by row, and of its place."""
     found: dict[tuple[int, int], str] = {}
     for name in names:
-        if at := _MATRIX.fullmatch(stated(name)[0].lower()):
+        if at := _MATRIX.fullmatch(header_unit(name)[0].lower()):
             found.setdefault((int(at[1]), int(at[2])), name)
     for first in (1, 0):
         own = [(first + i, first + j) for i in range(3) for j in range(3)]

@@ -17,7 +17,7 @@ from ...base.arguments import validate_arguments
 from ...base.figures import listed
 from ...base.types import Floats
 from ...data import Measurements
-from ...data.columns import stated
+from ...data.columns import header_unit
 from ...data.frames import clean, to_polars
 from ...data.reader import RunLike, checked, csv_blocks
 from ...data.tables import PARQUET, read_parquet
@@ -115,18 +115,18 @@ def meant(arm: Serial, names: Sequence[str]) -> dict[str, tuple[str, str]]:
     empty where it names one itself."""
     out: dict[str, tuple[str, str]] = {}
     if not any(name in names for name in arm.layout.joints):
-        numbered = {int(at[1]): n for n in names if (at := _JOINTS.fullmatch(stated(n)[0].lower().strip()))}
+        numbered = {int(at[1]): n for n in names if (at := _JOINTS.fullmatch(header_unit(n)[0].lower().strip()))}
         if len(numbered) >= len(arm.joints) and min(numbered) == 1:
             for k, (ours, joint) in enumerate(zip(arm.layout.joints, arm.joints, strict=True), start=1):
                 if k in numbered:
-                    out[ours] = numbered[k], "" if stated(numbered[k])[1] else "mm" if joint.slides else "deg"
-    stems = {stated(n)[0].lower().strip(): n for n in names}
+                    out[ours] = numbered[k], "" if header_unit(numbered[k])[1] else "mm" if joint.slides else "deg"
+    stems = {header_unit(n)[0].lower().strip(): n for n in names}
     place = [stems.get(axis) or stems.get(f"t{axis}") or stems.get(f"p{axis}") or "" for axis in "xyz"]
     if not all(place):
         place = list(place_in_matrix(names))
     for ours, theirs in zip(POSITION, place, strict=False):
         if ours not in names and theirs:
-            out[ours] = theirs, "" if stated(theirs)[1] else "mm"
+            out[ours] = theirs, "" if header_unit(theirs)[1] else "mm"
     taken = [theirs for theirs, unit in out.values() if unit]
     if taken:
         warnings.warn(

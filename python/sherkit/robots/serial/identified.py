@@ -17,7 +17,7 @@ from ...model.drawing import Drawing, DrawnPart, line, with_target
 from ...model.effect import Effect
 from ..deployed import SENSOR
 from .calibration import SerialCalibration
-from .frames import about, as_written, frame
+from .frames import about, frame, rpy_of_transform
 from .model import SerialModel
 from .plates import offsets
 from .robot import Joint, Serial
@@ -83,7 +83,7 @@ def as_identified(made: SerialCalibration, held: Collection[str] = (FOLLOWING,))
         drawn = frame(joint.origin_mm, joint.frame[:3, :3])
         moved = drawn @ _error(values, k) @ _at(joint, off)
         moved[:3, :3] = moved[:3, :3] @ joint.turn.T
-        origin, rpy = as_written(moved)
+        origin, rpy = rpy_of_transform(moved)
         joints.append(replace(joint, origin_mm=origin, rpy_deg=rpy, follows=follows))
         before = joint
     turn = robot.joints[-1].turn

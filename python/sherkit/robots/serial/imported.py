@@ -25,7 +25,7 @@ from ...base.figures import brief, listed, nearest
 from ...base.types import Floats
 from ...data.tables import head_of
 from ...errors import RobotError
-from .frames import Triple, about, as_written, frame, of_rpy
+from .frames import Triple, about, frame, of_rpy, rpy_of_transform
 from .robot import MOST_JOINTS, TYPES, Joint, Serial
 
 # -- Tables of parameters -----------------------------------------------------------------------------------------
@@ -64,13 +64,13 @@ def import_dh(path: str | Path, convention: str = "standard") -> Serial:
         if (kind := moved.type()) == _FIXED:
             folded = folded if convention == "modified" else folded @ link
             continue
-        shift, turn = as_written(folded)
+        shift, turn = rpy_of_transform(folded)
         name, follows = moved.name(f"joint_{len(joints) + 1}"), moved.number("follows")
         joints.append(Joint(name, kind, shift, turn, limits=moved.limits(), follows=follows))
         folded = np.eye(4) if convention == "modified" else link
     if not 1 <= len(joints) <= MOST_JOINTS:
         raise RobotError(f"{path}: expected one to {MOST_JOINTS} rows that a joint moves, found {len(joints)}")
-    shift, turn = as_written(folded)
+    shift, turn = rpy_of_transform(folded)
     return Serial(tuple(joints), shift, turn)
 
 
@@ -93,9 +93,9 @@ def read_in_the_other_convention(arm: Serial) -> Iterator[tuple[str, str, Serial
 def _read_as(
     read: str, meant: str, arm: Serial, links: Sequence[Floats], own: Sequence[Floats], end: Floats
 ) -> tuple[str, str, Serial]:
-    made = [as_written(link @ moved) for link, moved in zip(links, own, strict=True)]
+    made = [rpy_of_transform(link @ moved) for link, moved in zip(links, own, strict=True)]
     joints = [replace(one, origin_mm=shift, rpy_deg=turn) for one, (shift, turn) in zip(arm.joints, made, strict=True)]
-    target, tool = as_written(end)
+    target, tool = rpy_of_transform(end)
     looks = f"the table of Denavit and Hartenberg behind the robot file looks {meant}, and was read as {read}"
     other = replace(arm, joints=tuple(joints), target_mm=target, tool_rpy_deg=tool)
     return looks, f"import it with the convention {meant}", other
@@ -230,7 +230,7 @@ def import_urdf(path: str | Path, base: str | None = None, tip: str | None = Non
             made = tree.joint(one, folded, [other.child for other in chain if other is not one])
             joints.append(replace(made, follows=follows))
             folded, follows = np.eye(4), 0.0
-    target, turn = as_written(folded)
+    target, turn = rpy_of_transform(folded)
     return Serial(tuple(joints), target, turn)
 
 
@@ -404,7 +404,7 @@ class _Tree:
             low, high = (self._numbers(element.get(k), 1, f"'{one.name}': limit {k}")[0] for k in ("lower", "upper"))
             per = _MM if kind == "prismatic" else 180.0 / math.pi
             limits = (low * per, high * per) if low < high else None
-        origin, rpy = as_written(folded)
+        origin, rpy = rpy_of_transform(folded)
         mass, centre = self._weight(one.child, set(others))
         name = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in one.name)
         name = name if name[:1].isalpha() else f"joint_{name}"

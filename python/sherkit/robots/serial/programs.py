@@ -18,7 +18,7 @@ import scipy
 from ...base import linalg
 from ...base.figures import listed
 from ...base.types import Bools, Floats, Ints
-from ...data.columns import factor, stated
+from ...data.columns import factor, header_unit
 from ...data.reader import checked, csv_blocks
 from ...data.tables import PARQUET, read_parquet
 from ...errors import MeasurementError, OutOfReach
@@ -111,7 +111,7 @@ def read_targets(arm: Serial, path: str | Path) -> Targets:
     frame = frame.rename({f"{axis}_m": f"{axis} [m]" for axis in "xyz" if f"{axis}_m" in frame.columns})
     table = _TargetColumns(str(path), frame, line)
     found = meant(arm, frame.columns)
-    by_stem = {stated(name)[0].lower(): name for name in frame.columns}
+    by_stem = {header_unit(name)[0].lower(): name for name in frame.columns}
     wanted = dict(zip(arm.layout.joints, (one.name for one in arm.joints), strict=True))
     named = {ours: ours if ours in frame.columns else by_stem.get(own.lower()) for ours, own in wanted.items()}
     named |= {ours: ours for ours in POSITION if ours in frame.columns}
@@ -160,7 +160,7 @@ class _TargetColumns:
 
     def in_unit(self, name: str, ours: str, usual: str) -> Floats:
         """A column in the unit at the end of our name, from that of its own, or the ``usual`` one."""
-        said, wanted = stated(name)[1] or usual, stated(ours)[1]
+        said, wanted = header_unit(name)[1] or usual, header_unit(ours)[1]
         by = factor(said, wanted)
         if by is None:
             raise MeasurementError(f"{self.source}: column '{name}' is in {said}, expected {wanted}")

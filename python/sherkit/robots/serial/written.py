@@ -18,7 +18,7 @@ import polars as pl
 from ...base import linalg
 from ...base.types import Floats
 from ...errors import RobotError
-from .frames import about, as_written, frame, of_rpy, rpy_of
+from .frames import about, frame, of_rpy, rpy_of, rpy_of_transform
 from .robot import Joint, Serial
 
 _MM = 1000.0
@@ -256,7 +256,7 @@ def kinematics_yaml(arm: Serial, name: str = "arm") -> str:
     called = _UR_LINKS if len(arm.joints) == len(_UR_LINKS) else [joint.name for joint in arm.joints]
     lines = []
     for link, step in zip(called, _ahead(arm), strict=False):
-        shift, turn = as_written(step)
+        shift, turn = rpy_of_transform(step)
         cells = (*(v / _MM for v in shift), *np.deg2rad(turn).tolist())
         lines.append(f"  {link}:")
         lines += [

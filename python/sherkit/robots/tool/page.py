@@ -7,8 +7,8 @@ from pathlib import Path
 
 from ...base.answer import Answer
 from ...diagnosis import Diagnosis
-from ...report.notebook import pictures_of
-from ...report.page import Made, Section, sentences_of, write_page
+from ...report.notebook import telling_pictures
+from ...report.page import Made, Section, html_sentences, write_page
 from .pictures import EstimateOverTime, estimate_picture
 
 
@@ -22,9 +22,9 @@ def write_estimate(
     sections = [Section(f"{over_time.name.capitalize()} over the run", "", drawn.root, drawn.note)]
     if any(tables):
         sections.append(Section("Errors", "".join(tables)))
-    for k, picture in enumerate(pictures_of(found) if found is not None else ()):
+    for k, picture in enumerate(telling_pictures(found) if found is not None else ()):
         title = "What is missing" if not k else f"What the camera sees, {k}"
         sections.append(Section(title, "", picture.root, picture.note))
     if found is not None:
-        sections.append(Section("What the verdict rests on", sentences_of(*map(str, found.checks))))
+        sections.append(Section("What the verdict rests on", html_sentences(*map(str, found.checks))))
     write_page(path, answer, sections, made)

@@ -67,7 +67,7 @@ def markers(
         wanted = "-o, the table to write" if sources else "SOURCES, the pictures to look at"
         raise click.UsageError(f"expected {wanted}; or --print FILE for a marker to print")
     from ..pictures import pictures_from
-    from ..spherical import WHY, joined_by_time, marker_rows, run_of
+    from ..spherical import WHY, joined_by_time, marker_rows, run_of_pictures
 
     pictures, timed = pictures_from([str(one) for one in sources], seconds)
     names: list[str] = []
@@ -98,7 +98,7 @@ def markers(
         moved = joined_by_time(
             seen.select(TIME), moved, SPHERICAL_JOINTS, delay_s=delay_s, longest_gap_s=longest_gap_s
         )  # fmt: skip
-    data = run_of({name: moved[name].to_numpy() for name in moved.columns}, seen, names)
+    data = run_of_pictures({name: moved[name].to_numpy() for name in moved.columns}, seen, names)
     data.save(destination)
     output.say(f"{len(data)} rows written to {destination}, of {len(seen)} pictures", destination)
 

@@ -333,7 +333,7 @@ def write_tool_report(
 
 def _tables(e: Estimate) -> list[str]:
     """Errors and what the filter knows of them, as HTML."""
-    from ....report.page import table_of
+    from ....report.page import html_table
 
     errors = [(f"{j.quantity}, {x.signal}", *_error_cells(x)) for j in judge(e) for x in j.errors]
     truths = [_knowledge_cells(k) for k in known(e) if k.signal == "filter" or k.condition == "whole run"]
@@ -341,7 +341,7 @@ def _tables(e: Estimate) -> list[str]:
         ("Mean error, mm", ("", "whole run", "T0", "T1", "largest"), errors),
         ("Does the filter know its own errors?", ("", *_KNOWLEDGE), truths),
     )
-    return [table_of(heads, rows, caption) for caption, heads, rows in tables if rows]
+    return [html_table(heads, rows, caption) for caption, heads, rows in tables if rows]
 
 
 def print_alignment(found: Aligned) -> None:
