@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,30 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000)
+
+
+#: More than so much of a processor is too much for a quick test (parts of one: what is set up for many falls on the
+#: first of them).
+_QUICK_S = 0.5
+_before_s = 0.0
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, Any, Any]:
+    """What each part of a test and the processes that it waited for computed, whatever else the machine did."""
+    global _before_s
+    report = yield
+    now_s = sum(os.times()[:4])
+    report.processor_s, _before_s = now_s - _before_s, now_s
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Names the quick tests that are not."""
+    parts = [one for some in terminalreporter.stats.values() for one in some if hasattr(one, "processor_s")]
+    for one in sorted(parts, key=lambda one: -one.processor_s):
+        if one.processor_s > _QUICK_S and "slow" not in one.keywords:
+            terminalreporter.write_line(f"{one.processor_s:5.1f} s of processor  {one.when:8}  {one.nodeid}")
 
 
 @pytest.fixture(scope="session")

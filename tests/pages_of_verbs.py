@@ -14,8 +14,11 @@ from changed_worlds import DeltaPair
 from driven_worlds import DrivenDelta
 from running import command, thin
 from second_printer.trials import Trial
+from sherkit.cli.demo import EXAMPLE
+from sherkit.model.sensor_pose import HELD, SensorPose
 from sherkit.report.page import Made
 from sherkit.report.pages import write_adaptive
+from sherkit.robots.delta.robot import paper_whole
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool
 from test_arm_counted import arm_in
@@ -28,15 +31,21 @@ def _by(folder: Path, line: str) -> str:
     return out
 
 
-def _diagnose(folder: Path) -> str:
-    _by(folder, "demo -o .")
+def _demo(folder: Path) -> None:
+    """The demo's robot, and every third pose of its run."""
+    sk.save_robot(replace(EXAMPLE, sensor_pose=SensorPose(turn_sd_deg=HELD)), folder / "robot.toml")
+    leaning = sk.delta.VirtualDelta.draw(sk.load_robot(folder / "robot.toml"), 6, rail_lean_rad=8e-3, noise_mm=0.005)
+    leaning.measure(paper_whole(), repeats=5, seed=6).save(folder / "whole.csv")
     thin(folder / "whole.csv", 3)
+
+
+def _diagnose(folder: Path) -> str:
+    _demo(folder)
     return _by(folder, "diagnose robot.toml whole.csv --report page.html")
 
 
 def _calibrate(folder: Path) -> str:
-    _by(folder, "demo -o .")
-    thin(folder / "whole.csv", 3)
+    _demo(folder)
     return _by(folder, "calibrate robot.toml whole.csv --effect rail_lean -o new.toml --report page.html")
 
 

@@ -12,9 +12,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import click
 import polars as pl
 
 from sherkit.cli import main
+from sherkit.cli.verbs import cli
 
 
 def command(folder: Path, *arguments: str) -> tuple[int, str, str]:
@@ -27,6 +29,22 @@ def command(folder: Path, *arguments: str) -> tuple[int, str, str]:
         except SystemExit as done:
             code = done.code
     return int(code or 0), out.getvalue(), err.getvalue()
+
+
+def parse(arguments: list[str]) -> None:
+    """Reads the words of a command after ``sherkit`` without running it. Raises ClickException where a verb or an
+    option is gone."""
+    top = click.Context(cli, info_name="sherkit")
+    (verb, *words), context = arguments, top
+    made = cli.get_command(top, verb)
+    if isinstance(made, click.Group) and words[:1] != ["--help"]:
+        context = click.Context(made, info_name=verb, parent=top)
+        words = made.worded(words) if verb == "export" else words
+        made, words = made.get_command(context, words[0]), words[1:]
+    if made is None:
+        raise click.UsageError(f"no such command: {' '.join(arguments)}")
+    with contextlib.suppress(click.exceptions.Exit), contextlib.redirect_stdout(io.StringIO()):  # --help ends there
+        made.make_context(verb, words, parent=context)
 
 
 _SEVERAL = """

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
 import contextlib
+import importlib
 import io
 import json
 import re
@@ -16,10 +18,13 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import click
 import numpy as np
 import pytest
 from tornado.ioloop import IOLoop
 
+import sherkit as sk
+from running import parse
 from second_machines import apart
 from sherkit import SherkitWarning, load_robot
 from sherkit.cli import main
@@ -130,7 +135,27 @@ _AS_JSON = ["diagnose", "demo/robot.toml", "demo/whole.csv", "--json"]
 # -- what they show runs -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["README.md", *REFERENCE])
+@pytest.mark.parametrize("name", ["README.md", *sorted(f"docs/{path.name}" for path in (HERE / "docs").glob("*.md"))])
+def test_what_is_shown_is_known(name: str) -> None:
+    """Catches a verb, an option, a module or a public name that is gone, on any page; that pages run is asked below."""
+    for arguments in commands(name):
+        if arguments[0].isupper() or arguments[0].startswith("-"):
+            continue
+        # one that is only named must exist; a word may stand for another, or for the rest
+        with contextlib.suppress(click.BadParameter):
+            parse([*arguments, "--help"] if len(arguments) == 1 else arguments)
+    for block in blocks(name):
+        if block.language != "python":
+            continue
+        for node in ast.walk(ast.parse(block.text)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sherkit"):
+                module = importlib.import_module(node.module or "")
+                assert all(hasattr(module, one.name) for one in node.names), block.place
+            elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "sk":
+                assert hasattr(sk, node.attr), f"{block.place}: sk.{node.attr}"
+
+
+@pytest.mark.parametrize("name", ["README.md", *(pytest.param(one, marks=pytest.mark.slow) for one in REFERENCE)])
 def test_what_is_shown_runs(name: str, made: Path, work: Path) -> None:
     """Catches an example that a rename has broken: a reader copies it first."""
     names: dict[str, Any] = {}
@@ -187,6 +212,7 @@ def test_the_gallery_is_what_its_script_draws(work: Path) -> None:
         assert (HERE / "docs" / "pictures" / "gallery" / f"{item.file}.png").is_file()
 
 
+@pytest.mark.slow
 def test_the_pages_pictures_say_what_it_says(made: Path, tmp_path: Path) -> None:
     """Catches a picture with figures or sentences that the page no longer shows."""
     image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
@@ -215,6 +241,7 @@ def test_the_pages_pictures_say_what_it_says(made: Path, tmp_path: Path) -> None
         bench.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("story", STORIES)
 def test_a_story_runs(story: str, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a tutorial that stops working half way, or that promises another verdict than sherkit gives."""
@@ -265,6 +292,7 @@ def shape(value: Any) -> Any:
     return "number" if isinstance(value, float) else value
 
 
+@pytest.mark.slow
 def test_the_json_is_what_is_printed(made: Path) -> None:
     """Catches a key of the JSON that its page does not tell of, or tells of under another name."""
     (block,) = (b for b in blocks("docs/json.md") if b.language == "json")

@@ -180,13 +180,13 @@ def expected_arrows(fit: sk.fit.Fit) -> np.ndarray:
     return np.array(out)
 
 
-def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
+def test_the_hidden_effect_leads_and_a_click_adds_it(app: Served, lab: Path) -> None:
     """Catches a page whose list, number, map and fall do not move to the state that was chosen."""
     robot, data = sk.load_robot(lab / "robot.toml"), sk.read_measurements(lab / "run.csv")
     study = sk.Study(robot, data)
-    with serving(lab, "--fresh") as app, seen(app.url) as page:
+    with seen(app.url) as page:
         button(page, "+ rail_lean").wait_for()
-        diagnosed(page)
+        begun(page)
         first = page.get_by_role("button").filter(has_text=re.compile(r"^\+ ")).first
         assert first.inner_text() == "+ rail_lean"
         assert "explained" in text(page, "headline")
@@ -236,8 +236,9 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(lab: Path) -> None:
         page.wait_for_function("Bokeh.documents[0].get_model_by_name('steps').data.action.length == 4")
 
 
+@pytest.mark.slow
 def test_what_has_no_number_does_not_run(app: Served) -> None:
-    """Catches a policy that is not there, lets a script run that is not the page's own, or lets it stand in another."""
+    """Catches a policy that lets a script run which is not the page's own."""
     with pytest.raises(AssertionError), seen(app.url) as page:  # noqa: PT012
         page.locator("#verdict").wait_for()
         page.evaluate(
@@ -251,12 +252,17 @@ def test_what_has_no_number_does_not_run(app: Served) -> None:
         page.wait_for_timeout(300)
         owns = page.evaluate("window.owned")
     assert owns is None
+
+
+def test_the_policy_comes_with_the_page(app: Served) -> None:
+    """Catches a policy that is not there, and a page that stands in another one."""
     with urllib.request.urlopen(app.url, timeout=60) as answer:
         assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
         assert answer.headers["X-Content-Type-Options"] == "nosniff"
         assert answer.headers["Referrer-Policy"] == "no-referrer"
 
 
+@pytest.mark.slow
 def test_what_was_typed_and_marked_outlives_a_crash(lab: Path) -> None:
     """Catches lines that do not become a button, wrong lines that break the page or change the study, rows that are
     listed wrongly, a mark that is lost, and a study that is not there after a crash."""
@@ -348,6 +354,7 @@ def said_so(page: Any, expected: str) -> bool:
     return expected in text(page, "selection")
 
 
+@pytest.mark.slow
 def test_points_are_brushed_with_the_mouse(app: Served, lab: Path, in_each_font: InEachFont) -> None:
     """Catches a brush that lists other rows than those inside its box, wherever a font puts the picture."""
     data = sk.read_measurements(lab / "run.csv")
@@ -382,6 +389,7 @@ def test_points_are_brushed_with_the_mouse(app: Served, lab: Path, in_each_font:
         in_each_font(page, brushed)
 
 
+@pytest.mark.slow
 def test_measurements_are_joined_and_bad_ones_refused(app: Served, lab: Path) -> None:
     """Catches a bad file that changes the study, and a good one whose rows are not fitted."""
     rows = len(sk.read_measurements(lab / "run.csv")) + len(sk.read_measurements(lab / "more.csv"))
@@ -403,6 +411,7 @@ def test_measurements_are_joined_and_bad_ones_refused(app: Served, lab: Path) ->
         diagnosed(page)
 
 
+@pytest.mark.slow
 def test_what_is_exported_is_the_state_that_is_seen(app: Served, lab: Path, tmp_path: Path) -> None:
     """Catches a calibration, a report or a study of another state than the one on the page."""
     study = sk.Study(sk.load_robot(lab / "robot.toml"), sk.read_measurements(lab / "run.csv"))
@@ -439,6 +448,7 @@ FOCUSED = """() => {
 }"""
 
 
+@pytest.mark.slow
 def test_a_keyboard_is_enough(lab: Path) -> None:
     """Catches a control that only a mouse reaches, and a focus that is lost when the list is drawn anew."""
     with serving(lab, "--fresh") as app, seen(app.url) as page:
@@ -468,6 +478,7 @@ def test_a_keyboard_is_enough(lab: Path) -> None:
         tab_to("the calibration")
 
 
+@pytest.mark.slow
 def test_axe_finds_nothing_serious(app: Served, in_each_font: InEachFont) -> None:
     """Catches text that cannot be read, a control without a name, a region that a keyboard does not reach; a page that
     scrolls sideways on a desk or a tablet, in whichever font."""
@@ -501,6 +512,7 @@ def test_axe_finds_nothing_serious(app: Served, in_each_font: InEachFont) -> Non
         in_each_font(page, fits)
 
 
+@pytest.mark.slow
 def test_typing_effects_is_off_beyond_loopback(lab: Path) -> None:
     """Catches a page on the network that runs whatever is typed into it."""
     with serving(lab, "--fresh", "--address", "0.0.0.0") as app:
@@ -511,6 +523,7 @@ def test_typing_effects_is_off_beyond_loopback(lab: Path) -> None:
             assert page.get_by_label("Effects, as NumPy lines").count() == 0
 
 
+@pytest.mark.slow
 def test_a_run_that_grows_is_followed(lab: Path) -> None:
     """Catches a page that does not see new rows, and half a line taken for a row."""
     lines = (lab / "run.csv").read_text().splitlines(keepends=True)

@@ -169,7 +169,7 @@ def camera(count: int = 100) -> Reprojection:
     return Reprojection(seen, 0.5 * rng.normal(size=(count, 2)), (640, 480), np.arange(count), image)
 
 
-@pytest.fixture(params=["demo", "plane", pytest.param("many", marks=pytest.mark.slow)])
+@pytest.fixture(params=["plane", *(pytest.param(name, marks=pytest.mark.slow) for name in ("demo", "many"))])
 def run(request: pytest.FixtureRequest) -> Run:
     found: Run = request.getfixturevalue(request.param)
     assert found.study
@@ -804,7 +804,9 @@ def test_another_ending_is_refused(demo: Run, tmp_path: Path) -> None:
 
 
 @needs_browser
-@pytest.mark.parametrize("what", ["study", "found", "fit", "calibration"])
+@pytest.mark.parametrize(
+    "what", ["fit", *(pytest.param(name, marks=pytest.mark.slow) for name in ("study", "found", "calibration"))]
+)
 def test_notebook_cells(plane: Run, what: str, tmp_path: Path, in_each_font: InEachFont) -> None:
     """Catches a cell that needs an extension, a network or another cell, and one without its text."""
     value = getattr(plane.study, what, None) or {"study": plane.study, "found": plane.found, "calibration": None}[what]

@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 import sherkit as sk
-from running import several
+from running import parse, several
 from second_simulator import NOMINAL_CONFIG, write_robot_toml
 from sherkit import _core
 from sherkit.cli import c_library, doctor
@@ -59,13 +59,7 @@ def test_help_ends_with_lines_that_can_be_typed(verb):
     for line in filter(None, lines):
         words = shlex.split(line)
         assert words[:2] == ["sherkit", verb]
-        context = click.Context(cli, info_name="sherkit")
-        command, arguments = cli.get_command(context, verb), words[2:]
-        if isinstance(command, click.Group):
-            context = click.Context(command, info_name=verb, parent=context)
-            arguments = command.worded(arguments) if verb == "export" else arguments
-            command, arguments = command.get_command(context, arguments[0]), arguments[1:]
-        command.make_context(verb, arguments, parent=context)
+        parse(words[1:])
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
