@@ -10,7 +10,7 @@ import numpy as np
 from ..base import linalg
 from ..base.arguments import Level, Seed, validate_arguments
 from ..base.types import Floats
-from ..data.doubts import doubts
+from ..data.doubts import commanded, doubts
 from ..data.reader import RunLike
 from ..errors import EffectError, FitError
 from ..evidence.base import chance_of
@@ -19,7 +19,7 @@ from ..evidence.thresholds import implausible
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
-from ..fit.set_up import held, set_up_mistakes, unread
+from ..fit.set_up import Mistake, held, set_up_mistakes, unread
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
@@ -127,8 +127,13 @@ def diagnose(
         steps = None if there.names else steps
     look, rounded = look and steps is None, None if steps is None else steps.rounded
     found = searched(run, every, rows, sigma, repeated_folds, level=level, step=step, look=look)
+    if look and (doubt := next(commanded(run.data), None)) and _still_contradicted(found, run, long):
+        # nothing found says why visits of a pose differ so much: then it is that their joints were not read
+        mistakes, look = (Mistake(doubt.sentence),), False
+        notes.insert(0, doubt.sentence)
+        found = searched(run, every, rows, sigma, repeated_folds, level=level, step=step, look=False)
     final = found.final
-    of_all = final if run is long else long if final is run else final.as_in(long)
+    of_all = _of_all(found, run, long)
     # a row that is as what was found says was wrong beside a model that lacked it
     wrong = checks_of_outliers(of_all, outliers, seed, side=side)
     notes += [*found.notes, *waves_in_words(final.fit)]
@@ -216,6 +221,18 @@ def _next(found: NamedEffects, sigma: Floats) -> Proposal:
     """Poses that would tell what is named from the sets tied with it."""
     rivals = [other.run.of.fit for other in found.ties]
     return next_poses(found.final.fit, rivals, sigma) if rivals else Proposal()
+
+
+def _of_all(found: NamedEffects, run: FittedRun, long: FittedRun) -> FittedRun:
+    """All rows with what was found among those of ``run``."""
+    return found.final if run is long else long if found.final is run else found.final.as_in(long)
+
+
+def _still_contradicted(found: NamedEffects, run: FittedRun, long: FittedRun) -> bool:
+    """Whether visits of a pose differ by more than what was declared, beside all that was found."""
+    of_all = _of_all(found, run, long)
+    repeats = in_repeats(found.base, found.left, of_all)
+    return repeats is not None and bool(contradicted(of_all, repeats))
 
 
 def _spread(run: FittedRun) -> Floats:

@@ -11,7 +11,7 @@ from ..base import linalg
 from ..base.figures import listed
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
-from ..data.doubts import angles, commanded, doubts
+from ..data.doubts import angles, doubts
 from ..data.noise import noise_of
 from ..errors import SherkitError
 from ..model.base import ModelWithEffects
@@ -198,8 +198,7 @@ def set_up_mistakes(model: ModelWithEffects, data: Measurements, values: Floats 
     if not wrong:
         # each has another name where a fit shows one
         small = free is not None and _is_small(free, data)
-        told = [*(() if small else angles(data)), *(() if out else commanded(data))]
-        wrong = [Mistake(doubt.sentence) for doubt in told]
+        wrong = [] if small else [Mistake(doubt.sentence) for doubt in angles(data)]
     return (*out, *wrong)
 
 
