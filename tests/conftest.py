@@ -19,7 +19,7 @@ from sherkit.diagnosis import Diagnosis
 
 # how long an example takes depends on what else the machine does; and a run that says something else than the last one
 # shall mean that the code changed
-settings.register_profile("same", deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("same", deadline=None, derandomize=True, print_blob=True, max_examples=40)
 # `make test-slow` looks elsewhere each time, and longer
 settings.register_profile(
     "random", deadline=None, print_blob=True, max_examples=int(os.environ.get("SHERKIT_EXAMPLES", "500"))
@@ -40,6 +40,8 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000)
+    global _before_s
+    _before_s = sum(os.times()[:4])
 
 
 #: More than so much of a processor is too much for a quick test (parts of one: what is set up for many falls on the

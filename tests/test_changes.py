@@ -93,6 +93,7 @@ def test_bad_runs_are_refused() -> None:
         sk.compare(world.robot, [world.runs[0], {"x_mm": [1.0]}])
 
 
+@pytest.mark.slow
 def test_what_was_missing_already_is_no_change() -> None:
     """Catches what no model of the catalogue describes, in both runs alike, taken for a change; and a change that is
     lost beside it. Seed 20: of seeds 18 to 33 without a change 11 are answered so,

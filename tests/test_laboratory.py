@@ -307,6 +307,7 @@ def started(*arguments, folder, wrong=False):
     assert process.returncode == 0
 
 
+@pytest.mark.slow
 def test_lab_measure_and_export_from_the_command_line(tmp_path):
     """Catches commands that do not fit together, a run that cannot be ended politely, and an export that lacks rows."""
     laboratory(tmp_path, time_scale=30.0)

@@ -44,8 +44,8 @@ def pushed(world: worlds.World, rows: Floats, um: float, seed: int = 0) -> Float
     return out
 
 
-@pytest.mark.parametrize("order", ["planes", "shuffled"])
-@pytest.mark.parametrize("noises", [20.0, 50.0])
+@pytest.mark.parametrize("order", [pytest.param("planes", marks=pytest.mark.slow), "shuffled"])
+@pytest.mark.parametrize("noises", [20.0, pytest.param(50.0, marks=pytest.mark.slow)])
 def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> None:
     """Catches a bump taken for a slip, or pressed into a smooth course in time: a tenth of the run, off by one vector,
     whether it holds whole poses or single readings of many. And praise of a run in which something happened, or a
