@@ -62,6 +62,7 @@ def three(planning, shares=(1.0, 1.05, 1.1)):
     return [sought(planning, name, share) for name, share in zip(THREE, shares, strict=True)]
 
 
+@pytest.mark.slow
 def test_the_promised_power_is_that_of_simulated_runs(planning):
     """Catches a power that forgets the degrees of freedom of the effect, what the parameters absorb, or the noise."""
     with ProcessPoolExecutor(2, __import__("multiprocessing").get_context("spawn")) as pool:
@@ -207,17 +208,24 @@ def test_parameters_are_known_as_well_as_promised(planning):
 
 
 def test_the_command_says_what_a_plan_could_find(tmp_path):
-    """Catches a plan that needs a running laboratory, and figures of a study that are not told."""
+    """Catches a plan that needs a running laboratory."""
     laboratory(tmp_path)
     experiment(tmp_path, per_side=4, plan={"repeats": 2})
-    plan = ("plan", "robot.toml", "experiment.toml")
-    code, shown, wrong = command(tmp_path, *plan)
+    code, shown, wrong = command(tmp_path, "plan", "robot.toml", "experiment.toml")
     assert code == 0, wrong
     assert "64 steps" in shown
     assert "rail_lean" in shown
     assert "base_radius_1" in shown
+
+
+@pytest.mark.slow
+def test_the_command_says_what_its_study_found(tmp_path):
+    """Catches figures of a study that are not told."""
+    laboratory(tmp_path)
+    experiment(tmp_path, per_side=4, plan={"repeats": 2})
     said = subprocess.run(
-        [*COMMAND, *plan, "--json", "--study", "20", "--workers", "2", "--keep", "study.jsonl"], cwd=tmp_path,
+        [*COMMAND, "plan", "robot.toml", "experiment.toml",
+         "--json", "--study", "20", "--workers", "2", "--keep", "study.jsonl"], cwd=tmp_path,
         capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert said.returncode == 0, said.stderr

@@ -255,7 +255,11 @@ def test_lines_are_ended_with_the_one_who_asks(tmp_path: Path) -> None:
     [
         ("pass", "<sherkit-scene"),
         # whichever of the drawing's questions is the first that is not answered
-        ("while abs(p.a) > 0.1: pass", "nothing could be told any more|did not end within 1 s"),
+        pytest.param(
+            "while abs(p.a) > 0.1: pass",
+            "nothing could be told any more|did not end within 1 s",
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["drawn", "endless only where it is exaggerated"],
 )

@@ -271,6 +271,7 @@ def test_a_cause_of_many_parameters_is_found_beside_the_small_ones_that_imitate_
     assert "lens_distortion" in named(d)
 
 
+@pytest.mark.slow
 def test_chance_does_not_turn_two_effects_into_three_others() -> None:
     """Catches a search that falls back on the best single effect where noise alone has refused the right pair.
 

@@ -35,7 +35,7 @@ def noise(rng: np.random.Generator, n: int, rho: float) -> Floats:
 
 
 @pytest.mark.parametrize("runs", [20, pytest.param(80, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("rho", [0.0, 0.3, 0.7])
+@pytest.mark.parametrize("rho", [*(pytest.param(rho, marks=pytest.mark.slow) for rho in (0.0, 0.3)), 0.7])
 def test_noise_that_neighbours_share_does_not_wander(rho: float, runs: int) -> None:
     """Catches a level that is not kept: at 1 in 1,000 of each, two of 240 runs would be one chance in forty."""
     rng, count = np.random.default_rng(3), 0

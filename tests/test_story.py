@@ -138,6 +138,7 @@ def test_a_run_with_faults_is_mended_by_what_sherkit_says(tmp_path: Path) -> Non
     assert misses_um(Calibration.load(tmp_path / "calibrated.toml"), targets(18.0), seed).max() < NOISE_UM
 
 
+@pytest.mark.slow
 def test_outliers_do_not_decide_under_a_robust_loss(tmp_path: Path) -> None:
     """Catches a robust loss that is robust in name only: one row in fifty is wrong by 0.1 to 0.25 mm, and used."""
     seed = 4
