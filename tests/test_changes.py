@@ -47,7 +47,9 @@ def test_nothing_has_changed(settings: dict[str, Any]) -> None:
     assert (found.verdict, found.changed) == ("unchanged", ())
 
 
-@pytest.mark.parametrize("changed", [("backlash",), ("rod_length_3",), ("base_angle_2", "backlash")])
+@pytest.mark.parametrize(
+    "changed", [("backlash",), ("rod_length_3",), pytest.param(("base_angle_2", "backlash"), marks=pytest.mark.slow)]
+)
 def test_effects_and_pairs(changed: tuple[str, ...]) -> None:
     """Catches an effect that is taken for a parameter, and one change that stands for two."""
     found = DeltaPair(12, changed, 4.0).compare()

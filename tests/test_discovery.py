@@ -261,6 +261,7 @@ def heaved(seed: int) -> Run:
     )
 
 
+@pytest.mark.slow
 def test_a_users_effect_stands_beside_the_built_in_ones() -> None:
     """Catches a user's effect that is not tried, not tested or not fitted like one of the catalogue. Seed 11."""
     run = heaved(11)

@@ -359,6 +359,7 @@ def test_a_package_that_does_harm_takes_nothing_with_it(harmful: Path, tmp_path:
     assert known == run(tmp_path, tmp_path, kinds_of)
 
 
+@pytest.mark.slow
 def test_a_machine_or_schema_from_outside_takes_nothing_with_it(harmful: Path, tmp_path: Path) -> None:
     """Catches a stranger that answers for every delta or for the schema of robots, one that lacks what it is to have
     and ends a verb for all, and a schema that cannot be made and is another file's."""

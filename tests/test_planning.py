@@ -107,7 +107,7 @@ class _AtOnce(Executor):
 def test_a_study_goes_on_where_it_ended(planning, tmp_path):
     """Catches runs that are done again or left out after an interrupt, and a line that a crash cut off."""
     wanted = [sought(planning, "rail_lean"), sought(planning, "backlash")]
-    whole = study_power(planning, wanted, runs=40, executor=_AtOnce())
+    whole = study_power(planning, wanted, runs=20, executor=_AtOnce())
     path = tmp_path / "study.jsonl"
 
     def interrupt(done, total):
@@ -115,25 +115,25 @@ def test_a_study_goes_on_where_it_ended(planning, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        study_power(planning, wanted, runs=40, executor=_AtOnce(), path=path, progress=interrupt)
+        study_power(planning, wanted, runs=20, executor=_AtOnce(), path=path, progress=interrupt)
     lines = path.read_text().splitlines()
     assert len(lines) == 4
     path.write_text(path.read_text() + "[[1, 3, 0.0")
     seen = []
     again = study_power(
-        planning, wanted, runs=40, executor=_AtOnce(), path=path,
+        planning, wanted, runs=20, executor=_AtOnce(), path=path,
         progress=lambda done, total: seen.append((done, total)),
     )  # fmt: skip
     assert again == whole
-    assert seen[0] == (10 * (len(lines) - 1), 80)
-    assert seen[-1] == (80, 80)
+    assert seen[0] == (10 * (len(lines) - 1), 40)
+    assert seen[-1] == (40, 40)
     # once done, nothing is asked any more
-    assert study_power(planning, wanted, runs=40, executor=_AtOnce(0), path=path) == whole
+    assert study_power(planning, wanted, runs=20, executor=_AtOnce(0), path=path) == whole
     with pytest.raises(ExperimentError, match="another study"):
-        study_power(planning, wanted, runs=40, seed=2, executor=_AtOnce(), path=path)
+        study_power(planning, wanted, runs=20, seed=2, executor=_AtOnce(), path=path)
     path.write_text("no study\n")
     with pytest.raises(ExperimentError, match="holds no study"):
-        study_power(planning, wanted, runs=40, executor=_AtOnce(), path=path)
+        study_power(planning, wanted, runs=20, executor=_AtOnce(), path=path)
 
 
 @pytest.mark.slow

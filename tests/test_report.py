@@ -334,6 +334,7 @@ def inside(file: Path, name: str = "diagnosis") -> Any:
     return json.loads(found[1])
 
 
+@pytest.mark.slow
 def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
     """Catches a report that refits with another loss or without the effect, or hides the second run."""
     arguments = (

@@ -242,6 +242,7 @@ def test_half_a_distance_is_refused() -> None:
         sk.from_frame(frame)
 
 
+@pytest.mark.slow
 def test_planes_that_are_touched_calibrate_an_arm() -> None:
     """Catches planes that pull the arm with them, or a run of touches alone of which a frame is asked that nobody saw:
     places within the planes' own frame are right to what the probe repeats."""

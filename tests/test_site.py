@@ -31,7 +31,8 @@ LOOP = "docs/howto_c.md"
 NEEDS = {"docs/other_programs.md": ("bluesky", "ophyd", "rosbags")}
 
 
-@pytest.mark.parametrize("name", [PAGES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in PAGES[1:])])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PAGES)
 def test_a_page_runs(name: str, work: Path) -> None:
     """Catches an example that a rename has broken, and a command that is no longer one."""
     for module in NEEDS.get(name, ()):

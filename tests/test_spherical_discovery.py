@@ -236,9 +236,8 @@ def test_false_alarms_are_few() -> None:
     assert len(found) <= stats.binom.isf(RARE, 16, 0.015), found
 
 
-@pytest.mark.parametrize(
-    "pair", [pytest.param(("backlash", "lens_distortion"), marks=pytest.mark.slow), ("camera_delay", "gravity_flexure")]
-)
+@pytest.mark.parametrize("pair", [("backlash", "lens_distortion"), ("camera_delay", "gravity_flexure")])
+@pytest.mark.slow
 def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     """Catches a search that stops after one effect, or takes one wrong one for two. Seed 7, ratio 2."""
     d = measured("whole", 7, scaled=dict.fromkeys(pair, 2)).diagnose()

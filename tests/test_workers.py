@@ -78,6 +78,7 @@ class _Breaks(Executor):
         return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_once", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_an_executor_that_says_not_how_many_it_takes_may_break_too(
     tmp_path: Path, at_once: bool, monkeypatch: pytest.MonkeyPatch
