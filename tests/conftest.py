@@ -35,6 +35,20 @@ if _MEMORY.is_dir() and os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMOR
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(_MEMORY))
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--part 2/8``: every eighth test of those that are chosen, from the second on, so that a part ends in time."""
+    parser.addoption("--part", default="1/1", metavar="K/N", help="one part of so many of the chosen tests")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests that ask one thing of many seeds follow each other: dealt out, every part has its share of them."""
+    part, parts = map(int, config.getoption("--part").split("/"))
+    others = [one for k, one in enumerate(items) if k % parts != part - 1]
+    config.hook.pytest_deselected(items=others)
+    items[:] = items[part - 1 :: parts]
+
+
 def pytest_collection_finish() -> None:
     """What is loaded stays: nobody need look for garbage among it, again and again."""
     gc.collect()
