@@ -30,7 +30,7 @@ def inside_radius(seed: int, lean: float, half_mm: float, count: int = 200) -> f
 
 @pytest.mark.parametrize(
     ("half_mm", "robots"), [pytest.param(9.5, 8, marks=pytest.mark.slow), pytest.param(19.0, 8, marks=pytest.mark.slow),
-                            pytest.param(19.0, 3, marks=pytest.mark.slow)],
+                            (19.0, 3)],
 )  # fmt: skip
 def test_predicted_accuracy_is_honest(half_mm: float, robots: int) -> None:
     """Catches a radius that is too small or too large: of 200 fresh readings of each robot 90 to 99 % are inside.

@@ -115,7 +115,9 @@ def test_generic_effects_find_what_is_hidden(name: str, sizes: dict[str, float],
     assert held_out(d) <= 1.15 * noise
 
 
-@pytest.mark.parametrize("name", list(HIDDEN))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("gantry", "scara"))) for name in HIDDEN]
+)
 def test_nothing_hidden_is_nothing_found(name: str) -> None:
     """Catches a chain whose derivatives leave something of a machine that is as described. Seeds 0 to 2."""
     for seed in range(3):

@@ -193,7 +193,9 @@ def test_a_reading_off_by_kilometres_does_not_weigh_its_axis_down() -> None:
     assert d.noise["x"] == pytest.approx(clean.noise["x"], rel=0.02)
 
 
-@pytest.mark.parametrize("effect", ["beam_alignment", "rail_lean", "encoder_cyclic"])
+@pytest.mark.parametrize(
+    "effect", ["rail_lean", *(pytest.param(n, marks=pytest.mark.slow) for n in ("beam_alignment", "encoder_cyclic"))]
+)
 def test_wrong_poses_are_found_beside_a_missing_effect(effect: str) -> None:
     """Catches an effect whose extremes are listed, and wrong poses that hide behind it: five of 192 poses off by
     twenty times the noise, and by four times the effect."""

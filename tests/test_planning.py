@@ -82,12 +82,13 @@ def test_the_promised_power_is_that_of_many_simulated_runs(planning):
         assert abs(one.share - one.power) <= 0.025
 
 
-def test_nothing_is_found_where_nothing_is(planning):
-    """Catches a test whose level is not the one it says."""
+@pytest.mark.parametrize(("runs", "most"), [(100, 5), pytest.param(300, 9, marks=pytest.mark.slow)])
+def test_nothing_is_found_where_nothing_is(planning, runs, most):
+    """Catches a test whose level is not the one it says, 1 %: more would come by chance in one of 1,000 such counts."""
     with ThreadPoolExecutor(1) as pool:
-        (none,) = study_power(planning, [EffectSize("rail_lean", {})], runs=300, seed=3, executor=pool)
+        (none,) = study_power(planning, [EffectSize("rail_lean", {})], runs=runs, seed=3, executor=pool)
     assert none.power == pytest.approx(0.01, abs=1e-6)
-    assert none.found <= 9
+    assert none.found <= most
 
 
 class _AtOnce(Executor):
