@@ -13,7 +13,10 @@ PYTHONS := python tests benchmarks examples docs
 export OPENBLAS_NUM_THREADS := 1
 SOURCES := Cargo.toml Cargo.lock pyproject.toml README.md $(shell find rust python -type f -not -name '*.so' -not -path '*/__pycache__/*')
 
-.PHONY: house golden outputs golden-write pictures demo demo-lab test test-rust test-python test-slow lint lint-rust lint-python no-std header header-check bench site format clean check-tools
+# parts of test-slow
+SLOW := 1 2 3 4 5 6 7 8
+
+.PHONY: house golden outputs golden-write pictures demo demo-lab test test-rust test-python test-slow test-slow-rust $(SLOW:%=test-slow-%) lint lint-rust lint-python no-std header header-check bench site format clean check-tools
 
 demo: $(STAMP)
 	$(BIN)/sherkit demo
@@ -78,10 +81,15 @@ header-check: | check-tools
 test-python: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
-# what takes longer, and the property tests once more with other inputs in each run: a failure prints its own
-test-slow: $(STAMP)
+# what takes longer, and the property tests once more with other inputs in each run: a failure prints its own. In parts
+# that each end within half an hour: test-slow-rust, test-slow-1 …
+test-slow: test-slow-rust $(SLOW:%=test-slow-%)
+
+test-slow-rust: | check-tools
 	SHERKIT_RANDOM=1 cargo test --quiet --locked --profile tested -p sherkit-core
-	SHERKIT_RANDOM=1 $(BIN)/python -m pytest -n 2 -m "slow or hypothesis"
+
+$(SLOW:%=test-slow-%): test-slow-%: $(STAMP)
+	SHERKIT_RANDOM=1 $(BIN)/python -m pytest -n 2 -m "slow or hypothesis" --part $*/$(words $(SLOW))
 
 # the documentation as a site that needs no network, with every link checked
 site: $(STAMP)

@@ -19,7 +19,7 @@ from sherkit.diagnosis import Diagnosis
 
 # how long an example takes depends on what else the machine does; and a run that says something else than the last one
 # shall mean that the code changed
-settings.register_profile("same", deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("same", deadline=None, derandomize=True, print_blob=True, max_examples=40)
 # `make test-slow` looks elsewhere each time, and longer
 settings.register_profile(
     "random", deadline=None, print_blob=True, max_examples=int(os.environ.get("SHERKIT_EXAMPLES", "500"))
@@ -35,11 +35,27 @@ if _MEMORY.is_dir() and os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMOR
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(_MEMORY))
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--part 2/8``: every eighth test of those that are chosen, from the second on, so that a part ends in time."""
+    parser.addoption("--part", default="1/1", metavar="K/N", help="one part of so many of the chosen tests")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests that ask one thing of many seeds follow each other: dealt out, every part has its share of them."""
+    part, parts = map(int, config.getoption("--part").split("/"))
+    others = [one for k, one in enumerate(items) if k % parts != part - 1]
+    config.hook.pytest_deselected(items=others)
+    items[:] = items[part - 1 :: parts]
+
+
 def pytest_collection_finish() -> None:
     """What is loaded stays: nobody need look for garbage among it, again and again."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000)
+    global _before_s
+    _before_s = sum(os.times()[:4])
 
 
 #: More than so much of a processor is too much for a quick test (parts of one: what is set up for many falls on the

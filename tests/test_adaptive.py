@@ -140,6 +140,7 @@ def test_a_loop_ends_with_the_name_of_what_was_hidden(leaning: tuple[sk.Adaptive
     assert loop.ask() == []
 
 
+@pytest.mark.slow
 def test_silence_says_what_could_not_have_been_seen() -> None:
     """Catches an innocent that is blamed, a loop that stops before the span is over, and silence without its limits."""
     world = DrivenDelta(5)
@@ -152,6 +153,7 @@ def test_silence_says_what_could_not_have_been_seen() -> None:
     assert loop.diagnosis.verdict == "adequate"
 
 
+@pytest.mark.slow
 def test_what_is_in_no_catalogue_is_never_explained() -> None:
     """Catches a name for a warped plate."""
     loop = drive(DrivenDelta(2, unknown="saddle", ratio=5.0))
@@ -179,6 +181,7 @@ def forward(joints: Any, p: Any) -> Floats:
     return np.stack([x - p.squareness * y + p.x_zero, y + p.y_zero], axis=1)
 
 
+@pytest.mark.slow
 def test_a_machine_of_the_users_own() -> None:
     """Catches a machine by a function that no loop can drive: here its first joint reads too much by its length."""
     machine = sk.Machine(
@@ -264,6 +267,7 @@ def test_rows_may_come_back_as_they_like() -> None:
     assert loop.effects == ("backlash",)
 
 
+@pytest.mark.slow
 def test_a_wrong_column_is_said() -> None:
     """Catches physics that is named, or an unknown that is looked for, where two columns are swapped."""
     world = DrivenDelta(7)
@@ -379,6 +383,7 @@ def test_a_budget_that_is_spent_says_so() -> None:
     assert (small.verdict, small.readings) == ("undecided", 5)
 
 
+@pytest.mark.slow
 def test_a_tie_says_what_would_tell() -> None:
     """Catches a tie that leaves the reader without a next step: a focal length and the distortion of a lens do much the
     same in one camera, so that either poses are named or it is said that these instruments cannot tell."""

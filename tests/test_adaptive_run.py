@@ -40,6 +40,7 @@ def said(folder: Path, *more: str) -> str:
     return out
 
 
+@pytest.mark.slow
 def test_it_stops_by_itself_and_goes_on_after_a_kill(folder: Path) -> None:
     """Catches a run that knows less after it was killed in the middle, rows that are read twice or lost, and rows that
     do not say why they were driven."""

@@ -53,6 +53,7 @@ def test_the_mean_of_that_never_rises_where_poses_agree() -> None:
     assert np.mean(factors >= 100.0) <= 0.01
 
 
+@pytest.mark.slow
 def test_physics_that_is_finer_than_the_poses_is_no_noise() -> None:
     """Catches what is another error at each pose, the same when it is read once more, as noise: a ripple in a product
     of joints, of fifteen noises."""

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from bad_inputs import END, PAGE, START, between_markers, table
 
 
@@ -34,6 +36,7 @@ def test_only_the_block_is_replaced() -> None:
     assert between_markers("# title\n") is None
 
 
+@pytest.mark.slow
 def test_the_script_prints_the_table() -> None:
     """Catches a script that the page names and that no longer runs."""
     script = str(Path(__file__).with_name("bad_inputs.py"))

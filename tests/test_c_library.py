@@ -324,6 +324,7 @@ def test_random_missing_and_nan_input_under_sanitizers(archive: Path, tmp_path: 
     assert run(program, str(steps), "7").startswith(f"{steps} steps")
 
 
+@pytest.mark.slow
 def test_the_loop_runs_and_logs(archive: Path, tmp_path: Path) -> None:
     """Catches an example that does not build, or whose estimate is no better than the unbent tip."""
     cmake, source = tool("cmake"), LIBRARY / "examples" / "loop"

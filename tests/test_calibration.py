@@ -38,7 +38,8 @@ from strategies import EXAMPLE, between, triples
 
 Floats = NDArray[np.float64]
 
-SOME = settings(max_examples=40, deadline=None)
+#: Of what takes long, fewer inputs than others have.
+SOME = settings(max_examples=max(15, settings().max_examples // 8), deadline=None)
 SEEDS = st.integers(0, 2**32 - 1)
 MODEL = DeltaModel(EXAMPLE)
 #: Effects at every link of the chain, some of which ask for temperature and direction.

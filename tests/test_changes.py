@@ -47,7 +47,9 @@ def test_nothing_has_changed(settings: dict[str, Any]) -> None:
     assert (found.verdict, found.changed) == ("unchanged", ())
 
 
-@pytest.mark.parametrize("changed", [("backlash",), ("rod_length_3",), ("base_angle_2", "backlash")])
+@pytest.mark.parametrize(
+    "changed", [("backlash",), ("rod_length_3",), pytest.param(("base_angle_2", "backlash"), marks=pytest.mark.slow)]
+)
 def test_effects_and_pairs(changed: tuple[str, ...]) -> None:
     """Catches an effect that is taken for a parameter, and one change that stands for two."""
     found = DeltaPair(12, changed, 4.0).compare()
@@ -93,6 +95,7 @@ def test_bad_runs_are_refused() -> None:
         sk.compare(world.robot, [world.runs[0], {"x_mm": [1.0]}])
 
 
+@pytest.mark.slow
 def test_what_was_missing_already_is_no_change() -> None:
     """Catches what no model of the catalogue describes, in both runs alike, taken for a change; and a change that is
     lost beside it. Seed 20: of seeds 18 to 33 without a change 11 are answered so,

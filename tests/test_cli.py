@@ -199,16 +199,13 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
 @pytest.mark.parametrize(
     ("arguments", "options"),
     [
-        (["--loss", "huber"], {"loss": "huber"}),
-        (["--linear"], {"linear": True}),
-        (["--priors"], {"priors": True}),
+        (["--loss", "huber", "--priors", "--seed", "5"], {"loss": "huber", "priors": True, "seed": 5}),
         (
-            ["--free", "rod_length_1, rod_length_2,sensor_shift_x"],
-            {"free": ("rod_length_1", "rod_length_2", "sensor_shift_x")},
+            ["--linear", "--free", "rod_length_1, rod_length_2,sensor_shift_x"],
+            {"linear": True, "free": ("rod_length_1", "rod_length_2", "sensor_shift_x")},
         ),
         (["--correction", "paper"], {"correction": "paper"}),
-        (["--correction", "auto"], {}),
-        (["--seed", "5"], {"seed": 5}),
+        pytest.param(["--correction", "auto"], {}, marks=pytest.mark.slow),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, list) else "",
 )

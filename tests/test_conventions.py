@@ -63,7 +63,7 @@ MADE: dict[str, Make] = {
 
 
 #: The slow ones besides: what else hangs on time.
-MORE = ("delta, a slip", "spherical, drift")
+MORE = ("delta, a slip", "spherical, drift", "delta, backlash and growth", "gantry, play and growth")
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])

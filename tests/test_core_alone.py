@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from sherkit import save_robot
+from sherkit.robots.delta import VirtualDelta, grid
+from strategies import EXAMPLE
 from test_floors import FLOORS, MENU, PACKAGE, imported
 
 #: What can be taken away: the floors below the command line.
@@ -35,7 +38,7 @@ def command(*words):
         assert not end.code, (words, end.code)
 
 
-for kind in ("delta", "spherical"):
+for kind in filter(None, sys.argv[3].split(",")):
     robot, run = folder / f"{kind}.toml", folder / f"{kind}.csv"
     sk.save_robot(sk.model.kinds.known_kinds()[kind].example, robot)
     command("simulate", robot, "-o", run, "--repeats", 2, "--seed", 3)
@@ -48,10 +51,11 @@ names = ("x_axis_mm", "y_axis_mm", "z_axis_mm", "x_mm", "y_mm", "z_mm")
 pl.DataFrame(dict(zip(names, np.hstack([at, read]).T, strict=True))).write_csv(folder / "machine.csv")
 command("diagnose", machine, folder / "machine.csv", "--report", folder / "machine.html")
 command("calibrate", machine, folder / "machine.csv", "-o", folder / "machine_calibrated.toml")
-command("check", folder / "delta.csv", folder / "delta.toml")
-command("compare", folder / "delta.toml", folder / "delta.csv", folder / "delta.csv")
-command("verify", folder / "delta_calibrated.toml", folder / "delta.csv")
-command("export", "c", folder / "delta_calibrated.toml", "-o", folder / "robot.h")
+if sys.argv[3]:
+    command("check", folder / "delta.csv", folder / "delta.toml")
+    command("compare", folder / "delta.toml", folder / "delta.csv", folder / "delta.csv")
+    command("verify", folder / "delta_calibrated.toml", folder / "delta.csv")
+    command("export", "c", folder / "delta_calibrated.toml", "-o", folder / "robot.h")
 for words in (["effects"], ["schema", "robot"], ["--help"], ["export", "--help"], ["import", "--help"], ["doctor"]):
     command(*words)
 print("\\n" + json.dumps(sorted(name for name in sys.modules if name.startswith("sherkit."))))
@@ -113,12 +117,9 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return site
 
 
-@pytest.fixture(scope="module")
-def told(core: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
-    """The story in this installation: its folder and what it said."""
-    folder = tmp_path_factory.mktemp("story")
-    machine = PACKAGE.parents[1] / "examples" / "machines" / "gantry.py"
-    return folder, asked(core, STORY, str(folder), str(machine))
+def told(core: Path, folder: Path, kinds: str) -> subprocess.CompletedProcess[str]:
+    """What the story of a machine and of these kinds said in this installation."""
+    return asked(core, STORY, str(folder), str(PACKAGE.parents[1] / "examples" / "machines" / "gantry.py"), kinds)
 
 
 def asked(core: Path, code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -128,23 +129,26 @@ def asked(core: Path, code: str, *arguments: str) -> subprocess.CompletedProcess
     )  # fmt: skip
 
 
-def test_the_core_works_alone(told: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+@pytest.mark.parametrize("kinds", ["", pytest.param("delta,spherical", marks=pytest.mark.slow)])
+def test_the_core_works_alone(kinds: str, core: Path, tmp_path: Path) -> None:
     """Catches a core that needs what it names nowhere: delta, sphere and machine from a run over diagnosis, report and
     calibration to the header of a loop, in an installation without arms, printers, tool, laboratories, cameras."""
-    folder, done = told
+    folder, done = tmp_path, told(core, tmp_path, kinds)
     assert done.returncode == 0, done.stderr[-2000:]
     assert "warning" not in done.stderr, done.stderr
     loaded = json.loads(done.stdout.splitlines()[-1])
     assert {"sherkit.robots.spherical", "sherkit.robots.delta", "sherkit.report.document"} <= set(loaded)
-    for name in ("delta", "spherical", "machine"):
+    for name in (*filter(None, kinds.split(",")), "machine"):
         assert (folder / f"{name}.html").stat().st_size > 50_000, name
         assert (folder / f"{name}_calibrated.toml").exists(), name
 
 
-def test_the_page_of_the_core_alone(core: Path, told: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+@pytest.mark.slow
+def test_the_page_of_the_core_alone(core: Path, tmp_path: Path) -> None:
     """Catches a page that needs a laboratory or a tool in order to be served."""
-    folder, _ = told
-    done = asked(core, PAGE, str(folder / "delta.toml"), str(folder / "delta.csv"))
+    save_robot(EXAMPLE, tmp_path / "delta.toml")
+    VirtualDelta.draw(EXAMPLE, 3).measure(grid(20.0, 6, (-18.0, 0.0, 18.0)), repeats=2).save(tmp_path / "delta.csv")
+    done = asked(core, PAGE, str(tmp_path / "delta.toml"), str(tmp_path / "delta.csv"))
     assert done.stdout.split() == ["True", "True"], done.stderr[-2000:]
 
 

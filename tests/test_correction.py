@@ -34,7 +34,7 @@ from strategies import EXAMPLE, between
 
 Floats = NDArray[np.float64]
 
-SOME = settings(max_examples=60, deadline=None)
+SOME = settings(max_examples=max(20, settings().max_examples // 8), deadline=None)
 VARIABLES = pytest.mark.parametrize(
     "orders", [(6, 0, 0), (0, 8, 0), (0, 0, 2), (5, 3, 0), (2, 0, 4), (6, 6, 0), (3, 2, 1), (3, 3, 3)]
 )

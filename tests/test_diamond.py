@@ -12,6 +12,7 @@ pytest.importorskip("cv2", reason="OpenCV is not installed: sherkit[vision]")
 EXAMPLE = Path(__file__).parents[1] / "examples" / "diamond.py"
 
 
+@pytest.mark.slow
 def test_the_papers_calibration_from_pictures(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Catches any step between a pixel and a straight line that is biased: the issue's bars, on 36 pictures, seed 3."""
     told = runpy.run_path(str(EXAMPLE))["main"](6, tmp_path / "pictures")

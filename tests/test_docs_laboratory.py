@@ -8,6 +8,8 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 from sherkit import load_robot
 from sherkit.robots.delta.model import DeltaModel
 from test_docs import blocks, command, prose, run_python, sherkit
@@ -44,6 +46,7 @@ def hasty(name, text):
     return patient(text).replace("seconds = 0.04", "seconds = 0.005") if name == "experiment.toml" else text
 
 
+@pytest.mark.slow
 def test_the_page_on_the_laboratory_runs(tmp_path, monkeypatch):
     """Catches a key of a file that was renamed since, and a command that a reader cannot follow."""
     monkeypatch.chdir(tmp_path)

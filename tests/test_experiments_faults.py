@@ -118,6 +118,7 @@ def failing_run(folder, steps, seed, link="pty"):
     return raised, happened, len(points)
 
 
+@pytest.mark.slow
 def test_no_fault_stores_a_wrong_row(tmp_path):
     """Catches a row read while the axes moved, a garbled digit that is stored, and a motion that outlives an error."""
     _, happened, stored = failing_run(tmp_path, 30, seed=1)

@@ -105,6 +105,7 @@ class _Nothing:
         return set()
 
 
+@pytest.mark.slow
 def test_a_killed_run_loses_nothing(tmp_path):
     """Catches a row that was told and not stored, a step taken twice, and a resumed run that reads something else."""
     laboratory(tmp_path)

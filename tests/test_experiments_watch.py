@@ -174,6 +174,7 @@ def planar():
         yield
 
 
+@pytest.mark.slow
 def test_the_smallest_robot_is_watched_too(planar, tmp_path):
     """Catches a watch that knows the delta's columns: a robot from the tests' own folder has others."""
     robot = planar_arm.PlanarArm((250.0, 180.0), joint_limits_deg=(-120.0, 120.0))

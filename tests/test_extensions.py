@@ -35,7 +35,7 @@ ARM = PlanarArm((250.0, 180.0), joint_limits_deg=(-170.0, 170.0))
 # -- the suite of kinds ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["delta", "spherical", "serial", "printer"])
+@pytest.mark.parametrize("name", ["delta", "spherical", pytest.param("serial", marks=pytest.mark.slow), "printer"])
 def test_a_built_in_kind_passes_the_suite_of_strangers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a suite that asks what sherkit's own robots do not do, and a robot of its own that has an exception. How
     often they alarm is counted elsewhere."""
@@ -96,10 +96,30 @@ class _Open(PlanarArm):
     ("change", "robot", "said"),
     [
         (lambda k: replace(k, robot=_Short), _Short, "inverse_batch: do not agree"),
-        (lambda k: replace(k, model=_Steep), PlanarArm, "derivative by length_1 is not that of the readings"),
-        (lambda k: replace(k, model=_Lazy), PlanarArm, "droop: has no remedy"),
-        (lambda k: replace(k, virtual=_Bent), PlanarArm, "alarms where nothing is hidden"),
-        (lambda k: replace(k, robot=_Open), _Open, "takes a key that nobody knows"),
+        pytest.param(
+            lambda k: replace(k, model=_Steep),
+            PlanarArm,
+            "derivative by length_1 is not that of the readings",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            lambda k: replace(k, model=_Lazy),
+            PlanarArm,
+            "droop: has no remedy",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            lambda k: replace(k, virtual=_Bent),
+            PlanarArm,
+            "alarms where nothing is hidden",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            lambda k: replace(k, robot=_Open),
+            _Open,
+            "takes a key that nobody knows",
+            marks=pytest.mark.slow,
+        ),
         (lambda k: replace(k, name="flat"), PlanarArm, "robots say 'planar', the Kind is 'flat'"),
         (lambda k: replace(k, areas={}), PlanarArm, "areas: expected the poses"),
     ],
@@ -255,6 +275,7 @@ with RunningLaboratory(load_laboratory(Path("lab.toml"))) as lab:
 """
 
 
+@pytest.mark.slow
 def test_an_instrument_from_outside_measures(installed: Path, tmp_path: Path) -> None:
     """Catches a laboratory or an experiment whose kinds of instrument are a closed list."""
     (tmp_path / "robot.toml").write_text('kind = "xy_stage"\n[geometry]\ntravel_mm = [120.0, 80.0]\n')
@@ -338,6 +359,7 @@ def test_a_package_that_does_harm_takes_nothing_with_it(harmful: Path, tmp_path:
     assert known == run(tmp_path, tmp_path, kinds_of)
 
 
+@pytest.mark.slow
 def test_a_machine_or_schema_from_outside_takes_nothing_with_it(harmful: Path, tmp_path: Path) -> None:
     """Catches a stranger that answers for every delta or for the schema of robots, one that lacks what it is to have
     and ends a verb for all, and a schema that cannot be made and is another file's."""
@@ -355,6 +377,7 @@ def test_a_machine_or_schema_from_outside_takes_nothing_with_it(harmful: Path, t
     assert "error: schema gone: what makes it cannot be loaded" in " ".join(gone[2].split())
 
 
+@pytest.mark.slow
 def test_a_name_that_is_taken_is_said(harmful: Path, tmp_path: Path) -> None:
     """Catches a verb, an importer or an instrument of a package that is passed over in silence, though the documents
     promise a warning, and one that takes those of sherkit."""

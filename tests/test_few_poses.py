@@ -186,6 +186,7 @@ def test_the_level_is_held_on_few_poses(poses: int, repeats: int) -> None:
         assert found <= stats.binom.isf(RARE, len(p), level), count
 
 
+@pytest.mark.slow
 def test_report_and_tables_say_that_poses_are_too_few(tmp_path: Path, ur5: Serial) -> None:
     """Catches a verdict that the command line, the report or JSON do not know."""
     run = tracked(ur5, 20, 1)

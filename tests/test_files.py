@@ -18,6 +18,7 @@ from sherkit.data.files import write_whole
 from sherkit.errors import NotWritten
 from sherkit.robots.delta.robot import grid
 from sherkit.robots.delta.virtual import VirtualDelta
+from sources import nodes
 
 PACKAGE = Path(sk.__file__).parent
 #: Methods and functions that write a file by themselves.
@@ -151,7 +152,7 @@ def test_every_file_is_written_in_one_place() -> None:
     for file in sorted(PACKAGE.rglob("*.py")):
         if file == PACKAGE / "data" / "files.py":
             continue
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in nodes(file):
             if not isinstance(node, ast.Call):
                 continue
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")

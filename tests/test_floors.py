@@ -11,6 +11,8 @@ from types import ModuleType
 
 import pytest
 
+from sources import nodes, parsed
+
 PACKAGE = Path(__file__).parents[1] / "python" / "sherkit"
 #: From the top down; CONTRIBUTING says what each is for. Rooms of one floor do not know each other.
 FLOORS = (
@@ -29,7 +31,7 @@ def imported(file: Path) -> set[str]:
     """Modules of the package that a file imports, wherever in it, as dotted names below ``sherkit``."""
     here = file.relative_to(PACKAGE).with_suffix("").parts
     modules = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in nodes(file):
         if isinstance(node, ast.ImportFrom) and (node.level or (node.module or "").startswith("sherkit")):
             base = here[: len(here) - node.level] if node.level else ()
             name = [*base, *(node.module or "").split(".")[0 if node.level else 1 :]]
@@ -82,7 +84,7 @@ def test_a_name_means_one_thing_in_its_file() -> None:
     twice = []
     for file in sorted(PACKAGE.rglob("*.py")):
         known = set()
-        for statement in ast.parse(file.read_text(encoding="utf-8")).body:
+        for statement in parsed(file).body:
             targets = statement.targets if isinstance(statement, ast.Assign) else ()
             names = {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
             twice += [f"{file.relative_to(PACKAGE)}:{statement.lineno} {name}" for name in names & known]

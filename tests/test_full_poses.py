@@ -95,7 +95,7 @@ def test_the_turn_of_a_tool_tells_more_than_its_place() -> None:
         (3, {}, ()),
         pytest.param(4, {}, (), marks=pytest.mark.slow),
         (3, {"play": 4e-4}, ("backlash",)),
-        (4, {"gives": 1e-3}, ("joint_compliance",)),
+        pytest.param(4, {"gives": 1e-3}, ("joint_compliance",), marks=pytest.mark.slow),
     ],
 )
 def test_a_diagnosis_of_full_poses(seed: int, hidden: dict[str, float], says: tuple[str, ...]) -> None:

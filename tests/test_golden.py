@@ -14,11 +14,13 @@ ASKED = (
     "delta, no catalogue, humidity", "delta, mistake, joint 1 counted downwards", "arm, nothing hidden",
     "gantry, drift", "printer, none", "real, FLSUN V400", "tool, nothing hidden",
 )  # fmt: skip
+#: Of these, what takes longest.
+LONGEST = ("delta, zeros of its own, thermal_growth", "delta, no catalogue, humidity")
 #: Another processor rounds otherwise, and a fit ends where it no longer falls.
 WITHIN = 1e-3
 
 
-@pytest.mark.parametrize("name", ASKED)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONGEST)) for name in ASKED])
 def test_the_answer_is_that_on_file(name: str) -> None:
     """Catches a change of an answer that nobody named: ``make golden`` says what differs."""
     assert list(golden.differences(golden.kept()[name], golden.asked(name)[1], WITHIN)) == []

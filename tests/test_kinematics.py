@@ -20,7 +20,7 @@ from strategies import EXAMPLE, between, deltas, posed_deltas, triples
 Floats = NDArray[np.float64]
 
 # times are nobody's business here, so hypothesis has no deadline
-SOME = settings(max_examples=60, deadline=None)
+SOME = settings(max_examples=max(20, settings().max_examples // 8), deadline=None)
 
 ABOVE = Delta(
     base_radius_mm=(90.0, 95.0, 88.0),

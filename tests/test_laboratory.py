@@ -232,6 +232,7 @@ def test_emulators_listen_on_this_machine_alone(tmp_path):
         assert all(re.match(r"(tcp|udp)://127\.0\.0\.1:", p["address"]) for p in lab.ports().values())
 
 
+@pytest.mark.slow
 def test_without_a_file_there_is_an_example(tmp_path):
     """Catches a first try that ends in a question."""
     with started("lab", "--json", "--ports", "ports.json", folder=tmp_path) as (_, said):
@@ -239,6 +240,7 @@ def test_without_a_file_there_is_an_example(tmp_path):
         assert list(read_ports(tmp_path / "ports.json")) == ["rails", "lasers"]
 
 
+@pytest.mark.slow
 def test_another_address_is_told(tmp_path):
     """Catches a laboratory that is open to others without a word."""
     path = laboratory(tmp_path, instrument=[{"kind": "keyence", "link": "tcp"}])
@@ -307,6 +309,7 @@ def started(*arguments, folder, wrong=False):
     assert process.returncode == 0
 
 
+@pytest.mark.slow
 def test_lab_measure_and_export_from_the_command_line(tmp_path):
     """Catches commands that do not fit together, a run that cannot be ended politely, and an export that lacks rows."""
     laboratory(tmp_path, time_scale=30.0)

@@ -47,6 +47,7 @@ def test_the_camera_sees_the_hidden_robot(lab, tmp_path):
     assert np.sqrt(np.nanmean(fit.residuals**2)) < 0.1
 
 
+@pytest.mark.slow
 def test_live_identification_speaks_of_pixels(lab, tmp_path):
     """Catches micrometres for pixels, and a goal whose key is that of another robot."""
     path = tmp_path / "experiment.toml"

@@ -19,6 +19,7 @@ import sherkit as sk
 from consistency import named
 from sherkit.base import linalg
 from sherkit.errors import NotConverged, NotFinite, Singular
+from sources import parsed
 from strategies import EXAMPLE
 from test_few_poses import few
 
@@ -166,7 +167,7 @@ def test_nothing_else_asks_lapack() -> None:
     for file in sorted(PACKAGE.rglob("*.py")):
         if file.name == "linalg.py":
             continue
-        for name, line in calls(ast.parse(file.read_text(encoding="utf-8"))):
+        for name, line in calls(parsed(file)):
             # products, and what solves with a factor that is there already, decompose nothing
             if name not in FREE | {"blas", "cho_solve"}:
                 wrong.append(f"{file.relative_to(PACKAGE)}:{line} {name}")

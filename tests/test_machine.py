@@ -115,7 +115,9 @@ def test_generic_effects_find_what_is_hidden(name: str, sizes: dict[str, float],
     assert held_out(d) <= 1.15 * noise
 
 
-@pytest.mark.parametrize("name", list(HIDDEN))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("gantry", "scara"))) for name in HIDDEN]
+)
 def test_nothing_hidden_is_nothing_found(name: str) -> None:
     """Catches a chain whose derivatives leave something of a machine that is as described. Seeds 0 to 2."""
     for seed in range(3):
@@ -181,7 +183,7 @@ def test_an_effect_that_moves_a_point_needs_one() -> None:
 # -- derivatives -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "hexapod")) for name in NAMES])
 @settings(max_examples=4, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_derivatives_of_the_whole_chain_against_differences(name: str, seed: int) -> None:
@@ -299,7 +301,9 @@ def test_rows_without_a_number_are_named() -> None:
 # -- calibrated, kept, copied ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", list(HIDDEN))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("gantry", "scara"))) for name in HIDDEN]
+)
 def test_calibration_is_right_where_nothing_was_measured(name: str, tmp_path: Path) -> None:
     """Catches an inverse that is not that of the forward model, and a promise that does not hold at other poses.
     Seed 5; truth by the second simulator without noise."""

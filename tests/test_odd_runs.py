@@ -8,7 +8,10 @@ from standing_worlds import WORLDS
 OF_EACH = len(WORLDS)
 
 
-@pytest.mark.parametrize("odd", range(len(ODD)), ids=[odd.__name__ for odd in ODD])
+@pytest.mark.parametrize(
+    "odd", [pytest.param(k, marks=[pytest.mark.slow] * (one.__name__ == "jitters")) for k, one in enumerate(ODD)],
+    ids=[odd.__name__ for odd in ODD],
+)  # fmt: skip
 def test_an_odd_run_gets_an_answer(odd: int) -> None:
     """Catches a column that is nothing, or a joint that does not move, where the way counts on more. One robot each."""
     _, said = asked(OF_EACH * odd + odd % OF_EACH)

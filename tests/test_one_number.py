@@ -34,7 +34,7 @@ ROBOTS = {
 Say = Callable[..., str]
 
 
-@pytest.fixture(params=["delta", "spherical", pytest.param("serial", marks=pytest.mark.slow)])
+@pytest.fixture(params=["delta", *(pytest.param(name, marks=pytest.mark.slow) for name in ("spherical", "serial"))])
 def say(request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Say:
     """Runs a verb on ``robot.toml`` and ``run.csv`` of this robot, and gives what it prints."""
     planted = ROBOTS[request.param]

@@ -57,6 +57,7 @@ def test_the_study_and_all_that_is_made_of_it_leave_the_row_out(lab: Path) -> No
     assert study.history[-1].error.rms > 100 * error.rms
 
 
+@pytest.mark.slow
 def test_terminal_json_and_report_are_of_the_same_rows(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches a report whose parameters, errors or axes have the row in that its verdict leaves out."""
 

@@ -44,8 +44,8 @@ def pushed(world: worlds.World, rows: Floats, um: float, seed: int = 0) -> Float
     return out
 
 
-@pytest.mark.parametrize("order", ["planes", "shuffled"])
-@pytest.mark.parametrize("noises", [20.0, 50.0])
+@pytest.mark.parametrize("order", [pytest.param("planes", marks=pytest.mark.slow), "shuffled"])
+@pytest.mark.parametrize("noises", [20.0, pytest.param(50.0, marks=pytest.mark.slow)])
 def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> None:
     """Catches a bump taken for a slip, or pressed into a smooth course in time: a tenth of the run, off by one vector,
     whether it holds whole poses or single readings of many. And praise of a run in which something happened, or a
@@ -193,7 +193,9 @@ def test_a_reading_off_by_kilometres_does_not_weigh_its_axis_down() -> None:
     assert d.noise["x"] == pytest.approx(clean.noise["x"], rel=0.02)
 
 
-@pytest.mark.parametrize("effect", ["beam_alignment", "rail_lean", "encoder_cyclic"])
+@pytest.mark.parametrize(
+    "effect", ["rail_lean", *(pytest.param(n, marks=pytest.mark.slow) for n in ("beam_alignment", "encoder_cyclic"))]
+)
 def test_wrong_poses_are_found_beside_a_missing_effect(effect: str) -> None:
     """Catches an effect whose extremes are listed, and wrong poses that hide behind it: five of 192 poses off by
     twenty times the noise, and by four times the effect."""

@@ -60,7 +60,9 @@ def answer(url: str, path: str | None = None, host: str | None = None) -> tuple[
         line.close()
 
 
-@pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]"])
+@pytest.mark.parametrize(
+    "name", ["localhost", *(pytest.param(name, marks=pytest.mark.slow) for name in ("127.0.0.1", "[::1]"))]
+)
 def test_it_answers_to_this_machine(url: str, name: str) -> None:
     """Catches a page that its owner cannot open by another name of the same machine."""
     port = url.rsplit(":", 1)[1].split("/")[0]

@@ -161,6 +161,7 @@ def test_where_nothing_is_hidden_nothing_is_found(seed: int, folder: Path) -> No
     assert found.effects == ()
 
 
+@pytest.mark.slow
 def test_a_run_without_heights(folder: Path) -> None:
     """Catches three coordinates where an instrument shows two: in tests, pictures and the calibration."""
     robot = sk.load_robot("robot.toml")
@@ -234,6 +235,7 @@ def test_a_calibration_is_deployed(folder: Path) -> None:
     assert np.hypot(*(true.tips(drawn)[:, :2] - places).T).min() > 100 * missed.max()
 
 
+@pytest.mark.slow
 def test_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches a table, a JSON or a report that has a place for three joints, or for what is not measured."""
     files = ("robot.toml", "run.csv")
@@ -264,7 +266,7 @@ def test_its_own_errors_can_be_simulated(folder: Path, capsys: pytest.CaptureFix
 def test_every_sentence_that_robots_share_is_used() -> None:
     """Catches a common sentence that every robot replaces by its own."""
     for name, words in COMMON.items():
-        having = [kind.model.catalogue[name] for kind in kinds.KINDS.values() if name in kind.model.catalogue]
+        having = [kind.model.catalogue[name] for kind in kinds.known_kinds().values() if name in kind.model.catalogue]
         assert any((e.physics, e.residuals, e.remedy) == (words.physics, words.residuals, words.remedy)
                    for e in having), name  # fmt: skip
 
@@ -318,6 +320,7 @@ def _report(study: sk.Study) -> str:
     return html(Report(study, study.diagnose(), Made("run.csv")))
 
 
+@pytest.mark.slow
 def test_the_page(folder: Path) -> None:
     """Catches a page that cannot be drawn, changed or left for a robot that is not built in."""
     from bokeh.document import Document

@@ -77,6 +77,7 @@ def held(out: Counter[str], printers: int) -> None:
     assert out["told apart"] >= 0.95 * (out["told apart"] + out["not told apart"]), out
 
 
+@pytest.mark.slow
 def test_a_twisted_frame_and_a_bent_plate(tmp_path: Path) -> None:
     """Catches a frame that is twisted taken for a plate, or the reverse, once the plate was turned by a sixth of a
     turn; and a third of a turn that would be believed to tell them apart."""

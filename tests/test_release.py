@@ -97,6 +97,7 @@ LEFT_OUT = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_python_that_lacks_libraries_does_all_that_needs_none_of_them(tmp_path):
     """Catches a module that nothing here needs, and is imported before anybody asked: SQLite, for reading a CSV."""
     robot = tmp_path / "robot.toml"

@@ -222,6 +222,7 @@ def test_switches_move_the_pictures(demo: Path) -> None:
         )
 
 
+@pytest.mark.slow
 @needs_browser
 def test_what_has_no_number_does_not_run(demo: Path, tmp_path: Path) -> None:
     """Catches a policy that lets a script run which came in by a name, or one that is not there; see the others for one
@@ -275,6 +276,7 @@ def cells_without(page: Any, table: str) -> Sequence[str]:
     return page.locator(f"{table} tr").all_inner_texts()
 
 
+@pytest.mark.slow
 @needs_browser
 def test_the_page_as_it_is_opened(demo: Path, tmp_path: Path, in_each_font: InEachFont) -> None:
     """Catches an answer that must be scrolled to, and parts that nobody asked for and are open: the first screen says
@@ -332,6 +334,7 @@ def inside(file: Path, name: str = "diagnosis") -> Any:
     return json.loads(found[1])
 
 
+@pytest.mark.slow
 def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
     """Catches a report that refits with another loss or without the effect, or hides the second run."""
     arguments = (
@@ -350,6 +353,7 @@ def test_calibration_with_a_local_run_an_effect_and_a_loss(runs: Path) -> None:
     assert "sk.load_calibration" in text
 
 
+@pytest.mark.slow
 def test_calibration_of_some_parameters(runs: Path) -> None:
     """Catches a report that frees other parameters than the command did."""
     # nothing else is wrong with it: for all that the others would take, a search through pairs of effects would go
@@ -387,6 +391,7 @@ def test_a_tie_and_an_unknown_noise(runs: Path) -> None:
     assert "would leave 95 of 100 arrows" not in text
 
 
+@pytest.mark.slow
 def test_what_no_effect_explains(runs: Path) -> None:
     """Catches a signature that is not told, and a verdict that claims more."""
     text = report(runs, "strange.html", "diagnose", "robot.toml", "strange.csv")
@@ -397,6 +402,7 @@ def test_what_no_effect_explains(runs: Path) -> None:
     assert "--template my_effects.py" in text
 
 
+@pytest.mark.slow
 @needs_browser
 def test_heights_alone(runs: Path) -> None:
     """Catches pictures that need three coordinates."""
@@ -438,6 +444,7 @@ def test_twenty_thousand_rows(runs: Path) -> None:
         assert page.text_content("#verdict").strip().startswith("explained:")
 
 
+@pytest.mark.slow
 @needs_browser
 def test_texts_of_files_are_texts(runs: Path) -> None:
     """Catches names of files, columns or effects, and descriptions, that become markup or scripts."""

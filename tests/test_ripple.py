@@ -66,6 +66,7 @@ def test_a_gear_ratio_in_the_file_is_its_period() -> None:
     assert known.model.period_rad == (TURN / 100.0,) * 6
 
 
+@pytest.mark.slow
 def test_periods_are_deployed_and_read_again(tmp_path: Path) -> None:
     """Catches a calibration that runs at one period of those that were found, or whose file or study forgets them."""
     made = gear_worlds.world(0, 4)
@@ -198,7 +199,7 @@ def of_a_machine() -> tuple[sk.diagnosis.Diagnosis, tuple[str, ...]]:
     return sk.Study(machine, sk.from_frame(frame)).diagnose(), ("encoder_second_x_axis",)
 
 
-@pytest.mark.parametrize("world", [of_a_delta, of_a_sphere, of_a_machine])
+@pytest.mark.parametrize("world", [of_a_delta, pytest.param(of_a_sphere, marks=pytest.mark.slow), of_a_machine])
 def test_second_waves_of_other_robots(world: Callable[[], tuple[sk.diagnosis.Diagnosis, tuple[str, ...]]]) -> None:
     """Catches robots whose encoders have no second wave, one that is given to another joint, and no word on its size.
     Where this was written, 110 of 110 of 60 deltas were named at 0.4 of the first, none in 60 that have the first

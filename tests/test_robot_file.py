@@ -180,6 +180,7 @@ def test_a_setting_that_is_left_out_is_asked_for(table: str, key: str, says: str
         assert load_robot(path) == robot
 
 
+@pytest.mark.slow
 def test_settings_are_asked_for_in_plain_lines(tmp_path: Path) -> None:
     """Catches a warning that the command prints with a path of the library, in more than a line, or not at all."""
     path = saved(tmp_path, {"kind": "delta", "geometry": {key: TABLES["geometry"][key] for _, key in REQUIRED}})

@@ -118,23 +118,25 @@ def test_out_of_reach_no_effect_is_at_fault(tmp_path: Path) -> None:
 
 
 #: Lines that misbehave in the effect or before it, with what is said of them.
+#: Ways to misbehave: endless, dead, dead by a signal, out of memory; then others of the same kinds.
 _MISBEHAVE = [
     ("while True: pass", "", "did not end within 0.5 s"),
+    ("import os; os._exit(3)", "", "exit code 3"),
+    ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "", "SIGSEGV"),
+    ("hog = []\n    while True: hog.append(np.empty(50_000_000))", "", "more than 2 GB of memory"),
     ("pass", "while True: pass\n", "did not end within 0.5 s"),
     ("import time; time.sleep(600)", "", "did not end within 0.5 s"),
     ("import subprocess; subprocess.run(['sleep', '600'])", "", "did not end within 0.5 s"),
-    ("import os; os._exit(3)", "", "exit code 3"),
-    ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "", "SIGSEGV"),
     ("import sys; sys.exit()", "", "SystemExit"),
-    ("hog = []\n    while True: hog.append(np.empty(50_000_000))", "", "more than 2 GB of memory"),
     ("pass", "import sys; sys.exit(1)\n", "SystemExit"),
 ]
 
 
-def test_lines_that_misbehave_are_ended(bench: Workbench) -> None:
+@pytest.mark.parametrize("ways", [_MISBEHAVE[:4], pytest.param(_MISBEHAVE[4:], marks=pytest.mark.slow)], ids=len)
+def test_lines_that_misbehave_are_ended(bench: Workbench, ways: list[tuple[str, str, str]]) -> None:
     """Catches lines that take the page with them, one that is silent on what happened, and half a change."""
     told = errors(bench)
-    for inside, before, said in _MISBEHAVE:
+    for inside, before, said in ways:
         patient(bench, 0.5 if "within" in said else 20.0)
         told.clear()
         bench.type_effect(lines(inside, before))
@@ -255,7 +257,11 @@ def test_lines_are_ended_with_the_one_who_asks(tmp_path: Path) -> None:
     [
         ("pass", "<sherkit-scene"),
         # whichever of the drawing's questions is the first that is not answered
-        ("while abs(p.a) > 0.1: pass", "nothing could be told any more|did not end within 1 s"),
+        pytest.param(
+            "while abs(p.a) > 0.1: pass",
+            "nothing could be told any more|did not end within 1 s",
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["drawn", "endless only where it is exaggerated"],
 )

@@ -57,7 +57,7 @@ def test_an_instrument_may_stand_turned_by_any_angle(degrees: float) -> None:
     assert told(turned(degrees)(worlds.clean(0))) == ()
 
 
-@pytest.mark.parametrize("degrees", [20.0, -37.0])
+@pytest.mark.parametrize("degrees", [pytest.param(20.0, marks=pytest.mark.slow), -37.0])
 def test_a_frame_turned_against_a_pose_that_is_held_is_said(degrees: float) -> None:
     """Catches a file that holds the sensor's pose where it does not stand so, and a turn in the wrong sense."""
     world = turned(degrees)(worlds.delta_world(0, own_axes=True))
@@ -120,7 +120,7 @@ def test_one_column_in_another_unit_is_said_of_that_column_alone() -> None:
         assert f"{name} alone looks like inches" in said[0]
 
 
-@pytest.mark.parametrize("read", ["standard", "modified"])
+@pytest.mark.parametrize("read", ["standard", pytest.param("modified", marks=pytest.mark.slow)])
 def test_a_table_of_the_other_convention_is_said(read: str, tmp_path: Path) -> None:
     """Catches an arm that nothing explains where its table was read as standard and is modified, or the reverse."""
     (tmp_path / "ur5.csv").write_text(UR5)
@@ -205,7 +205,7 @@ ARM: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
 
 
 #: The others are mistakes of a delta's columns as well, on the long list.
-ASKED = ("clean", "joints", "degrees", "quarter turn", "shoulder")
+ASKED = ("clean", "quarter turn", "shoulder")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in ASKED)) for n in ARM])

@@ -31,6 +31,7 @@ LOOP = "docs/howto_c.md"
 NEEDS = {"docs/other_programs.md": ("bluesky", "ophyd", "rosbags")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_runs(name: str, work: Path) -> None:
     """Catches an example that a rename has broken, and a command that is no longer one."""
@@ -55,6 +56,7 @@ def whole(arguments: list[str]) -> bool:
     return not any(word.isupper() and word.isalpha() for word in given) and all(Path(word).exists() for word in files)
 
 
+@pytest.mark.slow
 def test_the_page_on_instruments_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches an instrument of the user's own that a reader cannot bring: by SCPI, VISA, Python, PyMeasure, ophyd."""
     for module in ("pyvisa_py", "pymeasure", "ophyd"):
@@ -209,7 +211,7 @@ def test_the_checker_of_links_sees_what_is_wrong(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["delta", "tool", *(pytest.param(n, marks=pytest.mark.slow) for n in ("serial", "spherical"))]
+    "name", ["tool", *(pytest.param(n, marks=pytest.mark.slow) for n in ("delta", "serial", "spherical"))]
 )
 def test_a_notebook_runs(name: str, notebooks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a cell that stops, and one whose value shows nothing; cell by cell, as a kernel would."""

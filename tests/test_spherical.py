@@ -495,6 +495,7 @@ def sherkit(*arguments: str | Path) -> Any:
     return CliRunner().invoke(cli, [str(a) for a in arguments], catch_exceptions=True)
 
 
+@pytest.mark.slow
 def test_story_from_the_command_line(tmp_path: Path) -> None:
     """Catches a verb that knows only the delta: simulate, effects, calibrate, diagnose, report, on files alone."""
     run, calibration = tmp_path / "run.csv", tmp_path / "calibration.toml"

@@ -236,9 +236,8 @@ def test_false_alarms_are_few() -> None:
     assert len(found) <= stats.binom.isf(RARE, 16, 0.015), found
 
 
-@pytest.mark.parametrize(
-    "pair", [pytest.param(("backlash", "lens_distortion"), marks=pytest.mark.slow), ("camera_delay", "gravity_flexure")]
-)
+@pytest.mark.parametrize("pair", [("backlash", "lens_distortion"), ("camera_delay", "gravity_flexure")])
+@pytest.mark.slow
 def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     """Catches a search that stops after one effect, or takes one wrong one for two. Seed 7, ratio 2."""
     d = measured("whole", 7, scaled=dict.fromkeys(pair, 2)).diagnose()
@@ -271,6 +270,7 @@ def test_a_cause_of_many_parameters_is_found_beside_the_small_ones_that_imitate_
     assert "lens_distortion" in named(d)
 
 
+@pytest.mark.slow
 def test_chance_does_not_turn_two_effects_into_three_others() -> None:
     """Catches a search that falls back on the best single effect where noise alone has refused the right pair.
 

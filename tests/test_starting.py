@@ -112,6 +112,7 @@ PROGRAMS = [
 ]
 
 
+@pytest.mark.slow
 def test_a_program_may_begin_with_any_file() -> None:
     """Catches ``sk.calibrate`` that is a module; a file of runs or a robot that is not understood, since nobody has
     asked for the robots before. All in one process, which forgets sherkit in between."""

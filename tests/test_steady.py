@@ -35,7 +35,7 @@ def noise(rng: np.random.Generator, n: int, rho: float) -> Floats:
 
 
 @pytest.mark.parametrize("runs", [20, pytest.param(80, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("rho", [0.0, 0.3, 0.7])
+@pytest.mark.parametrize("rho", [*(pytest.param(rho, marks=pytest.mark.slow) for rho in (0.0, 0.3)), 0.7])
 def test_noise_that_neighbours_share_does_not_wander(rho: float, runs: int) -> None:
     """Catches a level that is not kept: at 1 in 1,000 of each, two of 240 runs would be one chance in forty."""
     rng, count = np.random.default_rng(3), 0
@@ -76,25 +76,25 @@ def test_too_little_says_nothing() -> None:
     assert slow_drift_of(run) is None
 
 
-def test_what_comes_back_in_time_is_a_wave() -> None:
+@pytest.mark.parametrize(("repeats", "side"), [(3, 6), pytest.param(1, 14, marks=pytest.mark.slow)])
+def test_what_comes_back_in_time_is_a_wave(repeats: int, side: int) -> None:
     """Catches praise for a run whose x moves by three times the noise of a reading and comes back, again and again: too
     quick for a smooth shape in time, it counted as noise, of single readings and of repeats."""
     robot = Robot.from_dict(NOMINAL_CONFIG)
-    for repeats, side in ((3, 6), (1, 14)):
-        points = grid(18.0, side, (-15.0, 0.0, 15.0))
-        plan = make_plan(robot, points, repeats=repeats, order="shuffled", seed=4)
-        columns = simulate(robot, plan, noise=0.005, seed=4)
-        frame = pl.DataFrame(columns)
-        steady = sk.diagnose(EXAMPLE, sk.from_frame(frame))
-        assert "wanders" not in steady.headline
-        assert next(c for c in steady.checks if c.name == "steady").holds
-        humid = 0.015 * np.sin(2 * np.pi * frame["time_s"] / 150.0 + 1.0)
-        found = sk.diagnose(EXAMPLE, sk.from_frame(frame.with_columns(pl.col("x_mm") + humid)))
-        assert not next(c for c in found.checks if c.name == "steady").holds
-        assert found.verdict == "unexplained"
-        assert (found.signature["depends_on"], found.signature["axis"]) == (["time_s"], ["x"])
-        assert found.signature["period"] == pytest.approx(150.0, rel=0.01)
-        assert repeats == 1 or max(found.noise.values()) < 5.5
+    points = grid(18.0, side, (-15.0, 0.0, 15.0))
+    plan = make_plan(robot, points, repeats=repeats, order="shuffled", seed=4)
+    columns = simulate(robot, plan, noise=0.005, seed=4)
+    frame = pl.DataFrame(columns)
+    steady = sk.diagnose(EXAMPLE, sk.from_frame(frame))
+    assert "wanders" not in steady.headline
+    assert next(c for c in steady.checks if c.name == "steady").holds
+    humid = 0.015 * np.sin(2 * np.pi * frame["time_s"] / 150.0 + 1.0)
+    found = sk.diagnose(EXAMPLE, sk.from_frame(frame.with_columns(pl.col("x_mm") + humid)))
+    assert not next(c for c in found.checks if c.name == "steady").holds
+    assert found.verdict == "unexplained"
+    assert (found.signature["depends_on"], found.signature["axis"]) == (["time_s"], ["x"])
+    assert found.signature["period"] == pytest.approx(150.0, rel=0.01)
+    assert repeats == 1 or max(found.noise.values()) < 5.5
 
 
 def test_a_verdict_says_that_readings_wander() -> None:

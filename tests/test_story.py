@@ -90,6 +90,7 @@ def test_a_wrongly_built_robot_is_brought_on_target(seed: int, tmp_path: Path) -
     assert 0.90 < inside.mean() < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2])
 def test_leaning_rails_are_corrected_in_the_region_of_interest(seed: int, tmp_path: Path) -> None:
     """Catches a correction with the wrong sign, or evaluated elsewhere than it was fitted, or a local model unused."""
@@ -109,6 +110,7 @@ def test_leaning_rails_are_corrected_in_the_region_of_interest(seed: int, tmp_pa
     assert misses_um(both, where, seed, effects).max() < 3 * NOISE_UM
 
 
+@pytest.mark.slow
 def test_a_run_with_faults_is_mended_by_what_sherkit_says(tmp_path: Path) -> None:
     """Catches messages that lead nowhere: each step here uses nothing but what the step before has said."""
     seed = 3
@@ -138,6 +140,7 @@ def test_a_run_with_faults_is_mended_by_what_sherkit_says(tmp_path: Path) -> Non
     assert misses_um(Calibration.load(tmp_path / "calibrated.toml"), targets(18.0), seed).max() < NOISE_UM
 
 
+@pytest.mark.slow
 def test_outliers_do_not_decide_under_a_robust_loss(tmp_path: Path) -> None:
     """Catches a robust loss that is robust in name only: one row in fifty is wrong by 0.1 to 0.25 mm, and used."""
     seed = 4

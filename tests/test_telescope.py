@@ -97,6 +97,7 @@ def test_mmt_next_to_nothing_is_missing(night: str) -> None:
     assert max(on_sky(d.steps[0]) - on_sky(c) for c in d.candidates) <= 0.07
 
 
+@pytest.mark.slow
 def test_example_prints_the_fall() -> None:
     done = subprocess.run([sys.executable, EXAMPLE, DATA], capture_output=True, encoding="utf-8", timeout=600)
     assert done.returncode == 0, done.stderr

@@ -51,7 +51,9 @@ class Warmed(WrongDerivative):
         return {"scale_c": data["scale_c"]}
 
 
-@pytest.mark.parametrize("of", [of_a_delta, of_a_spherical_robot, of_a_users_model])
+@pytest.mark.parametrize(
+    "of", [pytest.param(of_a_delta, marks=pytest.mark.slow), of_a_spherical_robot, of_a_users_model]
+)
 def test_the_template_of_what_is_left_explains_it(of: Any, tmp_path: Path) -> None:
     """Catches a template that knows the columns of one robot, or a study that cannot take it."""
     robot, data = of()

@@ -62,6 +62,7 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     assert "camera_delay" in {*diagnosis["effects"], *(name for tie in diagnosis["indistinguishable"] for name in tie)}
 
 
+@pytest.mark.slow
 def test_three_tables_make_a_tool(tmp_path: Path) -> None:
     """Catches a step of the story that is left out: clock and creep that no file says; second simulator."""
     world = replace(CONDITIONS["exact_rod"], camera_delay_s=0.02)

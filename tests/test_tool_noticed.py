@@ -56,11 +56,11 @@ def _scale(names: tuple[str, ...], factor: float) -> Callable[[Table], None]:
     return change
 
 
-def test_a_sound_bench_is_not_blamed(tmp_path: Path) -> None:
-    """Catches a sentence on a bench that has nothing wrong; seeds 100 to 103."""
-    for seed in range(100, 104):
-        made, _ = calibrated(tmp_path, lambda table: None, seed)
-        assert made.lack_of_fit == ()
+@pytest.mark.parametrize("seed", [100, *(pytest.param(k, marks=pytest.mark.slow) for k in (101, 102, 103))])
+def test_a_sound_bench_is_not_blamed(tmp_path: Path, seed: int) -> None:
+    """Catches a sentence on a bench that has nothing wrong."""
+    made, _ = calibrated(tmp_path, lambda table: None, seed)
+    assert made.lack_of_fit == ()
 
 
 def test_one_wrong_load_of_eighty_is_left_out(tmp_path: Path) -> None:
@@ -83,10 +83,10 @@ def test_one_wrong_load_of_eighty_is_left_out(tmp_path: Path) -> None:
     ("change", "says"),
     [
         (_exchange("force_x_mn", "force_y_mn"), "force_x_mn and force_y_mn are exchanged"),
-        (_scale(("force_y_mn",), -1.0), "force_y_mn has the other sign"),
+        pytest.param(_scale(("force_y_mn",), -1.0), "force_y_mn has the other sign", marks=pytest.mark.slow),
         (_scale(("force_x_mn", "force_y_mn"), 1.0 / 9.80665), "are forces in gram-force?"),
-        (_exchange("fbg1_nm", "fbg2_nm"), "fbg1_nm and fbg2_nm are exchanged"),
-        (_exchange("fbg3_nm", "fbg4_nm"), "fbg3_nm and fbg4_nm are exchanged"),
+        pytest.param(_exchange("fbg1_nm", "fbg2_nm"), "fbg1_nm and fbg2_nm are exchanged", marks=pytest.mark.slow),
+        pytest.param(_exchange("fbg3_nm", "fbg4_nm"), "fbg3_nm and fbg4_nm are exchanged", marks=pytest.mark.slow),
     ],
 )
 def test_columns_are_held_against_the_drawing(change: Callable[[Table], None], says: str, tmp_path: Path) -> None:
@@ -123,9 +123,10 @@ def test_the_depth_is_called_once() -> None:
     assert "no truth is in this run" in trust(without, known(without)).sentence
 
 
-def test_a_robot_that_is_late_is_said_and_led_on() -> None:
+@pytest.mark.parametrize("seeds", [(60,), pytest.param((61,), marks=pytest.mark.slow)])
+def test_a_robot_that_is_late_is_said_and_led_on(seeds: tuple[int, ...]) -> None:
     """Catches a lateness of the wrong sign or size, one of a robot that is not late, and a tip that stays behind."""
-    for seed in (60, 61):
+    for seed in seeds:
         world, sound = FAMILIES["robot late"](seed), Wide(seed)
         true_s = float(world._rng("late").uniform(0.02, 0.08))
         for w, late in ((world, true_s), (sound, 0.0)):

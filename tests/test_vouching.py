@@ -210,6 +210,7 @@ def test_verify_vouches_for_a_careful_run(calibration: Any) -> None:
     assert sk.verify(calibration, run(moved, 2, at=dozen)).verdict == "not valid"
 
 
+@pytest.mark.slow
 def test_a_long_run_is_verified(calibration: Any) -> None:
     """Catches draws as long as the run: 800 of 30,000 rows took 2.2 GB. (What it takes is counted by tracemalloc.)"""
     import tracemalloc

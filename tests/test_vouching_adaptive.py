@@ -91,12 +91,14 @@ def late(world: DrivenDelta, row: Row, k: int, before: list[Row]) -> Row:
     ("change", "says"),
     [
         (frozen, r"q1_mm, q2_mm, q3_mm stay the same .* in rows 0-\d+ while the readings move"),
-        (noisy, r"left of x_mm \d+, y_mm \d+, z_mm \d+ µm in \d+ rows: .* an error of 60 µm"),
-        (at_places(1), r"q1_mm, q2_mm, q3_mm hardly move in all \d+ rows"),
+        pytest.param(
+            noisy, r"left of x_mm \d+, y_mm \d+, z_mm \d+ µm in \d+ rows: .* an error of 60 µm", marks=pytest.mark.slow
+        ),
+        pytest.param(at_places(1), r"q1_mm, q2_mm, q3_mm hardly move in all \d+ rows", marks=pytest.mark.slow),
         (at_places(3), r"3 places in \d+ rows for 18 parameters: read at 9 at least"),
         (zeros, r"x_mm stays 0 in rows 0-\d+, the same to the last digit while the robot moved"),
         (stuck, r"z_mm stays \S+ in rows 0-\d+, the same to the last digit while the robot moved"),
-        (late, r"readings look shifted: they stand 1 row below the joints"),
+        pytest.param(late, r"readings look shifted: they stand 1 row below the joints", marks=pytest.mark.slow),
     ],
     ids=["frozen", "noisy", "one place", "three places", "zeros", "stuck", "late"],
 )
@@ -175,6 +177,7 @@ def test_what_is_three_times_too_much_is_never_adequate() -> None:
         assert drive(world, budget=60).verdict != "adequate", (seed, name)
 
 
+@pytest.mark.slow
 def test_silence_at_a_noise_of_ten_times_what_is_required_says_nothing() -> None:
     """Catches "adequate" by a power that is asked at the size of the noise, where much less is required; and a loop
     that refuses it where the noise allows it."""
@@ -187,6 +190,7 @@ def test_silence_at_a_noise_of_ten_times_what_is_required_says_nothing() -> None
 # -- rows that are set aside ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_many_rows_that_are_set_aside_are_told() -> None:
     """Catches "adequate" without a word where a third of the rows is set aside."""
 
@@ -200,6 +204,7 @@ def test_many_rows_that_are_set_aside_are_told() -> None:
     assert re.search(said, loop.sentence())
 
 
+@pytest.mark.slow
 def test_a_bad_stretch_of_a_scale_is_no_accident() -> None:
     """Catches a loop that sets aside what it finds in 5 mm of a joint, and calls the rest adequate.
 

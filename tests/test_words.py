@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections import Counter
 
+from sources import nodes
 from test_floors import PACKAGE
 
 #: Names that were, and what the field says: the list may grow, not shrink.
@@ -28,10 +29,7 @@ FILES_GONE = {
 def test_the_name_of_a_class_means_one_thing() -> None:
     """Catches a second class of a name: who reads `Rows` would have to know which of three it is."""
     names = Counter(
-        node.name
-        for file in PACKAGE.rglob("*.py")
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ClassDef)
+        node.name for file in PACKAGE.rglob("*.py") for node in nodes(file) if isinstance(node, ast.ClassDef)
     )
     assert not [name for name, count in names.items() if count > 1]
 
@@ -42,7 +40,7 @@ def test_words_that_the_field_has_another_name_for_do_not_come_back() -> None:
     for file in sorted(PACKAGE.rglob("*.py")):
         if file.stem in FILES_GONE:
             wrong.append(f"{file.relative_to(PACKAGE)}: call it {FILES_GONE[file.stem]}.py")
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in nodes(file):
             if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name in GONE:
                 wrong.append(f"{file.relative_to(PACKAGE)}:{node.lineno} {node.name}: call it {GONE[node.name]}")
     assert not wrong, "\n".join(wrong)

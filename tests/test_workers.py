@@ -50,6 +50,7 @@ def outcomes(folder: Path, executor: Executor, **what: str) -> tuple[dict[int, i
     )
 
 
+@pytest.mark.slow
 def test_one_task_that_kills_is_named_and_the_others_are_done(tmp_path: Path) -> None:
     """Catches a killed worker that takes the answers with it, a task that is blamed for what its neighbour did,
     one that was killed once by chance, and a failure that is not one of the task's own."""
@@ -77,7 +78,8 @@ class _Breaks(Executor):
         return made
 
 
-@pytest.mark.parametrize("at_once", [True, False])
+@pytest.mark.slow
+@pytest.mark.parametrize("at_once", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_an_executor_that_says_not_how_many_it_takes_may_break_too(
     tmp_path: Path, at_once: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

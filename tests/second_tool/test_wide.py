@@ -182,7 +182,7 @@ def test_a_bench_reads_by_its_convention() -> None:
     assert 0.9 < np.median(bend / small) < 1.1
 
 
-@pytest.mark.parametrize("size", [1.0, 0.5])
+@pytest.mark.parametrize("size", [1.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_a_hand_keeps_to_its_limits(size: float) -> None:
     """Catches a run that bends or pushes further than said, never leaves the edge, or leaves the eye."""
     for seed in SEEDS:
