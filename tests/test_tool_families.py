@@ -11,7 +11,7 @@ from tool_families import EXPERIMENTS, judged
 
 SHORT_S = 10.0
 #: What is seen late or little of at the tip.
-_HARD = ("lags 4 %", "goes along", "robot late")
+_HARD = ("goes along", "robot late")
 
 
 def test_fibres_that_lag_come_to_what_they_should() -> None:

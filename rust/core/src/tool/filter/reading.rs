@@ -212,9 +212,6 @@ impl ToolFilter {
             moved = s.x[L] + s.x[DEEPER] - before;
             let white = seen.total - (LASTS - 1.0) * said.lasting;
             self.consistency.add(mm * mm / white);
-            let elapsed = self.felt.map_or(0.0, |f| s.time_s - f.time_s);
-            self.offsets
-                .crossed(said.misfit, self.gratings.noise, elapsed);
             self.drift(*mm, seen.total);
         } else {
             status = status | Status::NO_FORCE;

@@ -90,9 +90,11 @@ pub(super) struct Offsets {
     /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
     pub(super) bent: [f64; 2],
     pub(super) lag: f64,
-    /// What moments say across their force beyond noise, nm², and the bends in which they do, nm².
-    pub(super) crosses: f64,
-    pub(super) crossing: f64,
+    /// Differences of means, of I and II and of III and both: smoothed, where they go from, nm, and since when they are known,
+    /// s. Their squares beyond noise over bends squared, nm⁴ s, and bends to the fourth.
+    pub(super) means: [[f64; 3]; 2],
+    pub(super) shows: f64,
+    pub(super) by_bend: f64,
     /// Warmth now and at the last rest, nm.
     pub(super) warm: Option<f64>,
     pub(super) warm_at_rest: f64,
@@ -142,6 +144,8 @@ pub(super) struct Then {
 pub(super) struct Tip {
     pub(super) force: Vector2<f64>,
     pub(super) zero: Vector2<f64>,
+    /// How far the hole has bent III since its zero was seen, as a fibre's shift squared, nm².
+    pub(super) bent: f64,
     pub(super) variance: f64,
     pub(super) of_zero: f64,
     pub(super) tells: bool,
