@@ -44,6 +44,14 @@ def test_a_touch_at_the_tip_bends_all_three_sections() -> None:
     assert 0.05 < np.abs(touched.tip_mm - sound.tip_mm).max() < 2.0
 
 
+def test_a_hole_that_goes_along_is_seen_and_one_that_stays_is_not() -> None:
+    """Catches a share of the wrong sign or size, and a sentence on a hole that stays."""
+    for seed in (21, 22):
+        assert "along" not in judged("sound", seed, "phantom").says
+        share = float(judged("goes along", seed, "phantom").says.split("along ")[1].split(" %")[0])
+        assert 4.0 <= share <= 13.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FAMILIES)
 def test_the_filter_is_never_worse_than_the_papers(name: str) -> None:

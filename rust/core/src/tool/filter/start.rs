@@ -1,5 +1,6 @@
 //! What the filter holds, and how it starts.
 
+use super::along::Along;
 use super::moments::Gratings;
 use super::slips::Slips;
 use super::state::{BENCH, N, State};
@@ -40,6 +41,7 @@ pub struct ToolFilter {
     pub(super) felt: Option<Felt>,
     pub(super) offsets: Offsets,
     pub(super) drift: Drift,
+    pub(super) along: Along,
     pub(super) edge: Edge,
     pub(super) tip: Tip,
     pub(super) watch: Watch,
@@ -254,6 +256,7 @@ impl ToolFilter {
                 ..Offsets::default()
             },
             drift: Drift::new(time_s, trusted.per_second_mm2 * 4.0),
+            along: Along::default(),
             edge: Edge::default(),
             tip: Tip::default(),
             watch: Watch {

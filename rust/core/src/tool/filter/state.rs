@@ -60,6 +60,8 @@ pub(super) struct State {
     pub(super) speed: Vector3<f64>,
     pub(super) speed2: f64,
     pub(super) sideways: Vector2<f64>,
+    /// How far it slid in since a depth was told, mm.
+    pub(super) slid: f64,
 }
 
 /// What goes with a number that is to be measured, and its variance.
@@ -102,6 +104,7 @@ impl State {
             speed: Vector3::zeros(),
             speed2: 0.0,
             sideways: Vector2::zeros(),
+            slid: 0.0,
         }
     }
 
@@ -217,6 +220,7 @@ impl State {
             self.sideways += ((there.xy() - self.aside) / elapsed - self.sideways) * share;
         }
         self.aside = there.xy();
+        self.slid -= there.z + self.x[L];
         self.x[L] = -there.z;
         self.pose = *pose;
         self.p[L][L] += per_second_mm2 * elapsed;

@@ -118,7 +118,7 @@ impl ToolFilter {
             }
             covariance[i][i] = covariance[i][i].max(0.0);
         }
-        covariance[0][0] += unsure * s.slide * s.slide;
+        covariance[0][0] += unsure * s.slide * s.slide + self.along.doubt();
         for k in 1..4 {
             covariance[k][k] += 0.5 * unsure * s.speed2;
         }
