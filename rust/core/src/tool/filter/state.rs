@@ -185,18 +185,6 @@ impl State {
         let aside = before.column(0) * self.aside.x + before.column(1) * self.aside.y;
         let from_tip = aside - before.column(2) * self.x[L];
         let there = turned_back(axes, &(from_tip + self.pose.translation - pose.translation));
-        if self.touched {
-            // more clearance puts the hole further along the force, and the turn brings that into l
-            let way = before.column(0) * self.way.x + before.column(1) * self.way.y;
-            let share = -(axes.column(2) - before.column(2)).dot(&way);
-            let given = share * self.size;
-            for k in 0..N {
-                self.p[L][k] += share * self.p[CLEARANCE][k] + given * self.p[GIVES][k];
-            }
-            for k in 0..N {
-                self.p[k][L] += share * self.p[k][CLEARANCE] + given * self.p[k][GIVES];
-            }
-        }
         if self.free {
             // one that goes further aside than its hole is wide, and feels nothing, is not where it was
             let seen = turned_back(axes, &(self.hole - pose.translation));
