@@ -40,7 +40,7 @@ class Judged:
 
 def said(e: Estimate) -> str:
     """What was noticed, in short."""
-    along = f"along since {e.run.time_s[int(np.argmax(e.goes_along))]:.0f} s" if e.goes_along.any() else ""
+    along = f"along {100 * e.goes_along[-1]:.0f} %" if e.goes_along[-1] else ""
     return "; ".join(x for x in (along, f"lags {100 * float(np.median(e.lags)):.2f} %") if x)
 
 

@@ -457,9 +457,9 @@ class _ToolFilter:
         """As many steps as there are times; by name ``state`` (n, 4), ``covariance`` (n, 4, 4), ``force_mn`` (n, 2),
         ``inner`` (n, 13) and (n,) ``arc_mm``, ``force_variance``, ``misfit``, ``nis``, ``degrees``, ``faulty``,
         ``status``. ``inner``: pace of the hole along the shaft (mm²/s) and across ((mm/s)²), clearance (mm), give
-        (mm/mN), the gratings' turn (rad), how much deeper they are (mm), the four moments of no force (mN·mm), whether
-        the hole goes with the shaft (0 or 1), how much fibres lag, over the bend, by how much the robot is later than
-        the gratings (s; 0 where nothing tells)."""
+        (mm/mN), the gratings' turn (rad), how much deeper they are (mm), the four moments of no force (mN·mm), the
+        share of its slides by which the shaft takes the hole along (0 where nothing tells), how much fibres lag, over
+        the bend, by how much the robot is later than the gratings (s; 0 where nothing tells)."""
 
     @property
     def depth_mm(self) -> float: ...

@@ -27,8 +27,8 @@ trait Stepped: Copy + Send {
     fn look(&self) -> Look;
     fn fared(&self) -> (&Counts, &Consistency);
     /// Pace of the hole along the shaft (mm²/s) and across ((mm/s)²), and what was learnt: clearance (mm), give (mm/mN), the
-    /// gratings' turn (rad), how much deeper they are (mm), moments of no force (4, mN·mm), whether the hole goes with the
-    /// shaft (0 or 1), how much fibres lag, over the bend, and by how much the robot is later than they are (s).
+    /// gratings' turn (rad), how much deeper they are (mm), moments of no force (4, mN·mm), the share of its
+    /// slides by which the shaft takes the hole along, how much fibres lag, over the bend, and by how much the robot is later than they are (s).
     fn inner(&self) -> [f64; INNER];
 }
 const INNER: usize = 13;
@@ -48,7 +48,6 @@ impl Stepped for CoreTool {
     }
     fn inner(&self) -> [f64; INNER] {
         let [c, g, t, m, a, b, d, e] = self.learnt();
-        let along = f64::from(u8::from(self.goes_along()));
         let (drift, pace) = (self.per_second_mm2(), self.pace());
         [
             drift,
@@ -61,7 +60,7 @@ impl Stepped for CoreTool {
             b,
             d,
             e,
-            along,
+            self.goes_along(),
             self.lags(),
             self.late_s(),
         ]

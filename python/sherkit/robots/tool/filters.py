@@ -164,8 +164,9 @@ class Estimate(Shown):
     paper's l.
     ``paper`` are depth and tip (n, 4) by the paper's own filters (Eqs. 8 and 14), always beside the others, and
     ``hole`` (n, 4) what was learnt: its clearance (mm), what it gives way (mm/mN), the gratings' turn (rad), and by how
-    much they count all depths deeper (mm). ``goes_along`` (n,) says from where on depths told of the bench's zero what
-    no zero can be: the hole goes with the shaft, or the robot's rows are late. ``lags`` (n,) is by how much fibres were
+    much they count all depths deeper (mm). ``goes_along`` (n,) is by which share of its slides
+    the shaft was seen to take the hole along, zero where that may be chance; what is seen grows with the run: its last
+    row counts. ``lags`` (n,) is by how much fibres were
     seen to lag behind their bends, over the bend. ``late_s`` (n,) is by how much the robot's rows were seen to be later
     than the gratings, mostly to a third; where it is positive the tip has been led on by it.
     """
@@ -183,7 +184,7 @@ class Estimate(Shown):
     arc_mm: Floats
     paper: Track
     hole: Floats
-    goes_along: Bools
+    goes_along: Floats
     lags: Floats
     late_s: Floats
 
@@ -293,7 +294,7 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     inner = told["inner"]
     return Estimate(
         tool, run, measured, told["misfit"], depth, tip, together, told["faulty"], told["arc_mm"], paper, inner[:, 2:6],
-        inner[:, 10] > 0.0, inner[:, 11], inner[:, 12],
+        inner[:, 10], inner[:, 11], inner[:, 12],
     )  # fmt: skip
 
 

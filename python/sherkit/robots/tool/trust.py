@@ -61,11 +61,10 @@ def trust(e: Estimate, truths: list[NeesConsistency]) -> Trust:
 
 def _noticed(e: Estimate) -> list[str]:
     out = [*exchanged(e)]
-    if e.goes_along.any():
-        since = float(e.run.time_s[int(np.argmax(e.goes_along))])
+    if (share := float(e.goes_along[-1])) > 0.0:
         out.append(
-            f"From {since:.1f} s on depths would put the bench's zero where no bench has it: the hole goes with the "
-            "shaft, or the robot's rows are late. The zero is learnt no more, and the deviation is larger"
+            f"The hole goes along with the shaft, by about {100 * share:.0f} % of each slide: the depth is known less "
+            "well than where it stays. Support the eye, or slide more slowly"
         )
     late_s = float(e.late_s[-1])
     if abs(late_s) > _LATE_S:

@@ -6,7 +6,7 @@
 //! leads (Page's cumulative sum, *Biometrika* 41, 1954).
 
 use super::moments::{Moments, Shifts, of_section};
-use super::offsets::{APART_NM, UNLIKE};
+use super::offsets::APART_NM;
 use super::reading::Said;
 use super::slips::Slips;
 use super::start::{Believed, GRATINGS, HYPOTHESES, ToolFilter, Watch};
@@ -180,7 +180,7 @@ impl ToolFilter {
         let warm = 0.5 * (one + two) * d.unlike;
         let own =
             (g.noise + d.reference_nm * d.reference_nm + APART_NM * APART_NM + warm * warm) / 3.0;
-        let share = d.mean * d.mean + LEAVES * LEAVES + UNLIKE * self.offsets.lag;
+        let share = d.mean * d.mean + LEAVES * LEAVES;
         let bends = g.bends(m);
         let by_bend = [0, 1].map(|i| share * self.offsets.bent[i].max(bends[i]));
         if tells(0) && tells(1) {
@@ -266,8 +266,12 @@ impl ToolFilter {
         let mut open = told.iter().any(|x| *x > FAILS);
         if !open {
             self.unsettle(&m, elapsed);
+            if m.whole[0] && m.whole[1] && told[0] < IN_ORDER && !(told[1] > IN_ORDER) {
+                let [x, y, z] = shifts[2];
+                self.learn_lag(&m, third.then_some((x + y + z) / 3.0), elapsed);
+            }
             if m.whole[0] && m.whole[1] && !self.tip.on {
-                self.rest(&m, &shifts[2]);
+                self.rest(&m, third.then_some(&shifts[2]));
             }
         }
         if told.iter().any(|x| *x > IN_ORDER) || self.watch.held.bad != 0 {

@@ -2,7 +2,7 @@
 //!
 //! [`state`] carries the hole from pose to pose, [`moments`] says what the fibres feel, [`reading`] what that makes of force
 //! and depth, [`judging`] and [`slips`] which gratings not to believe, [`offsets`] how the moments of no force move, [`edge`]
-//! how the hole strays, [`tip`] what touches beside it, [`told`] where depth and tip are. Beside it stands the paper's own
+//! how the hole strays, [`along`] whether it goes with the shaft, [`tip`] what touches beside it, [`told`] where depth and tip are. Beside it stands the paper's own
 //! filter, [`super::paper`].
 //!
 //! A reading belongs to its stamp. The state stands at the last stamp and goes on to the present by the pose alone, so that a
@@ -11,6 +11,7 @@
 // a comparison that is false for NaN is meant so
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
+mod along;
 mod edge;
 mod judging;
 mod moments;
@@ -35,8 +36,7 @@ use start::possible;
 /// A stamp further ahead of the present than this is a wild number and no clock, s; a step is no longer than the other.
 const AHEAD_S: f64 = 0.3;
 const LONGEST_S: f64 = 1e6;
-/// Deviations of the bench's zero beyond which it is no zero.
-const GUARD: f64 = 1.5;
+
 impl ToolFilter {
     /// Moves the tool to a pose at a time, and folds in a reading: its stamp on the clock of the steps (s) and nine
     /// wavelengths (nm; three fibres at each of the sections I, II, III). A stamp may lie up to 0.3 s back, and must be
@@ -129,13 +129,6 @@ impl ToolFilter {
     pub fn learnt(&self) -> [f64; 8] {
         let [_, c, g, t, a, b, d, e, deeper, ..] = self.state.x;
         [c, g, t, deeper, a, b, d, e]
-    }
-
-    /// Whether depths said of the bench's zero what no zero can be: the hole goes with the shaft, or the robot is late.
-    #[must_use]
-    pub fn goes_along(&self) -> bool {
-        let own = self.trusted.doubt.deeper_mm;
-        self.state.x[state::DEEPER].abs() > GUARD * own && own > 0.0
     }
 
     /// How much fibres lag behind their bends, over the bend: what all of them have in common.

@@ -1,12 +1,11 @@
 //! How the moments of no force move: with warmth, as references creep, and after bends, as fibres lag.
 //!
 //! A quarter of a second in which moments are small and stand still tells them: what leans on a hand trembles. How far they
-//! stand from where an earlier rest had them says how references creep; in proportion to the bends before, how fibres lag,
-//! and so do moments that point apart while the shaft is bent. What lags is considered: all fibres alike put the force off,
-//! each by itself the depth.
+//! stand from where an earlier rest had them says how references creep. Fibres that lag show in the means of their sections:
+//! each lags by a share of its own. What lags is considered: all fibres alike put the force off, each by itself the depth.
 
 use super::moments::Moments;
-use super::start::{LEAST, Offsets, ToolFilter};
+use super::start::{LEAST, ToolFilter};
 use super::state::{N, OFFSETS};
 use crate::numbers::math::sqrt;
 use crate::tool::sensing::FIBRES;
@@ -31,61 +30,69 @@ const KEEPS: f64 = 0.9;
 const BENT_S: f64 = 20.0;
 const LAGS_S: f64 = 1.0;
 const WARMS_S: f64 = 0.25;
-/// Square of how much fibres lag over what shows of it across their force (three that scatter by a third show a fifth of it
-/// or so), and within which time it is believed, s.
-const ALONG: f64 = 20.0;
-const WITHIN_S: f64 = 5.0;
-/// What noise makes of that by chance, over its variance; and how much more counts at most.
-const CHANCE: f64 = 1.25;
-const WILD: f64 = 16.0;
-/// Noise that is so much larger than what changes from reading to reading, squared, is not white.
-const WHITE: f64 = 4.0;
-/// How much more of a lag stands along a force where three fibres lag alike than where each does by itself.
-const ALIKE: f64 = 3.0;
-/// How much of a lag, squared, is a section's own along a force: three times what shows across it.
-pub(super) const UNLIKE: f64 = 1.0 / 7.0;
+/// Means of sections are smoothed over the one, and go from where they are over the other, s; for so long is remembered what
+/// they say, s.
+const SMOOTH_S: f64 = 0.25;
+const WARMTH_S: f64 = 10.0;
+const LAG_S: f64 = 30.0;
+/// Square of how much fibres lag over what shows of it in their means: those of three that scatter by a third.
+const SHOWS: f64 = 81.0;
+/// What they may lag before anything was seen of it, over the bend, squared; and the bend that this counts as, nm⁴ s.
+const BEFORE: f64 = 4e-5;
+const BEFORE_NM4_S: f64 = 0.005;
+/// How much of it a bend may leave, squared.
+const LEFT: f64 = 1.0 / 7.0;
+/// How much of it, squared, one section lags unlike the other.
+const UNLIKE: f64 = 1.0 / 32.0;
 /// The largest lag over the bend, squared; how far the warmth of two gratings differs, nm.
 const MOST: f64 = 1e-2;
 pub(super) const APART_NM: f64 = 1e-3;
 
-impl Offsets {
-    /// What two moments say across their force, over what noise lets them: fibres that lag tell no one way.
-    #[inline]
-    pub(super) fn crossed(&mut self, misfit: f64, noise: f64, elapsed_s: f64) {
-        if misfit > 0.0 {
-            let share = (elapsed_s / WITHIN_S).min(0.1);
-            // a single wild one is no lag
-            let most = WILD + WILD * self.crosses.max(0.0) / noise;
-            self.crosses += ((misfit.min(most) - CHANCE) * noise - self.crosses) * share;
-            self.crossing += (0.5 * (self.bent[0] + self.bent[1]) - self.crossing) * share;
-            let told = ALONG * self.crosses / self.crossing;
-            self.lag = if told > LEAST { told.min(MOST) } else { LEAST };
-        }
-    }
-}
-
 impl ToolFilter {
+    /// What the means of sections say of a lag: each fibre lags by a share of its own, and so they do not add up to nothing.
+    #[inline]
+    pub(super) fn learn_lag(&mut self, m: &Moments, third: Option<f64>, elapsed_s: f64) {
+        let [one, two, _] = m.means_nm;
+        let [p, q] = self.gratings.bends(m);
+        let white = self.gratings.noise.min(self.watch.jitter) / 3.0;
+        let o = &mut self.offsets;
+        let apart = [Some(one - two), third.map(|x| x - 0.5 * (one + two))];
+        let share = (elapsed_s / SMOOTH_S).min(1.0);
+        let mut shows = 0.0;
+        for (k, noise) in [4.0, 3.0].into_iter().enumerate() {
+            let Some(nm) = apart[k] else {
+                o.means[k] = [0.0; 3];
+                continue;
+            };
+            let [quick, warm, known_s] = &mut o.means[k];
+            *known_s = (*known_s + elapsed_s).min(WARMTH_S);
+            *quick += (nm - *quick) * (elapsed_s / known_s.min(SMOOTH_S)).min(1.0);
+            *warm += (nm - *warm) * (elapsed_s / *known_s).min(1.0);
+            if *known_s > SMOOTH_S {
+                shows +=
+                    (*quick - *warm) * (*quick - *warm) - noise * white * share / (2.0 - share);
+            }
+        }
+        let (keeps, bend) = ((1.0 - elapsed_s / LAG_S).max(0.0), sqrt(p * q));
+        o.shows = o.shows * keeps + shows * bend * elapsed_s;
+        o.by_bend = o.by_bend * keeps + bend * bend * elapsed_s;
+        let told = SHOWS * o.shows + BEFORE * BEFORE_NM4_S;
+        o.lag = (told / (o.by_bend + BEFORE_NM4_S)).clamp(LEAST, MOST);
+    }
+
     /// Variance of a component of a section's moment by what its fibres lag unlike those of the other, (mN·mm)².
     #[inline]
     pub(super) fn lagging(&self, section: usize) -> f64 {
         let o = &self.offsets;
-        let lags = UNLIKE * (o.lag - LEAST).max(0.0) * o.bent[section];
-        (lags + self.slow_noise()) * self.gratings.per_nm[section]
+        UNLIKE * (o.lag - LEAST) * o.bent[section] * self.gratings.per_nm[section]
     }
 
     /// Variance of a component of a force, mN², that counts moments so, by what all fibres lag alike.
     #[inline]
     pub(super) fn lagging_force(&self, by_moments: [f64; 2]) -> f64 {
         let (o, per_nm) = (&self.offsets, self.gratings.per_nm);
-        let (lag, slow) = ((o.lag - LEAST).max(0.0), self.slow_noise());
-        let of = |i: usize| by_moments[i] * sqrt((lag * o.bent[i] + ALIKE * slow) * per_nm[i]);
+        let of = |i: usize| by_moments[i] * sqrt((o.lag - LEAST) * o.bent[i] * per_nm[i]);
         (of(0) + of(1)) * (of(0) + of(1))
-    }
-
-    /// Of a grating's variance, nm²: what the bench saw as noise, and is none from one reading to the next.
-    #[inline]
-    fn slow_noise(&self) -> f64 {
-        (self.gratings.noise - WHITE * self.watch.jitter).max(0.0)
     }
 
     /// A reading's bends and warmth: the moments of no force are known less by what these bring.
@@ -107,7 +114,7 @@ impl ToolFilter {
         for i in 0..2 {
             let crept = o.moved[i] * (waited * waited / o.waited[i].max(1e-9)).min(1.0);
             o.crept = o.crept.max(crept);
-            let most = (crept + warmer * warmer + UNLIKE * o.lag * o.bent[i]) * g.per_nm[i];
+            let most = (crept + warmer * warmer + LEFT * o.lag * o.bent[i]) * g.per_nm[i];
             for k in [OFFSETS + 2 * i, OFFSETS + 2 * i + 1] {
                 let own = &mut self.state.p[k][k];
                 *own += (most - *own).max(0.0) * (elapsed_s / LAGS_S).min(1.0);
@@ -117,7 +124,7 @@ impl ToolFilter {
 
     /// A reading of a whole tool: where moments are small and stand still, nothing touches.
     #[inline]
-    pub(super) fn rest(&mut self, m: &Moments, third: &[f64; FIBRES]) {
+    pub(super) fn rest(&mut self, m: &Moments, third: Option<&[f64; FIBRES]>) {
         let (s, o, g) = (&mut self.state, &mut self.offsets, &self.gratings);
         let variance = g.per_nm.map(|v| v * g.noise);
         o.count += 1.0;
@@ -133,7 +140,7 @@ impl ToolFilter {
             o.sums[k] += felt;
             o.squares += felt * felt / variance[k / 2];
         }
-        o.third += g.of_third(third);
+        o.third += third.map_or(Vector2::repeat(f64::NAN), |s| g.of_third(s));
         if o.count < COMPARED {
             return;
         }
@@ -148,7 +155,9 @@ impl ToolFilter {
         if within > 4.0 * STILL {
             return;
         }
-        self.tip.zero = third;
+        if third.x.is_finite() {
+            (self.tip.zero, self.tip.bent) = (third, 0.0);
+        }
         let before = s.p[OFFSETS][OFFSETS];
         for k in 0..4 {
             let mut h = [0.0; N];

@@ -210,11 +210,10 @@ impl ToolFilter {
             s.x[CLEARANCE] = s.x[CLEARANCE].max(0.0);
             s.x[GIVES] = s.x[GIVES].max(0.0);
             moved = s.x[L] + s.x[DEEPER] - before;
+            self.along.add(s.time_s, s.slid, moved);
+            s.slid = 0.0;
             let white = seen.total - (LASTS - 1.0) * said.lasting;
             self.consistency.add(mm * mm / white);
-            let elapsed = self.felt.map_or(0.0, |f| s.time_s - f.time_s);
-            self.offsets
-                .crossed(said.misfit, self.gratings.noise, elapsed);
             self.drift(*mm, seen.total);
         } else {
             status = status | Status::NO_FORCE;

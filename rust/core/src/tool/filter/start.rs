@@ -1,5 +1,6 @@
 //! What the filter holds, and how it starts.
 
+use super::along::Along;
 use super::moments::Gratings;
 use super::slips::Slips;
 use super::state::{BENCH, N, State};
@@ -40,6 +41,7 @@ pub struct ToolFilter {
     pub(super) felt: Option<Felt>,
     pub(super) offsets: Offsets,
     pub(super) drift: Drift,
+    pub(super) along: Along,
     pub(super) edge: Edge,
     pub(super) tip: Tip,
     pub(super) watch: Watch,
@@ -90,9 +92,11 @@ pub(super) struct Offsets {
     /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
     pub(super) bent: [f64; 2],
     pub(super) lag: f64,
-    /// What moments say across their force beyond noise, nm², and the bends in which they do, nm².
-    pub(super) crosses: f64,
-    pub(super) crossing: f64,
+    /// Differences of means, of I and II and of III and both: smoothed, where they go from, nm, and since when they are known,
+    /// s. Their squares beyond noise over bends squared, nm⁴ s, and bends to the fourth.
+    pub(super) means: [[f64; 3]; 2],
+    pub(super) shows: f64,
+    pub(super) by_bend: f64,
     /// Warmth now and at the last rest, nm.
     pub(super) warm: Option<f64>,
     pub(super) warm_at_rest: f64,
@@ -142,6 +146,8 @@ pub(super) struct Then {
 pub(super) struct Tip {
     pub(super) force: Vector2<f64>,
     pub(super) zero: Vector2<f64>,
+    /// How far the hole has bent III since its zero was seen, as a fibre's shift squared, nm².
+    pub(super) bent: f64,
     pub(super) variance: f64,
     pub(super) of_zero: f64,
     pub(super) tells: bool,
@@ -250,6 +256,7 @@ impl ToolFilter {
                 ..Offsets::default()
             },
             drift: Drift::new(time_s, trusted.per_second_mm2 * 4.0),
+            along: Along::default(),
             edge: Edge::default(),
             tip: Tip::default(),
             watch: Watch {

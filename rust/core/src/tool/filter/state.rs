@@ -60,6 +60,8 @@ pub(super) struct State {
     pub(super) speed: Vector3<f64>,
     pub(super) speed2: f64,
     pub(super) sideways: Vector2<f64>,
+    /// How far it slid in since a depth was told, mm.
+    pub(super) slid: f64,
 }
 
 /// What goes with a number that is to be measured, and its variance.
@@ -102,6 +104,7 @@ impl State {
             speed: Vector3::zeros(),
             speed2: 0.0,
             sideways: Vector2::zeros(),
+            slid: 0.0,
         }
     }
 
@@ -182,18 +185,6 @@ impl State {
         let aside = before.column(0) * self.aside.x + before.column(1) * self.aside.y;
         let from_tip = aside - before.column(2) * self.x[L];
         let there = turned_back(axes, &(from_tip + self.pose.translation - pose.translation));
-        if self.touched {
-            // more clearance puts the hole further along the force, and the turn brings that into l
-            let way = before.column(0) * self.way.x + before.column(1) * self.way.y;
-            let share = -(axes.column(2) - before.column(2)).dot(&way);
-            let given = share * self.size;
-            for k in 0..N {
-                self.p[L][k] += share * self.p[CLEARANCE][k] + given * self.p[GIVES][k];
-            }
-            for k in 0..N {
-                self.p[k][L] += share * self.p[k][CLEARANCE] + given * self.p[k][GIVES];
-            }
-        }
         if self.free {
             // one that goes further aside than its hole is wide, and feels nothing, is not where it was
             let seen = turned_back(axes, &(self.hole - pose.translation));
@@ -217,6 +208,7 @@ impl State {
             self.sideways += ((there.xy() - self.aside) / elapsed - self.sideways) * share;
         }
         self.aside = there.xy();
+        self.slid -= there.z + self.x[L];
         self.x[L] = -there.z;
         self.pose = *pose;
         self.p[L][L] += per_second_mm2 * elapsed;

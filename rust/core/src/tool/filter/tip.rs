@@ -2,6 +2,7 @@
 
 use super::moments::{Moments, Shifts};
 use super::start::{Tip, ToolFilter};
+use super::state::L;
 use nalgebra::Vector2;
 
 /// How far off its force is, over the force: nobody says where section III stands.
@@ -14,6 +15,8 @@ const CHANGES: f64 = 4.0;
 const MOST_MN: f64 = 40.0;
 /// How far a grating of III is off its zero by a warmth of its own, squared, nm²: 0.03 K at 10 pm/K.
 const ZERO_NM2: f64 = 1e-7;
+/// Of the bends of the others, squared: glue that has play lets all fibres lag by one strain.
+const PLAY: f64 = 1.0 / 36.0;
 /// Squares of deviations from which on there is a force, and down to which.
 const FELT: f64 = 16.0;
 const GONE: f64 = 6.0;
@@ -60,7 +63,15 @@ impl ToolFilter {
     pub(super) fn feel_tip(&mut self, shifts: &Shifts, tells: bool, elapsed_s: f64) {
         let (t, g) = (&mut self.tip, &self.gratings);
         let per = 0.5 * (g.per_nm[0] + g.per_nm[1]) / (THIRD_MM * THIRD_MM);
-        let told = (g.of_third(&shifts[2]) - t.zero) / THIRD_MM;
+        let third = g.of_third(&shifts[2]);
+        let told = (third - t.zero) / THIRD_MM;
+        let own = if self.state.x[L] > DEEP_MM {
+            0.0
+        } else {
+            third.norm_squared() / g.per_nm[0]
+        };
+        let [near, far] = self.offsets.bent;
+        t.bent = t.bent.max(own.min(64.0)).max(PLAY * near.max(far));
         let tells = tells && told.norm_squared() < MOST_MN * MOST_MN;
         if !(tells && t.tells) {
             (t.force, t.variance) = (Vector2::zeros(), CHANGES);
@@ -68,7 +79,9 @@ impl ToolFilter {
         t.tells = tells;
         // its zero is known as well as the bench repeats a reference, and its gratings are as warm as each other
         let zero = self.trusted.doubt.reference_nm;
-        t.of_zero = per * (zero * zero + ZERO_NM2 + self.offsets.crept);
+        // and what the hole's bends have left in it, since it stood near the tip
+        let lags = self.offsets.lag * t.bent;
+        t.of_zero = per * (zero * zero + ZERO_NM2 + self.offsets.crept + lags);
         if tells {
             t.variance += CHANGES * elapsed_s;
             let gain = t.variance / (t.variance + per * g.noise);

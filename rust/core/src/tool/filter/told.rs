@@ -98,10 +98,11 @@ impl ToolFilter {
                 spread[(k, k)] += self.tip.unsure() * gives * gives;
             }
         }
-        // a late robot has gone on since; nobody reads what is to come, but where gratings are ahead its rows are old
+        // a late robot has gone on since; nobody reads what is to come, but where gratings are ahead its rows are old. Of how
+        // late it is, little more than a third is learnt
         let (late, unsure) = self.edge.late();
         let tip = s.pose.apply(&Vector3::new(bent.x, bent.y, -shape.short));
-        let (tip, unsure) = (tip + s.speed * late.max(0.0), unsure + late * late);
+        let (tip, unsure) = (tip + s.speed * late.max(0.0), unsure + 3.0 * late * late);
         let axes = &s.pose.rotation;
         let mut to_base = Matrix4::identity();
         for i in 0..3 {
@@ -118,7 +119,7 @@ impl ToolFilter {
             }
             covariance[i][i] = covariance[i][i].max(0.0);
         }
-        covariance[0][0] += unsure * s.slide * s.slide;
+        covariance[0][0] += unsure * s.slide * s.slide + self.along.doubt();
         for k in 1..4 {
             covariance[k][k] += 0.5 * unsure * s.speed2;
         }
