@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -191,3 +192,15 @@ def test_nothing_hidden_is_adequate_in_98_of_100() -> None:
     print(runs, wrong)
     assert runs >= 200
     assert len(wrong) <= stats.binom.isf(1e-3, runs, 0.021), wrong
+
+
+@pytest.mark.parametrize("effect", ["sensor_slip", "joint_slip", "drift"])
+def test_visits_that_differ_by_a_cause_are_no_commanded_joints(effect: str) -> None:
+    """Catches a knock, a slip and a drift that are taken for joints that were not read: visits of a pose differ by far
+    more than the noise that is declared, and the cause says why."""
+    world = worlds.delta_world(3, {effect: 6 * worlds.NOISE_UM}, repeats=2)
+    sigma = {f"sigma_{axis}_mm": np.full(len(world.columns["x_mm"]), 1e-3 * worlds.NOISE_UM) for axis in "xyz"}
+    d = replace(world, columns=world.columns | sigma).ask().diagnosis
+    assert d.effects == (effect,)
+    assert d.verdict == "explained"
+    assert not any("commanded" in note for note in d.notes)

@@ -107,6 +107,7 @@ def searched(
         refused = dict.fromkeys(lead.names, why)
     names = replace(names, refused=refused)
     notes = [f"{name} was found and is not named: {why}" for name, why in refused.items()]
+    # what goes with them is asked for once they are in the model
     added = [block for block in lead.blocks if block.name not in refused]
     kept = sets.fitted(added) if added else None
     if kept is None:

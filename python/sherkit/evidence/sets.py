@@ -93,7 +93,8 @@ _Key = tuple[str, Setting, int]
 @dataclass(frozen=True, eq=False)
 class EffectSet:
     """Effects of a full fit: its ``run``, the ``base`` that it leaves, the logarithm of the Bayes factor ``log_bf``
-    against the fit before, and with prior weights, ``value``; whether all is ``plausible``."""
+    against the fit before, and with prior weights, ``value``; whether all is ``plausible``. ``along`` are effects that go
+    with one of them and are in the fit, too."""
 
     blocks: tuple[Block, ...]
     run: Run
@@ -101,6 +102,7 @@ class EffectSet:
     log_bf: float
     value: float
     plausible: bool
+    along: tuple[Effect, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -166,7 +168,8 @@ class Sets:
                 return None
         bf = one.base.log_bf_of(base, run, ())
         value = one.value + bf + ONE_MORE
-        if value <= one.value + TIED or not is_plausible(fit, effect):
+        # how large it may be is judged of the one that it goes with
+        if value <= one.value + TIED:
             return None
         blocks = (*one.blocks, Block("effect", effect=effect))
         return EffectSet(blocks, run, base, one.log_bf + bf, value, one.plausible)
@@ -188,7 +191,9 @@ class Sets:
         sets = sorted(self._singles(), key=lambda one: -one.value)
         if any(one.explains for one in sets):
             return sets
-        sets += self._pairs(sets)
+        sets = [self._with_along(one) for one in sets]
+        if not any(one.explains for one in sets):
+            sets += map(self._with_along, self._pairs(sets))
         sets.sort(key=lambda one: -one.value)
         while sets and len(sets[0].blocks) < _MOST and not any(one.explains for one in sets):
             lead = sets[0]
@@ -318,6 +323,15 @@ class Sets:
     def _with(self, lead: EffectSet, block: Block) -> EffectSet | None:
         beside = self._of_effects.beside(*(self._near(one) for one in lead.blocks))
         return self.fitted([*lead.blocks, refined(beside, block)])
+
+    def _with_along(self, one: EffectSet) -> EffectSet:
+        """The set with what goes with its effects, where that does not explain without: what half a cause leaves has
+        the shape of none."""
+        names = {block.name for block in one.blocks}
+        for effect in () if one.explains else one.run.of.catalogue:
+            if effect.goes_with in names and (more := self.with_more(one, effect)) is not None:
+                one = replace(more, blocks=one.blocks, along=(*one.along, effect))
+        return one
 
     def _near(self, block: Block) -> Block:
         family = self._of_effects.family
