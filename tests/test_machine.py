@@ -28,6 +28,7 @@ from sherkit.base.types import Floats
 from sherkit.errors import FitError, RobotError, SherkitError
 from sherkit.model.effect import load_effects
 from sherkit.model.sensor_pose import SPACE
+from sherkit.robots.compensation import grid_table
 from sherkit.robots.machine import load_machine
 from sherkit.robots.machine.function import steps_for
 
@@ -318,6 +319,41 @@ def test_calibration_is_right_where_nothing_was_measured(name: str, tmp_path: Pa
     promised = [calibration.accuracy(x) for x in shown]
     assert min(promised) > 0
     assert max(promised) < 20 * MACHINES[name][3]
+
+
+def test_of_many_postures_the_nearest_is_taken() -> None:
+    """Catches a table of compensation that sends a machine with more axes than readings to another posture, by hundreds
+    of mm where its errors are 0.05 mm; and a start that is not taken."""
+
+    def shown(q: Floats, p: Any) -> Floats:
+        x, y, z, c = q.T
+        turn, x, y = np.deg2rad(c), x - p.c_x + p.square * y, y - p.c_y
+        return np.stack([np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x, z], axis=1)
+
+    machine = sk.Machine(
+        shown, joints={"xaxis_mm": (-200, 200), "yaxis_mm": (-150, 150), "zaxis_mm": (0, 200), "c_deg": (-170, 170)},
+        readings=("x_mm", "y_mm", "z_mm"), name="turning", sensor_pose="held",
+        parameters={"c_x": ("mm", 0.05), "c_y": ("mm", 0.05), "square": ("rad", 1e-4)},
+    )  # fmt: skip
+    rng = np.random.default_rng(4)
+    joints = rng.uniform(*machine.box.T, (80, 4))
+    read = shown(joints, SimpleNamespace(c_x=0.05, c_y=-0.04, square=1e-4)) + rng.normal(0.0, 0.002, (80, 3))
+    names = (*machine.joint_names, *machine.readings)
+    run = sk.from_frame(pl.DataFrame(dict(zip(names, np.hstack([joints, read]).T, strict=True))))
+    made = sk.calibrate(machine, run).calibration
+    table = grid_table(made, 3)
+    added = table.select(f"add_{name}" for name in machine.joint_names).to_numpy()
+    assert np.isfinite(added).all()
+    assert np.abs(added).max() < 0.2
+    wanted = machine.forward(joints[0])
+    near = made.inverse(wanted, start=joints[0])
+    assert np.abs(near - joints[0]).max() < 0.2
+    assert made.forward(near) == pytest.approx(wanted, abs=1e-9)
+    np.testing.assert_allclose(made.inverse_batch([wanted], starts=[joints[0]]).require()[0], near, atol=1e-9)
+    with pytest.raises(SherkitError, match=r"start: expected 4"):
+        made.inverse(wanted, start=[1.0, 2.0])
+    with pytest.raises(SherkitError, match="starts: expected one for each of 1 places, got 2"):
+        made.inverse_batch([wanted], starts=joints[:2])
 
 
 def test_studies_are_kept_and_machines_copied(tmp_path: Path) -> None:
