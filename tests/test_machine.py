@@ -424,6 +424,30 @@ def test_the_command_line_takes_a_machine_by_its_file(tmp_path: Path) -> None:
     assert "droop" in command(tmp_path, "effects", "--robot", str(EXAMPLES / "gantry.py"))[1]
 
 
+def test_a_calibration_of_a_machine_is_checked_by_the_machines_file(tmp_path: Path) -> None:
+    """Catches verbs that take a calibration alone and cannot be used for a machine that a Python file makes. Seed 8."""
+    run, file = tmp_path / "run.csv", str(EXAMPLES / "gantry.py")
+    run_of("gantry", 8, {}).write_csv(run)
+    code, _, wrong = command(tmp_path, "calibrate", file, "run.csv", "-o", "c.toml")
+    assert code == 0, wrong
+    code, told, wrong = command(tmp_path, "verify", "c.toml", "run.csv", "--machine", file)
+    assert (code, wrong) == (0, "")
+    assert told.startswith("Verdict: valid")
+    code, told, _ = command(tmp_path, "plan", "c.toml", "--verify", "--machine", file, "--json")
+    assert code == 0
+    assert len(json.loads(told)["poses"]) == 12
+    assert command(tmp_path, "plan", file, "run.csv", "--machine", file)[0] == 2
+    other = command(tmp_path, "verify", "c.toml", "run.csv", "--machine", str(EXAMPLES / "scara.py"))
+    assert "c.toml: is the calibration of gantry" in other[2]
+    in_c = command(tmp_path, "export", "c", "c.toml", "-o", "made.h")
+    assert "runs there alone; sherkit export comp" in in_c[2]
+    # a process that has not run the file
+    told_how = sherkit("verify", tmp_path / "c.toml", run)
+    assert told_how.returncode == 1
+    assert "is of the machine 'gantry', which is not known here" in told_how.stderr
+    assert "--machine FILE.py" in told_how.stderr
+
+
 def test_the_page_reads_the_columns_that_a_machine_names(tmp_path: Path) -> None:
     """Catches a run that diagnose reads and app refuses: the names that a machine's file gives are those of both."""
     machine, run = tmp_path / "named.py", tmp_path / "run.csv"

@@ -169,8 +169,8 @@ def test_lost_motion_counts_where_the_side_is_not_given() -> None:
 
 
 def test_a_room_of_one_temperature_adds_nothing_at_that_temperature() -> None:
-    """Catches what follows the temperature and is added at the temperature of the run, where the pose of the sensor holds
-    it: one temperature in every row made a promise eight times as large. In another room it may add."""
+    """Catches what follows the temperature and is added at the temperature of the run, where the pose of the sensor
+    holds it: one temperature in every row made a promise eight times as large. In another room it may add."""
     world, _ = run_at(even_joints(3.0)(0))
     without = {name: values for name, values in world.columns.items() if name != "temperature_c"}
     place, promised = [3.0, -4.0, 5.0], {}

@@ -10,7 +10,7 @@ from ..base.types import Floats
 from ..errors import CalibrationError
 from .calibrated import Calibration
 
-#: The type of the C library by the kind of robot that a row is of (rust/core/src/flat/mod.rs), as its second number says.
+#: The type of the C library by the kind of robot that a row is of (rust/core/src/flat/mod.rs): its second number.
 _TYPES = {1.0: "sherkit_delta", 2.0: "sherkit_spherical", 3.0: "sherkit_serial"}
 _IN_A_LINE = 6
 

@@ -187,8 +187,8 @@ class Deployed(Saved, ABC):
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
         direction: ArrayLike | None = None, starts: ArrayLike | None = None,
     ) -> Batch:  # fmt: skip
-        """Joint readings (n, j) for coordinates (n, k), all reached in one ``direction`` (j,) if given, each from its own
-        of ``starts`` (n, j) as in :meth:`inverse`; rows out of reach are marked."""
+        """Joint readings (n, j) for coordinates (n, k), all reached in one ``direction`` (j,) if given, each from its
+        own of ``starts`` (n, j) as in :meth:`inverse`; rows out of reach are marked."""
         x, now = self._places(coordinates), self._now(temperature_c, direction)
         begin = None if starts is None else matrix(starts, "starts", self._joints)
         if begin is not None and len(begin) != len(x):

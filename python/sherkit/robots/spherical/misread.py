@@ -21,14 +21,15 @@ def camera_written_otherwise(robot: Spherical) -> Iterator[tuple[str, str, Spher
     if camera is None:
         return
     turn, shift = Rotation.from_rotvec(camera.rotation_rad), np.array(camera.translation_mm)
-    back, backward = turn.inv(), "that from the camera to the base"
+    back, forth = turn.inv(), "that from the camera to the base"
+    here, place = "of [camera] in the robot file", "the camera's place in the base"
     for looks, is_turn, is_shift in (
-        (f"rotation_rad of [camera] in the robot file looks like {backward}", back, shift),
-        (f"rotation_rad and translation_mm of [camera] in the robot file look like {backward}", back, -back.apply(shift)),
-        ("translation_mm of [camera] in the robot file looks like the camera's place in the base", turn, -turn.apply(shift)),
-    ):  # fmt: skip
+        (f"rotation_rad {here} looks like {forth}", back, shift),
+        (f"rotation_rad and translation_mm {here} look like {forth}", back, -back.apply(shift)),
+        (f"translation_mm {here} looks like {place}", turn, -turn.apply(shift)),
+    ):
         yield from _as_meant(robot, camera, f"{looks}, where {_MEANT}", is_turn.as_rotvec(), is_shift)
-    looks = "rotation_rad of [camera] in the robot file looks like degrees"
+    looks = f"rotation_rad {here} looks like degrees"
     yield from _as_meant(robot, camera, looks, np.deg2rad(camera.rotation_rad), shift)
 
 
