@@ -147,7 +147,7 @@ def test_compare_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], bumped: DeltaPair) -> None:
     """Catches a bumped machine that is called valid, one that is as it was called invalid, an exit code that a nightly
-    job cannot use, and poses outside of the workspace."""
+    job cannot use, a promise that is said to be all that calibrate prints, and poses outside of the workspace."""
     found = json.loads(said(capsys, 3, "verify", "calibrated.toml", "after.csv", "--json", "--fail-if-invalid"))
     assert found["verdict"] == "not valid"
     assert "base_angle_2" in {*found["changed"], *(name for tie in found["indistinguishable"] for name in tie)}
@@ -155,6 +155,8 @@ def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], 
     assert text.startswith("Verdict: valid: ")
     assert "would have been found" in text
     assert "would have shown" in text
+    # what calibrate prints is larger by what could hide between the poses
+    assert "the accuracy that calibrate prints also counts what that run could not show" in " ".join(text.split())
     poses = json.loads(said(capsys, 0, "plan", "calibrated.toml", "--verify", "--poses", "9", "--json"))["poses"]
     assert len(poses) == 9
     assert {"pose", "q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm"} == set(poses[0])

@@ -28,6 +28,7 @@ from sherkit.base.types import Floats
 from sherkit.errors import FitError, RobotError, SherkitError
 from sherkit.model.effect import load_effects
 from sherkit.model.sensor_pose import SPACE
+from sherkit.robots.compensation import grid_table
 from sherkit.robots.machine import load_machine
 from sherkit.robots.machine.function import steps_for
 
@@ -324,6 +325,41 @@ def test_calibration_is_right_where_nothing_was_measured(name: str, tmp_path: Pa
     assert max(promised) < 20 * MACHINES[name][3]
 
 
+def test_of_many_postures_the_nearest_is_taken() -> None:
+    """Catches a table of compensation that sends a machine with more axes than readings to another posture, by hundreds
+    of mm where its errors are 0.05 mm; and a start that is not taken."""
+
+    def shown(q: Floats, p: Any) -> Floats:
+        x, y, z, c = q.T
+        turn, x, y = np.deg2rad(c), x - p.c_x + p.square * y, y - p.c_y
+        return np.stack([np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x, z], axis=1)
+
+    machine = sk.Machine(
+        shown, joints={"xaxis_mm": (-200, 200), "yaxis_mm": (-150, 150), "zaxis_mm": (0, 200), "c_deg": (-170, 170)},
+        readings=("x_mm", "y_mm", "z_mm"), name="turning", sensor_pose="held",
+        parameters={"c_x": ("mm", 0.05), "c_y": ("mm", 0.05), "square": ("rad", 1e-4)},
+    )  # fmt: skip
+    rng = np.random.default_rng(4)
+    joints = rng.uniform(*machine.box.T, (80, 4))
+    read = shown(joints, SimpleNamespace(c_x=0.05, c_y=-0.04, square=1e-4)) + rng.normal(0.0, 0.002, (80, 3))
+    names = (*machine.joint_names, *machine.readings)
+    run = sk.from_frame(pl.DataFrame(dict(zip(names, np.hstack([joints, read]).T, strict=True))))
+    made = sk.calibrate(machine, run).calibration
+    table = grid_table(made, 3)
+    added = table.select(f"add_{name}" for name in machine.joint_names).to_numpy()
+    assert np.isfinite(added).all()
+    assert np.abs(added).max() < 0.2
+    wanted = machine.forward(joints[0])
+    near = made.inverse(wanted, start=joints[0])
+    assert np.abs(near - joints[0]).max() < 0.2
+    assert made.forward(near) == pytest.approx(wanted, abs=1e-9)
+    np.testing.assert_allclose(made.inverse_batch([wanted], starts=[joints[0]]).require()[0], near, atol=1e-9)
+    with pytest.raises(SherkitError, match=r"start: expected 4"):
+        made.inverse(wanted, start=[1.0, 2.0])
+    with pytest.raises(SherkitError, match="starts: expected one for each of 1 places, got 2"):
+        made.inverse_batch([wanted], starts=joints[:2])
+
+
 def test_studies_are_kept_and_machines_copied(tmp_path: Path) -> None:
     """Catches a study that cannot be read again, and classes made at run time that no copy finds."""
     machine = MACHINE["gantry"]
@@ -390,6 +426,30 @@ def test_the_command_line_takes_a_machine_by_its_file(tmp_path: Path) -> None:
     assert code == 0, wrong
     assert (tmp_path / "c.toml").exists()
     assert "droop" in command(tmp_path, "effects", "--robot", str(EXAMPLES / "gantry.py"))[1]
+
+
+def test_a_calibration_of_a_machine_is_checked_by_the_machines_file(tmp_path: Path) -> None:
+    """Catches verbs that take a calibration alone and cannot be used for a machine that a Python file makes. Seed 8."""
+    run, file = tmp_path / "run.csv", str(EXAMPLES / "gantry.py")
+    run_of("gantry", 8, {}).write_csv(run)
+    code, _, wrong = command(tmp_path, "calibrate", file, "run.csv", "-o", "c.toml")
+    assert code == 0, wrong
+    code, told, wrong = command(tmp_path, "verify", "c.toml", "run.csv", "--machine", file)
+    assert (code, wrong) == (0, "")
+    assert told.startswith("Verdict: valid")
+    code, told, _ = command(tmp_path, "plan", "c.toml", "--verify", "--machine", file, "--json")
+    assert code == 0
+    assert len(json.loads(told)["poses"]) == 12
+    assert command(tmp_path, "plan", file, "run.csv", "--machine", file)[0] == 2
+    other = command(tmp_path, "verify", "c.toml", "run.csv", "--machine", str(EXAMPLES / "scara.py"))
+    assert "c.toml: is the calibration of gantry" in other[2]
+    in_c = command(tmp_path, "export", "c", "c.toml", "-o", "made.h")
+    assert "runs there alone; sherkit export comp" in in_c[2]
+    # a process that has not run the file
+    told_how = sherkit("verify", tmp_path / "c.toml", run)
+    assert told_how.returncode == 1
+    assert "is of the machine 'gantry', which is not known here" in told_how.stderr
+    assert "--machine FILE.py" in told_how.stderr
 
 
 def test_the_page_reads_the_columns_that_a_machine_names(tmp_path: Path) -> None:

@@ -168,6 +168,23 @@ def test_lost_motion_counts_where_the_side_is_not_given() -> None:
     np.testing.assert_allclose(down - up, 0.04, atol=0.004)
 
 
+def test_a_room_of_one_temperature_adds_nothing_at_that_temperature() -> None:
+    """Catches what follows the temperature and is added at the temperature of the run, where the pose of the sensor
+    holds it: one temperature in every row made a promise eight times as large. In another room it may add."""
+    world, _ = run_at(even_joints(3.0)(0))
+    without = {name: values for name, values in world.columns.items() if name != "temperature_c"}
+    place, promised = [3.0, -4.0, 5.0], {}
+    for room_c in (None, 21.5, 26.0):
+        columns = without if room_c is None else without | {"temperature_c": np.full(len(without["time_s"]), room_c)}
+        made = calibrated(replace(world, columns=columns))
+        promised[room_c] = made.accuracy(place)
+        if room_c is not None:
+            assert made.accuracy(place, temperature_c=room_c) == promised[room_c]
+            assert made.accuracy(place, temperature_c=room_c + 10.0) > 1.4 * promised[room_c]
+    assert promised[21.5] == pytest.approx(promised[None], rel=0.1)
+    assert promised[26.0] == pytest.approx(promised[None], rel=0.1)
+
+
 def test_columns_that_are_missing_are_named() -> None:
     """Catches silence about effects that nothing can be said of."""
     world, _ = run_at(box(40)(1))

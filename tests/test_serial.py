@@ -126,10 +126,12 @@ def test_hayati_leans_an_axis_that_is_nearly_parallel(tmp_path: Path) -> None:
     [
         ("d_mm,a_mm,alpha_deg\n89,159,0,90\n", "row 1 has more cells than there are columns"),
         ("d_mm,d_mm,a_mm,alpha_deg\n1,2,3,4\n", "column 'd_mm' is there twice"),
+        ("name,d_mm,a_mm,alpha_deg\na,1,2,90\na,1,2,0\n", r"t\.csv: row 2: name: 'a' is the joint of row 1 already"),
+        ("d_mm,a_mm,alpha_deg,follows\n1,2,90,0.5\n", r"t\.csv: joint joint_1: follows the one before it"),
     ],
 )
 def test_a_table_that_is_none_is_refused(text: str, said: str, tmp_path: Path) -> None:
-    """Catches a decimal comma that moves every cell, and a column that hides another."""
+    """Catches a decimal comma that moves every cell, a column that hides another, and a mistake without its file."""
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises(RobotError, match=said):
         import_dh(tmp_path / "t.csv")

@@ -26,6 +26,7 @@ from sherkit.model import kinds
 from sherkit.model.kinds import model_of
 from sherkit.robots.serial import VirtualSerial, postures
 from sherkit.robots.serial.imported import import_dh
+from sherkit.robots.spherical import CameraView
 from test_arm_counted import TARGET_MM
 from test_serial import PLAIN, UR5
 from worlds import World
@@ -164,6 +165,59 @@ def test_what_nothing_usual_explains_is_said() -> None:
     order = np.random.default_rng(3).permutation(len(world.columns["pose"]))
     (said,) = told(mistakes.columns(lambda c: {name: c[name][order] for name in POSITION})(world))
     assert "nothing that is usually mistaken" in said.sentence
+
+
+@pytest.mark.parametrize(
+    ("written", "looks"),
+    [
+        ("inverse turn", "rotation_rad of [camera] in the robot file looks like that from the camera to the base"),
+        ("pose in the base", "rotation_rad and translation_mm of [camera] in the robot file look like that from the"),
+        ("place in the base", "translation_mm of [camera] in the robot file looks like the camera's place in the base"),
+        ("degrees", "rotation_rad of [camera] in the robot file looks like degrees"),
+    ],
+)
+def test_a_camera_that_is_written_from_its_own_side_is_said(written: str, looks: str) -> None:
+    """Catches the pose that OpenCV gives written the other way round, which was answered with physics of the robot."""
+    world = mistakes.spherical_run(7)
+    camera = world.robot.camera
+    turn, shift = Rotation.from_rotvec(camera.rotation_rad), np.array(camera.translation_mm)
+    place = tuple((-turn.inv().apply(shift)).tolist())
+    changed: dict[str, Any] = {
+        "inverse turn": {"rotation_rad": tuple(turn.inv().as_rotvec().tolist())},
+        "pose in the base": {"rotation_rad": tuple(turn.inv().as_rotvec().tolist()), "translation_mm": place},
+        "place in the base": {"translation_mm": place},
+        "degrees": {"rotation_rad": tuple(np.rad2deg(camera.rotation_rad).tolist())},
+    }[written]
+    robot = replace(world.robot, camera=replace(camera, **changed))
+    said = sk.diagnose(robot, sk.from_frame(pl.DataFrame(world.columns))).notes[0]
+    assert said.startswith(looks)
+    for key in changed:
+        assert f"{key} = [{', '.join(f'{round(v, 9) + 0.0:.6g}' for v in getattr(camera, key))}]" in said
+
+
+def test_a_camera_that_stands_nowhere_near_ends_in_a_sentence() -> None:
+    """Catches a traceback where a fit to the rows that are left cannot compute the others, and silence where the robot
+    moves the marker by less than the camera is off."""
+    robot = sk.spherical.Spherical(
+        45.0, 45.0, 200.0,
+        camera=CameraView((1280, 640), (1027.0, 1027.0), (640.0, 320.0), translation_mm=(0.0, 0.0, 446.2)),
+    )  # fmt: skip
+    assert robot.camera is not None
+    for seed in (3, 8):
+        rng = np.random.default_rng(seed)
+        places = np.tile(np.column_stack([rng.uniform(1.2, 1.9, 100), rng.uniform(0.55, 1.0, 100)]), (2, 1))
+        # it looks at the centre from above, half a turn about an axis in space from where the file has it
+        along, across = np.array([0.0, -np.sqrt(0.5), -np.sqrt(0.5)]), np.array([-1.0, 0.0, 0.0])
+        turned = Rotation.from_matrix(np.stack([across, np.cross(along, across), along]))
+        there = replace(robot.camera, rotation_rad=tuple(turned.as_rotvec().tolist())).core
+        seen = np.array([there.project(one) for one in robot.point(places)]) + rng.normal(0.0, 0.05, (200, 2))
+        joints = robot.inverse_batch(places).require()
+        columns = dict(zip(("theta1_rad", "theta2_rad", "u_px", "v_px"), np.hstack([joints, seen]).T, strict=True))
+        run = sk.from_frame(pl.DataFrame(columns | {"pose": np.tile(np.arange(100), 2) + 1}))
+        found = sk.diagnose(robot, run)
+        assert found.verdict == "unexplained"
+        assert "nothing that is usually mistaken explains the run" in found.notes[0]
+        assert sk.Study(robot, run).diagnose().verdict == "unexplained"
 
 
 def test_an_error_of_reach_names_the_mistake() -> None:

@@ -316,6 +316,22 @@ def test_a_calibration_deploys_the_effects() -> None:
     assert misses(without).max() > 5 * NOISE_MM
 
 
+def test_a_clock_that_counts_from_1970_promises_the_same(tmp_path: Path) -> None:
+    """Catches rows held out that are predicted with the drift of fifty years: 300 km were promised, and the file of it
+    could not be read."""
+    errors, effects = planted(11, "drift")
+    promised = {}
+    for begins_s in (0.0, 1.7e9):
+        data = run(11, errors, effects, lambda c, begins_s=begins_s: {"time_s": np.asarray(c["time_s"]) + begins_s})
+        study = sk.Study(EXAMPLE, data)
+        study.add("drift")
+        made = study.calibration()
+        made.save(tmp_path / "calibrated.toml")
+        promised[begins_s] = sk.load_calibration(tmp_path / "calibrated.toml").accuracy([3.0, -4.0, 5.0])
+        assert promised[begins_s] == made.accuracy([3.0, -4.0, 5.0])
+    assert promised[1.7e9] == pytest.approx(promised[0.0], rel=1e-6)
+
+
 def test_declared_noise_survives_a_run_that_declares_none() -> None:
     """Catches a join that silently forgets what one run knew of its noise or of its repeats."""
     errors = draw_geometric_errors(np.random.default_rng(6))

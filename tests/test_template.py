@@ -13,6 +13,7 @@ import sherkit as sk
 import test_discovery as delta
 import test_spherical_discovery as spherical
 from sherkit.diagnosis import template
+from sherkit.diagnosis.template import course
 from sherkit.model.effect import load_effects
 from worlds import WrongDerivative
 
@@ -49,6 +50,13 @@ class Warmed(WrongDerivative):
 
     def covariates(self, data: sk.Measurements) -> dict[str, Any]:
         return {"scale_c": data["scale_c"]}
+
+
+def test_a_course_that_no_polynomial_names_has_no_order() -> None:
+    """Catches "varies smoothly (order None)"."""
+    shape = {"shape": "smooth", "order": None, "period": None, "at": None, "axis": ["x"], "joint": None}
+    assert course(shape | {"depends_on": ["time_s"]}) == "the error in x varies smoothly with time_s"
+    assert "(order 2)" in course(shape | {"depends_on": ["time_s"], "order": 2})
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,12 @@ class Verification(Shown):
         told = [*self.sees, *told_ties(self.indistinguishable)]
         if self.unit == "µm" and (promised := self.error["promised"]) is not None:
             within = number(promised * float(np.sqrt(scipy.stats.chi2.ppf(_SHARE, 3) / 3)))
-            told.append(f"The promise is the accuracy that calibrate says: within {within} µm in 95 of 100 cases")
+            # what could hide between the poses of the calibration no check by a few other poses can be held to
+            told.append(
+                "The promise is what the run of the calibration shows of its accuracy at these places: within "
+                f"{within} µm in 95 of 100 cases; the accuracy that calibrate prints also counts what that run could "
+                "not show"
+            )
         told.append(f"These poses would have shown, at its plausible size: {listed(self.would_show, 12) or 'nothing'}")
         if self.would_not:
             told.append(f"And would not have shown: {listed(self.would_not, 12)}")

@@ -26,6 +26,7 @@ from ..model.kinds import Robot
 from ..robots.machine import robot_at
 from . import output
 from .file_kinds import PAGE
+from .machine_file import calibration_at, machine_option
 from .output import columns_option, out, table
 from .paths import InputFile, OutputFile
 
@@ -135,11 +136,14 @@ def _say_course(found: History, *files: Path) -> None:
 @click.argument("run", type=InputFile())
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs instead of sentences.")
 @click.option("--fail-if-invalid", is_flag=True, help=f"End with the exit code {INVALID} where it no longer holds.")
+@machine_option
 @columns_option
 @click.pass_context
-def verify(ctx: click.Context, calibration: Path, run: Path, as_json: bool, fail_if_invalid: bool) -> None:
+def verify(
+    ctx: click.Context, calibration: Path, run: Path, as_json: bool, fail_if_invalid: bool, machine: Path | None
+) -> None:
     """Say whether CALIBRATION (TOML) still holds, by the measurements RUN: a dozen poses, as plan --verify lists."""
-    found = verify_run(calibration, run)
+    found = verify_run(calibration_at(calibration, machine), run)
     if as_json:
         output.print_json(found.to_json())
     else:

@@ -14,15 +14,14 @@ from ..base.extensions import EXPORTERS, declared
 from ..base.figures import listed
 from ..data.files import write_whole
 from ..data.tables import write_table
-from ..errors import SherkitError
+from ..errors import CalibrationError
 from ..robots.c_header import calibration_header
-from ..robots.calibrated import Calibration, load_calibration
+from ..robots.calibrated import load_calibration, tables_of
 from ..robots.compensation import axis_table, grid_table
-from ..robots.machine import robot_at
 from . import output
 from .file_kinds import COMPENSATION, HEADER, TABLE, FileKind
 from .groups import OpenGroup
-from .machine_file import own_way_of
+from .machine_file import calibration_at, own_way_of
 from .paths import InputFile, OutputFile
 
 #: What is written where no word stands first: the rows of a run.
@@ -89,18 +88,13 @@ def c(calibration: Path, destination: Path) -> None:
     if (own_way := own_way_of(calibration, "export")) is not None:
         own_way(destination)
         return
+    if "machine" in tables_of(calibration).get("robot", {}):
+        raise CalibrationError(
+            f"{calibration}: is of a machine that is a function of Python, and runs there alone; sherkit export comp "
+            "and sherkit export grid write tables for its controller"
+        )
     write_whole(destination, calibration_header(load_calibration(calibration), calibration.name))
     output.say(f"{destination} written; cc loop.c $(sherkit c --cflags --libs) links it (sherkit c --example FOLDER)")
-
-
-def _of_machine(machine: Path, calibration: Path) -> Calibration:
-    """The calibration of a machine, whose Python file was named before it and is run."""
-    robot, _ = robot_at(machine)
-    made = load_calibration(calibration)
-    if made.robot.kind != robot.kind:
-        found = made.robot.kind
-        raise SherkitError(f"{calibration}: is the calibration of {found}, {machine} makes {robot.kind}")
-    return made
 
 
 @export.command("comp")
@@ -111,7 +105,7 @@ def _of_machine(machine: Path, calibration: Path) -> Calibration:
 @written_as(COMPENSATION)
 def comp(machine: Path, calibration: Path, axis: str | None, points: int, destination: Path) -> None:
     """Compensation of an axis of MACHINE (its .py), for LinuxCNC."""
-    made = _of_machine(machine, calibration)
+    made = calibration_at(calibration, machine)
     table = axis_table(made, axis, points)
     write_whole(destination, table.linuxcnc())
     unit = table.unit
@@ -134,7 +128,7 @@ def comp(machine: Path, calibration: Path, axis: str | None, points: int, destin
 @written_as(TABLE)
 def grid(machine: Path, calibration: Path, points: int, destination: Path) -> None:
     """Compensation of all axes of MACHINE (its .py), as a table of points."""
-    made = _of_machine(machine, calibration)
+    made = calibration_at(calibration, machine)
     table = grid_table(made, points)
     write_table(table, destination)
     add = np.abs(table.select(name for name in table.columns if name.startswith("add_")).drop_nulls().to_numpy())

@@ -19,9 +19,11 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.kinds import Robot, catalogue_of, model_of
 from ..model.robot_file import RobotLike, run_for
+from ..robots.calibrated import Calibration, load_calibration, tables_of
 from ..robots.machine import robot_at
 from ..study import Study
 from . import output
+from .paths import InputFile
 
 # -- Robot file --------------------------------------------------------------------------------------------------------
 # The file of a robot, as the verbs ask for it.
@@ -90,6 +92,29 @@ class RobotFile:
         for name in (*added, *found.effects):
             study.add(name)
         output.write_report(path, study, found, sources)
+
+
+# -- Calibrations ------------------------------------------------------------------------------------------------------
+
+#: The file that makes a machine known whose calibration a verb is given.
+machine_option = click.option(
+    "--machine", type=InputFile(), help="The Python file of the machine (sk.Machine) that was calibrated; it is run."
+)
+
+
+def calibration_at(calibration: Path, machine: Path | None) -> Calibration:
+    """A calibration by its file: of the robot in it, or of the machine whose Python file a person named, which is run.
+
+    Raises :class:`~sherkit.errors.SherkitError` where it is that of another.
+    """
+    if machine is None:
+        return load_calibration(calibration)
+    robot, _ = robot_at(machine)
+    table = tables_of(calibration).get("robot")
+    found = table.get("kind") if isinstance(table, dict) else None
+    if isinstance(found, str) and found != robot.kind:
+        raise SherkitError(f"{calibration}: is the calibration of {found}, {machine} makes {robot.kind}")
+    return load_calibration(calibration)
 
 
 # -- Machine file ------------------------------------------------------------------------------------------------------

@@ -123,6 +123,11 @@ def _outlying(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
     All that is read after a pause is no accident, it is news: a visit to the machine that is off as a whole stays; so
     does the beginning or the end of the run.
     """
+    # what a fit to the others cannot compute at all is off by more than it could say
+    computed = np.isfinite(run.fit.residuals[rows][:, list(run.axes)]).all(axis=1)
+    if not computed.all():
+        rows, beyond = rows[computed], rows[~computed]
+        return np.union1d(beyond, _outlying(run, effects, rows) if len(rows) else rows)
     view = run.linearised(rows, effects, run.noise[0][list(run.axes)])
     outliers = OutlierFit(view, declared=run.noise[1] == "declared").outliers()
     outliers &= ~_visits(view.time, outliers) & ~_ends(view, outliers)

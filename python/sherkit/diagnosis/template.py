@@ -72,8 +72,10 @@ def _where(shape: Mapping[str, Any]) -> str:
 
 def _how(shape: Mapping[str, Any]) -> str:
     what = " and ".join(shape["depends_on"])
+    # what is only told from the rest, as a course that no polynomial names, has no order
+    order = f" (order {shape['order']})" if shape["order"] else ""
     return {
-        "smooth": f"varies smoothly (order {shape['order']}) with {what}",
+        "smooth": f"varies smoothly{order} with {what}",
         "periodic": f"repeats with {what}, period {shape['period'] or 0.0:.3g}",
         "step": f"steps at {what} = {shape.get('at') or 0.0:.0f}",
         "hysteretic": f"depends on the way {what} came there "

@@ -93,8 +93,8 @@ _Key = tuple[str, Setting, int]
 @dataclass(frozen=True, eq=False)
 class EffectSet:
     """Effects of a full fit: its ``run``, the ``base`` that it leaves, the logarithm of the Bayes factor ``log_bf``
-    against the fit before, and with prior weights, ``value``; whether all is ``plausible``. ``along`` are effects that go
-    with one of them and are in the fit, too."""
+    against the fit before, and with prior weights, ``value``; whether all is ``plausible``. ``along`` are effects that
+    go with one of them and are in the fit, too."""
 
     blocks: tuple[Block, ...]
     run: Run

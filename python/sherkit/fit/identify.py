@@ -472,7 +472,8 @@ def hold_out(
 
     ``start`` (p,), the fit of all rows where it is known, is so near that two looks at the rows are enough.
     """
-    model = model_of(robot)
+    # the fits count time from the run's begin, so must what predicts by their values
+    model = model_of(robot).for_run(data)
     drawn = model.start(data)
     block = blocks_of(data, model.place(data, model.predict(data, drawn), drawn), folds, seed)
     out = np.full(data.readings.shape, np.nan)

@@ -151,6 +151,8 @@ _NOT_RIGHT = 0.1
 _ABSURD = 0.3
 #: A coordinate is fitted better where less than this part is left of what was.
 _BETTER = 0.8
+#: A robot that is driven by less than this part of what is left is hardly driven at all.
+_HARDLY = 0.3
 #: An effect that leaves less than this part takes most.
 _MOST = 0.5
 
@@ -384,9 +386,11 @@ def _plain(value: float) -> str:
 
 
 def _moves(model: ModelWithEffects, data: Measurements, now: Plausible) -> bool:
-    """Whether the robot was driven anywhere, beside what is left: at one place readings are all noise."""
-    driven = np.ptp(model.predict(thinned(data), now.values), axis=0)
-    return bool(driven.max() > now.rms_of_all)
+    """Whether the robot was driven anywhere, beside what is left, or beside what is left at one place, where repeats
+    tell that: at one place readings are all noise."""
+    driven = float(np.ptp(model.predict(thinned(data), now.values), axis=0).max())
+    left = now.rms_of_all
+    return driven > left or (driven > _HARDLY * left and bool(np.isfinite(_usual_noise(data)).any()))
 
 
 def _is_physics(model: ModelWithEffects, data: Measurements, datum: Bools, now: Plausible) -> bool:

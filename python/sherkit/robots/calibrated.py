@@ -200,6 +200,12 @@ class Calibration(Shown, Moving):
             robot = tables.get("robot")
             found = robot.get("kind") if isinstance(robot, dict) else None
             if not isinstance(found, str) or found not in known:
+                if isinstance(robot, dict) and "machine" in robot:
+                    raise CalibrationError(
+                        f"{path}: is of the machine {found!r}, which is not known here: import the Python file that "
+                        "makes it first; sherkit verify and sherkit plan --verify take it as --machine FILE.py (no "
+                        "file of data runs code)"
+                    )
                 raise CalibrationError(f"{path}: [robot] kind: expected one of {listed(known)}, found {found!r}")
             return known[found]._from_tables(path, tables)
         return cls._from_tables(path, tables)

@@ -147,7 +147,8 @@ def _of_axes(made: Calibration) -> Bools:
 
 def grid_table(made: Calibration, points: int = 11) -> pl.DataFrame:
     """Over a grid of all its axes, what is to be added to where each is sent (columns ``add_`` and its name), so that
-    the machine is where its drawing has it: rad or mm, null where that is out of reach.
+    the machine is where its drawing has it: rad or mm, null where that is out of reach. Of the postures that lead there
+    the one that is near to where it was sent: a table that interpolates cannot go over to another.
 
     Raises :class:`~sherkit.errors.CalibrationError` for a machine without axes and for more points than 200 000.
     """
@@ -160,7 +161,7 @@ def grid_table(made: Calibration, points: int = 11) -> pl.DataFrame:
     grid = np.stack(np.meshgrid(*(np.linspace(low, high, points) for low, high in box), indexing="ij"), axis=-1)
     joints = np.ascontiguousarray(grid.reshape(-1, len(names)))
     wanted = drawn.forward_batch(joints, frame=frame)
-    found = made.inverse_batch(wanted.values, frame=frame)
+    found = made.inverse_batch(wanted.values, frame=frame, starts=joints)
     add = np.where((found.reached & wanted.reached)[:, None], found.values - joints, np.nan)
     columns = dict(zip(names, joints.T, strict=True)) | {f"add_{name}": a for name, a in zip(names, add.T, strict=True)}
     return pl.DataFrame(columns).with_columns(pl.all().fill_nan(None))

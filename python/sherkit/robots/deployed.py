@@ -48,6 +48,8 @@ class Deployed(Saved, ABC):
     coordinates: ClassVar[tuple[str, ...]]
     #: What one and many of them are called in messages.
     called: ClassVar[tuple[str, str]]
+    #: Whether several postures lead to a place, so that the core takes where it begins; a delta has one.
+    many_postures: ClassVar[bool] = False
 
     robot: Robot
     whole: IdentifiedModel
@@ -152,16 +154,18 @@ class Deployed(Saved, ABC):
 
     def inverse(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None,
+        direction: ArrayLike | None = None, start: ArrayLike | None = None,
     ) -> Floats:  # fmt: skip
         """Joint readings (j,) at which the corrected model gives ``coordinates`` (k,), to 1e-6 mm or 1e-12 rad.
 
-        Arguments as :meth:`forward`. Raises as that, or :class:`~sherkit.errors.NotConverged` where a correction folds
+        Of many postures, where a machine has them, that to which steps lead from the joints ``start`` (j,). Other
+        arguments as :meth:`forward`. Raises as that, or :class:`~sherkit.errors.NotConverged` where a correction folds
         over. Warns once (:class:`~sherkit.errors.SherkitWarning`) of a place that is farther from the poses of the run
         than these lie apart.
         """
-        x = self._place(coordinates)
-        made: Floats = self.core_in(frame).inverse(x, self._now(temperature_c, direction))
+        x, now = self._place(coordinates), self._now(temperature_c, direction)
+        begin = None if start is None else vector(start, "start", self._joints)
+        made: Floats = self.core_in(frame).inverse(x, now, *self._beginning(begin))
         self._went_to(x, frame)
         return made
 
@@ -181,13 +185,20 @@ class Deployed(Saved, ABC):
 
     def inverse_batch(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None,
+        direction: ArrayLike | None = None, starts: ArrayLike | None = None,
     ) -> Batch:  # fmt: skip
-        """Joint readings (n, j) for coordinates (n, k), all reached in one ``direction`` (j,) if given; rows out of
-        reach are marked."""
+        """Joint readings (n, j) for coordinates (n, k), all reached in one ``direction`` (j,) if given, each from its
+        own of ``starts`` (n, j) as in :meth:`inverse`; rows out of reach are marked."""
         x, now = self._places(coordinates), self._now(temperature_c, direction)
-        values, reached = self.core_in(frame).inverse_batch(x, now)
+        begin = None if starts is None else matrix(starts, "starts", self._joints)
+        if begin is not None and len(begin) != len(x):
+            raise CalibrationError(f"starts: expected one for each of {len(x)} places, got {len(begin)}")
+        values, reached = self.core_in(frame).inverse_batch(x, now, *self._beginning(begin))
         return Batch(values, reached)
+
+    def _beginning(self, joints: Floats | None) -> tuple[Floats, ...]:
+        """What the core takes beside places and covariates: joints to begin at, where that matters."""
+        return () if joints is None or not self.many_postures else (joints,)
 
     def _went_to(self, x: Floats, frame: str | None) -> None:
         """Says once that it is asked where nothing like the place was measured: quick, for control loops."""

@@ -140,11 +140,13 @@ class BiasBound:
 
 
 def at_rest(
-    model: ChainModel, values: Floats, readings: tuple[str, ...], joints: Floats, now: Floats
-) -> tuple[Floats, Floats, Bools]:
+    model: ChainModel, values: Floats, readings: tuple[str, ...], joints: Floats, now: Floats, *,
+    stand_warms: bool = False,
+) -> tuple[Floats, Floats, Bools]:  # fmt: skip
     """Derivatives of ``readings`` (columns) by the identified values (n, m, p) and by the joints (n, m, j), and which
     rows can be read, of a robot that stands at ``joints`` (n, j) and carries nothing; ``now`` (n, 2 + j) is time,
-    temperature, directions.
+    temperature, directions. The instrument's stand is as warm as it was drawn, as a loop has it, unless
+    ``stand_warms`` with the temperature.
     """
     layout = next((one for one in model.layouts if one.coordinates == readings), model.layouts[0])
     columns = dict(zip((TIME, TEMPERATURE, *layout.directions), now.T, strict=True))
@@ -152,7 +154,7 @@ def at_rest(
     rows = Measurements.planned(joints, layout, **columns)
     q, ends, known, push = model.block(rows)
     if known is not None:
-        known[:, -1] = DRAWN_C
+        known[:, -1] = now[:, 1] if stand_warms else DRAWN_C
     block = (q, ends, known, push)
     found, by_joints, _, read = model.core_for(rows).derivatives(model.full(values), block, model.indices)
     m = rows.coordinates
@@ -186,7 +188,8 @@ def by_effect(
         which = effect.waving(model.layouts[0].joints)
         return columns, waves(by_joints, joints, setting, which), by_joints
     wider, more, own = with_effect(model, values, effect, setting)
-    columns, by_joints, _ = at_rest(wider, more, readings, joints, now)
+    # a stand that nobody identified stood in the run where its temperature had it, and the sensor's pose is that one
+    columns, by_joints, _ = at_rest(wider, more, readings, joints, now, stand_warms=effect.is_lagging)
     return np.delete(columns, own, axis=2), columns[:, :, own], by_joints
 
 

@@ -14,6 +14,7 @@ import scipy
 
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
+from ..data.columns import TEMPERATURE
 from ..fit.error import known_deviations
 from ..fit.identify import Fit
 from ..model.chain import ChainModel
@@ -293,6 +294,8 @@ _EQUAL = 0.05
 _MOMENTS = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)
 #: An effect counts from this part of the known spread on.
 _LEAST = 0.01
+#: By how much another room may be warmer than that of the run: a hall in summer.
+_ANOTHER_ROOM_K = 10.0
 #: Poses that are advised, at most, and what they are to leave.
 _ADVISED = 4
 _LEFT = 0.2
@@ -322,7 +325,12 @@ class Search:
             worst = np.max([hides for hides, _ in each], axis=0, initial=0.0)
             # in whichever frame it matters
             enough = np.maximum(least, _KEPT * worst)
-            out += [(float(hides[0]), one) for hides, one in each if (hides >= enough).any()]
+            kept = [(float(hides[0]), one) for hides, one in each if (hides >= enough).any()]
+            if not kept and TEMPERATURE in effect.needs:
+                kept = [(float(hides[0]), one) for hides, one in each if self._hides_in_another_room(effect, one)]
+                # no place of today's room tells of it
+                kept = [(hidden, replace(one, places=one.places[:0], left=1.0)) for hidden, one in kept]
+            out += kept
         return tuple(one for _, one in sorted(out, key=lambda o: -o[0]))
 
     @property
@@ -343,6 +351,20 @@ class Search:
     def _quick(self) -> LinearFit:
         """One row of each pose: enough to see which periods they show."""
         return replace(self._all, rows=used_rows(self.run.fit, one_each=True))
+
+    def _hides_in_another_room(self, effect: Effect, one: BiasBound) -> bool:
+        """Whether it would hide as much as is known in a room that is warmer than in the run, where none of it hides at
+        the temperature of the run."""
+        there = self._warmer.columns(effect, one.setting)[1]
+        hides = [one.hides(self._warmer.missed(one, effect, there, frame)) for frame in self.asked.counted]
+        known = [float(np.trace(frame.spread.mean(axis=0))) for frame in self.asked.counted]
+        return any(much >= least > 0.0 for much, least in zip(hides, known, strict=True))
+
+    @cached_property
+    def _warmer(self) -> LinearFit:
+        now = self.asked.now.copy()
+        now[:, 1] += _ANOTHER_ROOM_K
+        return replace(self._all, asked=replace(self.asked, now=now))
 
     def told(self, effect: Effect, setting: float | None) -> tuple[Floats, BiasBound]:
         """How much is hidden in each frame (mean square at the asked places), and what of it."""

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ...base.figures import in_names, listed, sized
 from ...cli import output
 from ...cli.file_kinds import RESULTS
+from ...cli.machine_file import calibration_at, machine_option
 from ...cli.output import out, table
 from ...cli.paths import InputFile, OutputFile
 from ...data import Measurements
@@ -38,6 +39,7 @@ _SIGNS = 8
     is_flag=True,
     help="ROBOT is a calibration: list the poses that would see most of what may have changed since.",
 )
+@machine_option
 @click.option("--poses", type=click.IntRange(min=6, max=1000), default=12, show_default=True, help="Of --verify.")
 @click.option("--noise-um", type=click.FloatRange(min=0, min_open=True), help="Of a reading in µm; default 5.")
 @click.option("--noise-px", type=click.FloatRange(min=0, min_open=True), help="Of a reading in px; default 0.1.")
@@ -47,8 +49,9 @@ _SIGNS = 8
 @click.option("--workers", type=click.IntRange(min=1), help="Processes of the study; by default one per processor.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 def plan(
-    robot: Path, experiment: Path | None, verify: bool, poses: int, noise_um: float | None, noise_px: float | None,
-    effects: tuple[str, ...], runs: int | None, keep: Path | None, workers: int | None, as_json: bool,
+    robot: Path, experiment: Path | None, verify: bool, machine: Path | None, poses: int,
+    noise_um: float | None, noise_px: float | None, effects: tuple[str, ...], runs: int | None, keep: Path | None,
+    workers: int | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Say what EXPERIMENT (TOML) could find on ROBOT (TOML), and how well it would know the parameters."""
     if verify and experiment is not None:
@@ -57,8 +60,10 @@ def plan(
             f"out --verify"
         )
     if verify:
-        _verifying(robot, poses, as_json=as_json)
+        _verifying(robot, machine, poses, as_json=as_json)
         return
+    if machine is not None:
+        raise click.UsageError("--machine belongs to --verify: name the machine's file in place of ROBOT")
     if experiment is None:
         raise click.UsageError("Missing argument 'EXPERIMENT'.")
     nominal, _ = robot_at(robot)
@@ -83,11 +88,11 @@ def plan(
         _show_study(found)
 
 
-def _verifying(calibration: Path, count: int, *, as_json: bool) -> None:
+def _verifying(calibration: Path, machine: Path | None, count: int, *, as_json: bool) -> None:
     """The poses of an interim check."""
     from ...changes import verifying_poses
 
-    found = verifying_poses(calibration, count)
+    found = verifying_poses(calibration_at(calibration, machine), count)
     if as_json:
         output.print_json({"poses": found})
         return

@@ -106,15 +106,20 @@ class MachineCalibrated:
             raise OutOfReach("the model's function gives no number for these joints", 0, float("nan"))
         return values[0], by_joints[0]
 
-    def inverse(self, readings: Floats, now: list[float]) -> Floats:
-        """Joints for readings (m,). Raises :class:`~sherkit.errors.NotConverged`."""
-        joints, reached = self.inverse_batch(readings[None, :], now)
+    def inverse(self, readings: Floats, now: list[float], begin: Floats | None = None) -> Floats:
+        """Joints for readings (m,), from joints (k,) at which to ``begin``. Raises
+        :class:`~sherkit.errors.NotConverged`."""
+        joints, reached = self.inverse_batch(readings[None, :], now, None if begin is None else begin[None, :])
         if not reached[0]:
-            raise NotConverged("the machine shows this nowhere within the ranges of its joints")
+            how = "nowhere" if begin is None else "at no joints to which steps lead from the start"
+            raise NotConverged(f"the machine shows this {how} within the ranges of its joints")
         return joints[0]
 
-    def inverse_batch(self, readings: Floats, now: list[float]) -> tuple[Floats, Bools]:
-        """Joints of rows (n, m); those that cannot be reached are marked."""
+    def inverse_batch(
+        self, readings: Floats, now: list[float], begin: Floats | None = None
+    ) -> tuple[Floats, Bools]:  # fmt: skip
+        """Joints of rows (n, m), each from its own at which to ``begin`` (n, k), or from the nearest of many over their
+        ranges; those that cannot be reached are marked."""
 
         if self.seen_from is not None:
             turn, shift = self.seen_from
@@ -126,7 +131,9 @@ class MachineCalibrated:
         def forward(joints: Floats) -> tuple[Floats, Floats]:
             return replace(self, seen_from=None).forward_batch(joints, now)[:2]
 
-        return settled(forward, readings, starts(shown, readings, self.box), self.box)
+        if begin is None:
+            begin = starts(shown, readings, self.box)
+        return settled(forward, readings, begin, self.box)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -139,6 +146,7 @@ class MachineCalibration(Calibration):
     """
 
     called = ("readings", "readings")
+    many_postures: ClassVar = True
     frame: ClassVar = SENSOR
     no_other: ClassVar = "where its instrument stands is not in its model"
 

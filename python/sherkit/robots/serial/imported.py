@@ -24,7 +24,7 @@ import numpy as np
 from ...base.figures import brief, listed, nearest
 from ...base.types import Floats
 from ...data.tables import head_of
-from ...errors import RobotError
+from ...errors import RobotError, ShapeError
 from .frames import Triple, about, frame, of_rpy, rpy_of_transform
 from .robot import MOST_JOINTS, TYPES, Joint, Serial
 
@@ -48,7 +48,7 @@ def import_dh(path: str | Path, convention: str = "standard") -> Serial:
     if convention not in CONVENTIONS:
         raise RobotError(f"convention: '{convention}' is not known; choose {' or '.join(CONVENTIONS)}")
     rows = _rows(Path(path))
-    folded, joints = np.eye(4), list[Joint]()
+    folded, joints, named = np.eye(4), list[Joint](), dict[str, int]()
     for k, row in enumerate(rows, 1):
         moved = _Row(f"{path}: row {k}", row)
         own = frame((0.0, 0.0, moved.number("d_mm")), about(2, moved.angle("theta_deg")))
@@ -66,12 +66,15 @@ def import_dh(path: str | Path, convention: str = "standard") -> Serial:
             continue
         shift, turn = rpy_of_transform(folded)
         name, follows = moved.name(f"joint_{len(joints) + 1}"), moved.number("follows")
+        if named.setdefault(name, k) != k:
+            raise RobotError(
+                f"{path}: row {k}: name: '{name}' is the joint of row {named[name]} already; name each once"
+            )
         joints.append(Joint(name, kind, shift, turn, limits=moved.limits(), follows=follows))
         folded = np.eye(4) if convention == "modified" else link
     if not 1 <= len(joints) <= MOST_JOINTS:
         raise RobotError(f"{path}: expected one to {MOST_JOINTS} rows that a joint moves, found {len(joints)}")
-    shift, turn = rpy_of_transform(folded)
-    return Serial(tuple(joints), shift, turn)
+    return _arm_of(path, joints, folded)
 
 
 def read_in_the_other_convention(arm: Serial) -> Iterator[tuple[str, str, Serial]]:
@@ -230,8 +233,17 @@ def import_urdf(path: str | Path, base: str | None = None, tip: str | None = Non
             made = tree.joint(one, folded, [other.child for other in chain if other is not one])
             joints.append(replace(made, follows=follows))
             folded, follows = np.eye(4), 0.0
+    return _arm_of(path, joints, folded)
+
+
+def _arm_of(path: str | Path, joints: Sequence[Joint], folded: Floats) -> Serial:
+    """The arm of these joints, its target ``folded`` (4, 4) away from the last. What makes no arm is said with its
+    file."""
     target, turn = rpy_of_transform(folded)
-    return Serial(tuple(joints), target, turn)
+    try:
+        return Serial(tuple(joints), target, turn)
+    except ShapeError as error:
+        raise RobotError(f"{path}: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from typing import Any
 from ...model.kinds import Kind, RequiredSetting
 from .calibration import RemoteCentre, SphericalCalibration, remote_centre
 from .drawing import drawing
+from .misread import camera_written_otherwise
 from .model import SPHERICAL_CATALOGUE, SphericalModel, TaskError, identify_joints, task_error
 from .poses import AREAS, POSES, sphere_patch, straightness, straightness_by
 from .robot import (
@@ -32,7 +33,7 @@ KIND = Kind(
     VirtualSpherical, coordinates=SPHERICAL_ANGLES.coordinates, poses=POSES, areas=AREAS,
     called="the spherical robot and its camera", example=_EXAMPLE, drawing=drawing,
     spelt=({"camera": {**_LENS, **_PLACED}},),
-    choices={"assembly_mode": ASSEMBLY_MODES, "working_mode": WORKING_MODES},
+    choices={"assembly_mode": ASSEMBLY_MODES, "working_mode": WORKING_MODES}, misread=camera_written_otherwise,
     asks=(
         RequiredSetting(
             "geometry", "gravity",
