@@ -325,13 +325,13 @@ class Sets:
         return self.fitted([*lead.blocks, refined(beside, block)])
 
     def _with_along(self, one: EffectSet) -> EffectSet:
-        """The set with what goes with its effects, where that does not explain without: what half a cause leaves has
-        the shape of none."""
-        names = {block.name for block in one.blocks}
+        """The set with what goes with its effects, where it explains with that and not without: what half a cause
+        leaves has the shape of none."""
+        names, whole = {block.name for block in one.blocks}, one
         for effect in () if one.explains else one.run.of.catalogue:
-            if effect.goes_with in names and (more := self.with_more(one, effect)) is not None:
-                one = replace(more, blocks=one.blocks, along=(*one.along, effect))
-        return one
+            if effect.goes_with in names and (more := self.with_more(whole, effect)) is not None:
+                whole = replace(more, blocks=one.blocks, along=(*whole.along, effect))
+        return whole if whole.explains else one
 
     def _near(self, block: Block) -> Block:
         family = self._of_effects.family
