@@ -81,6 +81,8 @@ _SINGLES, _TAKE, _NEARLY = 6, 9, 0.85
 _BEHIND, _PART_BEHIND = 60.0, 0.1
 #: Pairs: beside how many sets, how many seconds each; to first order, of how many firsts; how many are refitted.
 _BESIDE, _SECONDS, _FIRSTS, _THIRDS, _PAIRS = 6, 4, 14, 3, 7
+#: What goes with an effect says less than this part of what it says itself: overtones are weaker than their tone.
+_OVERTONES = 0.5
 #: Most effects of a set.
 _MOST = 4
 #: Sets that are described with shapes beside them, and shapes of each.
@@ -331,7 +333,7 @@ class Sets:
         for effect in () if one.explains else one.run.of.catalogue:
             if effect.goes_with in names and (more := self.with_more(whole, effect)) is not None:
                 whole = replace(more, blocks=one.blocks, along=(*whole.along, effect))
-        return whole if whole.explains else one
+        return whole if whole.explains and whole.value < (1.0 + _OVERTONES) * one.value else one
 
     def _near(self, block: Block) -> Block:
         family = self._of_effects.family
