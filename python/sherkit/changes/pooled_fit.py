@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy
@@ -57,6 +57,8 @@ class About:
 
     #: Of where the sensor stands, and of where targets sit, nothing is among them.
     free_of_pose = targets_anywhere = ()
+    #: Nor does any change go with another.
+    catalogue: ClassVar[tuple[Effect, ...]] = ()
 
     @property
     def fit(self) -> Any:

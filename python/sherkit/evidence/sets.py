@@ -81,8 +81,9 @@ _SINGLES, _TAKE, _NEARLY = 6, 9, 0.85
 _BEHIND, _PART_BEHIND = 60.0, 0.1
 #: Pairs: beside how many sets, how many seconds each; to first order, of how many firsts; how many are refitted.
 _BESIDE, _SECONDS, _FIRSTS, _THIRDS, _PAIRS = 6, 4, 14, 3, 7
-#: What goes with an effect says less than this part of what it says itself: overtones are weaker than their tone.
-_OVERTONES = 0.5
+#: Nats that an effect must say by itself before overtones of it are asked for: a worn spot, which is none, says 46 of a
+#: wave, one of five noises 594.
+_TONE = 100.0
 #: Most effects of a set.
 _MOST = 4
 #: Sets that are described with shapes beside them, and shapes of each.
@@ -195,7 +196,7 @@ class Sets:
             return sets
         sets = [self._with_along(one) for one in sets]
         if not any(one.explains for one in sets):
-            sets += map(self._with_along, self._pairs(sets))
+            sets += self._pairs(sets)
         sets.sort(key=lambda one: -one.value)
         while sets and len(sets[0].blocks) < _MOST and not any(one.explains for one in sets):
             lead = sets[0]
@@ -330,10 +331,10 @@ class Sets:
         """The set with what goes with its effects, where it explains with that and not without: what half a cause
         leaves has the shape of none."""
         names, whole = {block.name for block in one.blocks}, one
-        for effect in () if one.explains else one.run.of.catalogue:
+        for effect in () if one.explains or one.value < _TONE else one.run.of.catalogue:
             if effect.goes_with in names and (more := self.with_more(whole, effect)) is not None:
                 whole = replace(more, blocks=one.blocks, along=(*whole.along, effect))
-        return whole if whole.explains and whole.value < (1.0 + _OVERTONES) * one.value else one
+        return whole if whole.explains and True else one
 
     def _near(self, block: Block) -> Block:
         family = self._of_effects.family
