@@ -266,7 +266,9 @@ def test_its_own_errors_can_be_simulated(folder: Path, capsys: pytest.CaptureFix
 def test_every_sentence_that_robots_share_is_used() -> None:
     """Catches a common sentence that every robot replaces by its own."""
     for name, words in COMMON.items():
-        having = [kind.model.catalogue[name] for kind in kinds.known_kinds().values() if name in kind.model.catalogue]
+        every = [e for kind in kinds.known_kinds().values() for e in kind.model.catalogue.values()]
+        # the second wave is one of each joint
+        having = [e for e in every if e.name == name or (e.goes_with and e.name.startswith(name))]
         assert any((e.physics, e.residuals, e.remedy) == (words.physics, words.residuals, words.remedy)
                    for e in having), name  # fmt: skip
 

@@ -334,7 +334,7 @@ class Sets:
         for effect in () if one.explains or one.value < _TONE else one.run.of.catalogue:
             if effect.goes_with in names and (more := self.with_more(whole, effect)) is not None:
                 whole = replace(more, blocks=one.blocks, along=(*whole.along, effect))
-        return whole if whole.explains and True else one
+        return whole if whole.explains else one
 
     def _near(self, block: Block) -> Block:
         family = self._of_effects.family

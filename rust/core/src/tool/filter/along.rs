@@ -3,7 +3,6 @@
 //! Of a hole that stays, corrections are by chance. Of one that the shaft takes along they are a share of each slide, the other
 //! way; a zero of the bench, a pace of straying or a late robot are none.
 
-use super::start::ToolFilter;
 use crate::numbers::math::sqrt;
 
 /// Slides are compared over this time, s; a longer one without a depth is left out, s.
@@ -76,13 +75,5 @@ impl Along {
         } else {
             0.0
         }
-    }
-}
-
-impl ToolFilter {
-    /// The share of its slides by which the shaft was seen to take the hole along; zero where it was not.
-    #[must_use]
-    pub fn goes_along(&self) -> f64 {
-        self.along.share()
     }
 }

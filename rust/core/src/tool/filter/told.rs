@@ -7,6 +7,12 @@ use crate::tool::status::Told;
 use nalgebra::{Matrix4, Vector2, Vector3, Vector4};
 
 impl ToolFilter {
+    /// The share of its slides by which the shaft was seen to take the hole along; zero where it was not.
+    #[must_use]
+    pub fn goes_along(&self) -> f64 {
+        self.along.share()
+    }
+
     /// Depth and tip now, with what they know of each other: the state at the present, carried there where the last reading
     /// is older.
     #[must_use]
