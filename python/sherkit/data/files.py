@@ -145,13 +145,18 @@ class FileLock:
         self._end()
 
 
+def opened_lock(lock: Path) -> int:
+    """The file of a lock, open for reading and writing. Raises :class:`~sherkit.errors.NotWritten`."""
+    try:
+        # where everybody may write, a link could lead to a file of somebody's
+        return os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    except OSError as error:
+        raise NotWritten(lock, error) from None
+
+
 def _locked(lock: Path) -> int:
     while True:
-        try:
-            # where everybody may write, a link could lead to a file of somebody's
-            file = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
-        except OSError as error:
-            raise NotWritten(lock, error) from None
+        file = opened_lock(lock)
         try:
             _take(file)
             with suppress(FileNotFoundError):

@@ -85,7 +85,7 @@ _BESIDE, _SECONDS, _FIRSTS, _THIRDS, _PAIRS = 6, 4, 14, 3, 7
 #: wave, one of five noises 594.
 _TONE = 100.0
 #: Most effects of a set.
-_MOST = 4
+_MOST_EFFECTS = 4
 #: Sets that are described with shapes beside them, and shapes of each.
 _MIXED, _SHAPES = 5, 6
 
@@ -198,7 +198,7 @@ class Sets:
         if not any(one.explains for one in sets):
             sets += self._pairs(sets)
         sets.sort(key=lambda one: -one.value)
-        while sets and len(sets[0].blocks) < _MOST and not any(one.explains for one in sets):
+        while sets and len(sets[0].blocks) < _MOST_EFFECTS and not any(one.explains for one in sets):
             lead = sets[0]
             more = [self._with(lead, block) for block in _likeliest(self.family, lead.each, 2, lead.names)]
             better = [one for one in more if one is not None and one.value > lead.value + TIED]

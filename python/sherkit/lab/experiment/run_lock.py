@@ -9,7 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from ...errors import ExperimentError, NotWritten
+from ...data.files import opened_lock
+from ...errors import ExperimentError
 
 #: The byte that is locked lies behind the text, which others may read.
 _BYTE = 1 << 20
@@ -54,11 +55,7 @@ class RunLock:
 
     @staticmethod
     def _opened(lock: Path, run: Path) -> int:
-        try:
-            # where everybody may write, a link could lead to a file of somebody's
-            file = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
-        except OSError as error:
-            raise NotWritten(lock, error) from None
+        file = opened_lock(lock)
         try:
             _take(file)
         except OSError as error:
