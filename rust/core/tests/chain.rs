@@ -26,6 +26,7 @@ const BEAM_ALIGNMENT: Range<usize> = of("beam_alignment");
 const DRIVE_COMPLIANCE: Range<usize> = of("drive_compliance");
 const DRIFT: Range<usize> = of("drift");
 const ENCODER_CYCLIC: Range<usize> = of("encoder_cyclic");
+const ENCODER_SECOND: Range<usize> = of("encoder_second");
 const GRAVITY_SAG: Range<usize> = of("gravity_sag");
 const JOINT_SCALE: Range<usize> = of("joint_scale");
 const JOINT_SLIP: Range<usize> = of("joint_slip");
@@ -129,7 +130,7 @@ proptest! {
         if !turned {
             model.sensor.rotation = Matrix3::identity();
         }
-        let one_by_one = [BACKLASH, ENCODER_CYCLIC, JOINT_SCALE, JOINT_SLIP, DRIFT, SLIP, THERMAL_GROWTH, THERMAL_SHIFT, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, LINK_GROWTH, ROD_MISMATCH, SENSOR_SLIP];
+        let one_by_one = [BACKLASH, ENCODER_CYCLIC, ENCODER_SECOND, JOINT_SCALE, JOINT_SLIP, DRIFT, SLIP, THERMAL_GROWTH, THERMAL_SHIFT, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, LINK_GROWTH, ROD_MISMATCH, SENSOR_SLIP];
         let mut plain = values;
         if !off {
             plain[SENSOR_POSE].fill(0.0);
@@ -213,18 +214,21 @@ proptest! {
         let (model, now) = (model_of(&robot), some_covariates());
         let mut quiet = values;
         for range in [
-            JOINT_SCALE, ENCODER_CYCLIC, BACKLASH, JOINT_SLIP, THERMAL_GROWTH, DRIFT, SLIP, THERMAL_SHIFT, BEAM_ALIGNMENT,
-            SENSOR_LINEARITY, SENSOR_POSE, SENSOR_SLIP,
+            JOINT_SCALE, ENCODER_CYCLIC, ENCODER_SECOND, BACKLASH, JOINT_SLIP, THERMAL_GROWTH, DRIFT, SLIP, THERMAL_SHIFT,
+            BEAM_ALIGNMENT, SENSOR_LINEARITY, SENSOR_POSE, SENSOR_SLIP,
         ] {
             quiet[range].fill(0.0);
         }
         let v = |range: Range<usize>, k: usize| values[range.start + k];
         let joints = Vector3::from_fn(|i, _| {
             let q = robot.joints[i];
-            let (sin, cos) = (TAU * q / model.pole_pitch[i]).sin_cos();
+            let turns = TAU * q / model.pole_pitch[i];
+        let ((sin, cos), (sin_twice, cos_twice)) = (turns.sin_cos(), (2.0 * turns).sin_cos());
             q + v(JOINT_SCALE, i) * (q - model.home[i])
                 + v(ENCODER_CYCLIC, 2 * i) * sin
                 + v(ENCODER_CYCLIC, 2 * i + 1) * cos
+                + v(ENCODER_SECOND, 2 * i) * sin_twice
+                + v(ENCODER_SECOND, 2 * i + 1) * cos_twice
                 // the full width between the two directions
                 + v(BACKLASH, i) * now.direction[i] / 2.0
                 + v(JOINT_SLIP, i)

@@ -153,8 +153,9 @@ fn what_is_not_known_is_not_averaged_away() {
     };
     t.per_second_mm2 = 0.0;
     let (short, tip) = (run(&t, 100), run(&t, 4000));
-    // what no calibration says: fibres that may lag a little, and a touch near the tip that hardly shows
-    assert!(tip < short && tip < 3e-3, "{short} {tip}");
+    // what no calibration says: fibres that may lag a little, for which section III's zero is doubted, and a touch near the
+    // tip that hardly shows; together less than 0.1 mm
+    assert!(tip < short && tip < 0.1 * 0.1, "{short} {tip}");
     // at 10 mm the depth is off by the sum of the three
     let root = Matrix3::new(0.02, 0.0, 0.0, 0.01, 0.03, 0.0, -0.01, 0.02, 0.01);
     t.doubt.depth = root * root.transpose();
