@@ -7,6 +7,7 @@ Robots and runs of seed 0 where nothing else is said. Rates of poses that are wr
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -176,6 +177,24 @@ def test_what_slipped_early_is_an_effect() -> None:
     assert not len(d.outliers)
     assert d.effects == ("sensor_slip",)
     assert "slip" in named(d)
+
+
+def test_a_slip_between_two_rounds_of_the_same_poses_leaves_the_right_readings_in() -> None:
+    """Catches a slip in the model that only the readings that are off are asked about: all poses are read once before it
+    and once after it, so that the means of the poses say nothing of it. A good reading was listed, and the bad one of
+    the same pose, 2 mm off, was fitted."""
+    world = worlds.clean(0)
+    repeat = world.columns["repeat"]
+    columns = {name: np.concatenate([values[repeat == k] for k in (1, 2)]) for name, values in world.columns.items()}
+    columns["time_s"] = np.sort(columns["time_s"])
+    n, wrong = len(columns["pose"]), [3, 140, 300]
+    add = np.where(np.arange(n)[:, None] < n // 2, 0.0, [0.2, -0.3, 0.1])
+    add[wrong] += [[2.0, 1.0, -1.5], [-1.0, 2.0, 2.0], [-2.0, 1.0, 1.0]]
+    study = sk.Study(world.robot, rows_of(replace(world, columns=columns), add))
+    study.add("sensor_slip", slip_time_s=float(columns["time_s"][n // 2 - 1 : n // 2 + 1].mean()))
+    study.add("rail_lean")
+    assert study.left_out.tolist() == wrong
+    assert study.diagnose().outliers.tolist() == wrong
 
 
 def test_a_reading_off_by_kilometres_does_not_weigh_its_axis_down() -> None:

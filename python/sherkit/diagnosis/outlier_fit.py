@@ -32,6 +32,9 @@ _LEVEL = 0.005
 _DESCRIBED = 0.01
 #: Columns are described by no more than this part of the poses' readings.
 _MOST_COLUMNS = 0.15
+#: Directions that the rows tell less than this part of the best one are none; what is fitted is told by the means of the
+#: poses where so much of it is between them.
+_TOLD, _BY_MEANS = 1e-12, 0.5
 #: A column of which the fitted ones leave less than this is one of theirs.
 _ABSORBED = 1e-3
 #: What is left counts as noise up to this many times the noise.
@@ -87,7 +90,25 @@ class OutlierFit:
         # of the mean of an item; nothing where it is not known
         variance = self.within**2 if self.within.any() else np.full(self.e.shape[1], float(declared))
         self.noise = variance / self.count[:, None]
-        self.basis = orthonormal(self._summed(self.view.fitted))
+        self.basis = self._fitted_columns()
+
+    def _fitted_columns(self) -> Floats:
+        """What is fitted as the basis has it. What differs within poses more than between them, as a slip between two
+        rounds of the same poses does, is left as the fit of the rows has it: of their means, only readings that stand
+        apart would tell it."""
+        columns = self._summed(self.view.fitted)
+        flat = columns.reshape(-1, columns.shape[2])
+        every = np.zeros((flat.shape[1], flat.shape[1]))
+        for rows in self.view.blocks:
+            part = self.view.fitted(rows).reshape(-1, flat.shape[1])
+            every += part.T @ part
+        scale = np.sqrt(np.maximum(np.diag(every), 1e-300))
+        value, vector = linalg.eigh(every / np.multiply.outer(scale, scale))
+        told = value > _TOLD * value.max(initial=0.0)
+        known = vector[:, told] / np.sqrt(value[told]) / scale[:, None]
+        between, turn = linalg.eigh(known.T @ (flat.T @ flat) @ known)
+        by_means = between >= _BY_MEANS
+        return orthonormal(flat if by_means.all() else flat @ known @ turn[:, by_means])
 
     def outliers(self) -> Bools:
         """Rows (n,) that are gross errors.
