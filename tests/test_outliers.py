@@ -180,9 +180,9 @@ def test_what_slipped_early_is_an_effect() -> None:
 
 
 def test_a_slip_between_two_rounds_of_the_same_poses_leaves_the_right_readings_in() -> None:
-    """Catches a slip in the model that only the readings that are off are asked about: all poses are read once before it
-    and once after it, so that the means of the poses say nothing of it. A good reading was listed, and the bad one of
-    the same pose, 2 mm off, was fitted."""
+    """Catches a slip in the model that only the readings that are off are asked about: all poses are read once before
+    it and once after it, so that the means of the poses say nothing of it. A good reading was listed, and the bad one
+    of the same pose, 2 mm off, was fitted."""
     world = worlds.clean(0)
     repeat = world.columns["repeat"]
     columns = {name: np.concatenate([values[repeat == k] for k in (1, 2)]) for name, values in world.columns.items()}

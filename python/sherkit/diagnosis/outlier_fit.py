@@ -32,8 +32,8 @@ _LEVEL = 0.005
 _DESCRIBED = 0.01
 #: Columns are described by no more than this part of the poses' readings.
 _MOST_COLUMNS = 0.15
-#: Directions that the rows tell less than this part of the best one are none; what is fitted is told by the means of the
-#: poses where so much of it is between them.
+#: Directions that the rows tell less than this part of the best one are none; what is fitted is told by the means of
+#: the poses where so much of it is between them.
 _TOLD, _BY_MEANS = 1e-12, 0.5
 #: A column of which the fitted ones leave less than this is one of theirs.
 _ABSORBED = 1e-3

@@ -243,10 +243,22 @@ def radius_95(covariances: Floats) -> Floats:
 
     By matching two moments of the squared length (Satterthwaite).
     """
+    scale, freedom = _as_chi2(covariances)
+    return np.asarray(np.sqrt(scale * scipy.special.chdtri(freedom, 0.05)))
+
+
+def share_within(covariance: Floats, radius: float) -> float:
+    """Part of the draws of a Gaussian with a covariance (k, k) within a ``radius``, by the same matching."""
+    scale, freedom = _as_chi2(covariance[None])
+    return float(1.0 - scipy.special.chdtrc(freedom, radius**2 / scale)[0]) if scale[0] > 0 else 1.0
+
+
+def _as_chi2(covariances: Floats) -> tuple[Floats, Floats]:
+    """Scale and freedom (n,) of the χ² that squared lengths nearly have."""
     axes = linalg.eigvalsh(covariances).clip(0.0)
     total, squares = axes.sum(axis=1), (axes**2).sum(axis=1)
     freedom = np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), 1.0)
-    return np.asarray(np.sqrt(total / freedom * scipy.special.chdtri(freedom, 0.05)))
+    return total / freedom, freedom
 
 
 # -- Noise by repeats --------------------------------------------------------------------------------------------------

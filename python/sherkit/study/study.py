@@ -354,7 +354,7 @@ class Study(Shown):
         held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss, start=self.fit.values)
         correction = made.correct(self.fit, seed=self.seed) if made.may_correct(self.fit) else None
         return made.from_runs(
-            CalibrationRun(self.fit, held.residuals, correction, made.in_region(self.fit), block=held.block)
+            CalibrationRun(self.fit, held.residuals, correction, made.in_region(self.fit), self.left_out, held.block)
         )
 
     @validate_arguments
