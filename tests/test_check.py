@@ -328,6 +328,32 @@ def test_the_run_of_another_robot_is_refused(robots: Path, run: str, robot: str,
     assert "sherkit diagnose" not in out
 
 
+@pytest.mark.parametrize(
+    ("column", "rows", "value", "words"),
+    [
+        ("z_mm", [7], 1e30, "z_mm is 1e+30, far from all others"),
+        ("x_mm", [5, 6, 7], -9999.0, "lines 7, 8, 9: x_mm is -9999"),
+        ("q2_mm", [11], 9999.0, "q2_mm is 9999"),
+        ("y_mm", list(range(60)), 5.0, "y_mm is 5 in all 60 rows, while the joints move"),
+    ],
+)
+def test_values_that_no_machine_gives_are_said(
+    column: str, rows: list[int], value: float, words: str, tmp_path: Path
+) -> None:
+    """Catches "nothing is wrong" of readings that were lost or froze; and a pose that was really driven to, far from
+    the others, taken for one."""
+    values = run_of(60)
+    values[30, :6] = [4000.0, 4000.0, 4000.0, 0.0, 0.0, 4000.0]
+    head = ",".join(OURS)
+    np.savetxt(tmp_path / "sound.csv", values, delimiter=",", header=head, comments="", fmt="%.6g")
+    values[rows, OURS.index(column)] = value
+    np.savetxt(tmp_path / "run.csv", values, delimiter=",", header=head, comments="", fmt="%.6g")
+    sound, wrong = (check_file(tmp_path / name).wrong for name in ("sound.csv", "run.csv"))
+    assert not sound
+    assert len(wrong) == 1
+    assert words in str(wrong[0].said)
+
+
 def test_what_check_praises_diagnose_reads(robots: Path, tmp_path: Path) -> None:
     """Catches columns that the robot's file names and the run has not, and columns of two robots in one file, of which
     a diagnosis takes the other's: both were called good."""

@@ -161,7 +161,7 @@ class _Checking:
                     self.wrong.append(Problem(why, f"name it '{ours}' if it is", column=theirs))
             refused = refused if data is None else ""
         if data is not None:
-            told = (doubt.sentence for doubt in doubts(data) if not doubt.poses)
+            told = (doubt.sentence for doubt in doubts(data, by_hand=True) if not doubt.poses)
             self.wrong += [Problem(one, "look at it; it is read as it stands", mended=False) for one in told]
         return FileCheck(
             self.source, tuple(self.wrong), columns, further,

@@ -14,6 +14,7 @@ from ..model.sensor_pose import SLIP
 from .outliers import sentences
 from .result import (  # fmt: skip
     APART,
+    AS_DRAWN,
     MISSING,
     NEXT,
     SINGLY,
@@ -153,6 +154,12 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
             "be said of the machine.",
             "Put that right, and ask again.",
         )
+    if d.verdict == "adequate" and (drawn := _not_as_drawn(d)):
+        return (
+            f"The model describes this machine: on poses that it was not fitted to it is {off}; but {drawn}",
+            "Measure that at the machine: where it is so, write it into the robot's file; where it is not, something "
+            "else is pressed into it, and the model holds among these poses alone.",
+        )
     if d.verdict == "adequate":
         return (
             f"The model describes this machine: on poses that it was not fitted to it is {off}, and nothing that was "
@@ -184,6 +191,11 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
         if d.signature is not None
         else "Ask what differs from pose to pose and stands in no column: record it, or declare it as noise.",
     )
+
+
+def _not_as_drawn(d: Diagnosis) -> str:
+    """What of the drawing is farther off than robots are, in words; empty where nothing is."""
+    return next((check.fails for check in d.checks if check.name == AS_DRAWN and check.holds is False), "")
 
 
 def _rest(d: Diagnosis) -> str:
@@ -325,6 +337,8 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield f"take {out} out of the model: the error on rows held out is no larger without", ""
     elif d.noise_origin == "unknown":
         yield "repeat some poses, or add sigma columns: only then can it be said whether the model is good enough", ""
+    elif _not_as_drawn(d):
+        yield "measure at the machine what is so far from the robot's file, and correct the file or look again", ""
     else:
         yield "nothing; go on with the model as it is", ""
 

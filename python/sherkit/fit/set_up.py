@@ -249,7 +249,7 @@ def _wrong(
             return []
         if _is_physics(model, data, datum, now):
             return []
-        return [_all_noise(now, before, unit) if _is_noise(now, data) else _nothing_usual(now, before, unit)]
+        return [_all_noise(now, before, unit) if _is_noise(now, data) else _nothing_usual(now, before, unit, data)]
     first, found = better[0]
     after = per_unit * found.error
     looks, advice = (
@@ -418,11 +418,15 @@ def _all_noise(now: Plausible, before: float, unit: str) -> Mistake:
     return Mistake(sentence, before)
 
 
-def _nothing_usual(now: Plausible, before: float, unit: str) -> Mistake:
+def _nothing_usual(now: Plausible, before: float, unit: str, data: Measurements) -> Mistake:
     """That the fit is absurd and nothing that is usually mistaken explains it."""
     sentence = (
         f"nothing that is usually mistaken explains the run: {_plain(before)} {unit} RMS are left with parameters of "
         f"plausible size, {100 * now.relative:.0f} % of how far the readings move; compare a pose or two with the "
         "robot's file by hand"
     )
+    still = np.flatnonzero(np.ptp(data.joints[~data.outlier], axis=0) == 0.0)
+    if len(still):
+        names = listed(data.layout.joints[k] for k in still)
+        sentence += f"; {names} never changed: where it moved, what writes it froze"
     return Mistake(sentence, before)

@@ -10,7 +10,7 @@ from ..rows import Measurements
 from .alike import alike, piled
 from .doubt import DataWarning
 from .repeats import averaged, commanded, copied, declared
-from .values import angles, frozen, on_a_line, order_lost, temperature, time_in_milliseconds
+from .values import angles, frozen, lost, on_a_line, one_value, order_lost, temperature, time_in_milliseconds
 
 __all__ = ["RULES", "DataWarning", "angles", "commanded", "doubts"]
 
@@ -19,7 +19,10 @@ RULES: tuple[Callable[[Measurements], Iterator[DataWarning]], ...] = (
     frozen, time_in_milliseconds, copied, averaged, alike, piled, declared, temperature, order_lost, on_a_line,
 )  # fmt: skip
 
+#: And of one that a person looks at.
+_BY_HAND = (lost, one_value)
 
-def doubts(data: Measurements) -> tuple[DataWarning, ...]:
-    """Everything that a table says against itself."""
-    return tuple(doubt for rule in RULES for doubt in rule(data))
+
+def doubts(data: Measurements, *, by_hand: bool = False) -> tuple[DataWarning, ...]:
+    """Everything that a table says against itself; ``by_hand`` with what a diagnosis puts right by itself."""
+    return tuple(doubt for rule in (*RULES, *(_BY_HAND if by_hand else ())) for doubt in rule(data))

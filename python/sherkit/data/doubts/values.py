@@ -8,7 +8,7 @@ import numpy as np
 
 from ...base import linalg
 from ...base.figures import listed
-from ...base.types import Floats, Ints
+from ...base.types import Bools, Floats, Ints
 from .. import columns as c
 from ..columns import TEMPERATURE, TIME, unit_in
 from ..rows import Measurements
@@ -163,6 +163,53 @@ def frozen(data: Measurements) -> Iterator[DataWarning]:
                 "writes them (a topic that was not renewed, a stopped recorder), and measure again"
             )
             return
+
+
+# -- What is looked at by a person before a run is used: a diagnosis leaves such rows out by itself -----------------
+
+#: Values lie apart from the others by so many times what the inner half of them ranges over.
+_FAR = 20.0
+
+
+def lost(data: Measurements) -> Iterator[DataWarning]:
+    """Single values that no course of the others leads to, as an instrument writes them where it saw nothing; a place
+    that is as far in joints as in readings was driven to."""
+    read = np.where(data.taken, data.readings, np.nan)
+    far = {name: _apart(values) for name, values in zip(data.layout.joints, data.joints.T, strict=True)}
+    moved = np.any([*far.values(), np.zeros(len(data), dtype=bool)], axis=0)
+    seen = {name: _apart(read[:, k]) for k, name in enumerate(data.layout.readings)}
+    both = moved & np.any([*seen.values(), np.zeros(len(data), dtype=bool)], axis=0)
+    for name, rows in {**far, **seen}.items():
+        wrong = np.flatnonzero(rows & ~both)
+        if len(wrong):
+            at = data.layout.joints.index(name) if name in far else data.layout.readings.index(name)
+            values = np.unique((data.joints if name in far else read)[wrong, at])
+            yield DataWarning(
+                f"{data.place(wrong)}: {name} is {listed(f'{v:.6g}' for v in values)}, far from all others: a lost "
+                "reading, it seems; leave the cell empty"
+            )
+
+
+def _apart(values: Floats) -> Bools:
+    """Which of the values (n,) lie far from most."""
+    known = values[np.isfinite(values)]
+    if len(known) < FEWEST:
+        return np.zeros(len(values), dtype=bool)
+    low, high = np.quantile(known, [0.25, 0.75])
+    return np.asarray((high > low) & (np.abs(values - 0.5 * (low + high)) > _FAR * (high - low)))
+
+
+def one_value(data: Measurements) -> Iterator[DataWarning]:
+    """A reading that never changes while joints move."""
+    if len(data) < FEWEST or not np.ptp(data.joints, axis=0).any():
+        return
+    for k, name in enumerate(data.layout.coordinates):
+        values = data.readings[data.taken[:, k], k]
+        if len(values) >= FEWEST and not np.ptp(values):
+            yield DataWarning(
+                f"{name} is {values[0]:g} in all {len(values)} rows, while the joints move: the instrument, or what "
+                "writes its value, froze"
+            )
 
 
 # -- Temperatures and angles of another unit -------------------------------------------------------------------------
