@@ -151,7 +151,8 @@ class FittedRun(Saved):
         before = (self, frozenset(effect.name for effect, _ in added)) if self._is_minimum else None
         known = dict(zip((p.name for p in self.model.parameters), self.fit.values.tolist(), strict=True))
         start = np.array([known.get(p.name, 0.0) for p in model.parameters])
-        fit = identify(model, self.data, noise=self.fit.noise, start=start, priors=self.fit.priors)
+        # with more in it, it is asked anew whether readings contradict the drawing: what lacked most did not
+        fit = identify(model, self.data, noise=self.fit.noise, start=start, priors=None if self.fit.priors else 0.0)
         if not fit.converged and not fit.priors:
             # more may be more than the readings decide
             fit = identify(model, self.data, noise=self.fit.noise, start=start, priors=True)
