@@ -8,13 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import polars as pl
 import pytest
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import least_squares, minimize_scalar
 
+import worlds
 from sherkit import Measurements, from_frame, identify
 from sherkit.diagnosis import gross_errors
+from sherkit.evidence.thresholds import times_plausible
 from sherkit.robots.delta import grid
 from sherkit.robots.delta.model import DeltaModel
 from strategies import EXAMPLE
@@ -166,6 +169,17 @@ def test_priors_leave_a_full_run_alone() -> None:
     data = run(TWELVE, planted(TWELVE, rng), rng, **declared(len(POSES), SIGMA_MM))
     plain, fit = identify(TWELVE, data), identify(TWELVE, data, priors=True)
     assert (np.abs(plain.values - fit.values) < 0.2 * plain.std).all()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_a_model_lacks_does_not_outweigh_the_drawing(seed: int) -> None:
+    """Catches a drawing that is weighed against the noise of repeats where the model is off by a thousand of them: a
+    mirrored picture bent the camera by a hundred times what is plausible, and regions left out were off by 1e5 px."""
+    world = worlds.spherical_world(seed, repeats=2)
+    mirrored = world.columns | {"u_px": 1280.0 - world.columns["u_px"]}
+    fit = identify(world.robot, from_frame(pl.DataFrame(mirrored)), priors=True)
+    assert fit.scale > 1000.0
+    assert times_plausible(fit).max() < 5.0
 
 
 def test_priors_do_not_need_declared_noise() -> None:

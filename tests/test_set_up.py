@@ -373,7 +373,6 @@ def test_a_robot_far_from_its_drawing_is_said_in_the_first_line() -> None:
     assert "mm where 2 mm is usual" in found.headline
     assert "is the robot file that of this robot?" in found.headline
     # and nobody is sent on with it
-    assert "Use the calibration as it is" in str(right.findings) and "Use the calibration as it is" not in str(
-        found.findings
-    )
+    assert "Use the calibration as it is" in str(right.findings)
+    assert "Use the calibration as it is" not in str(found.findings)
     assert "correct the file or look again" in str(found.findings)

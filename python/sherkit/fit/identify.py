@@ -367,15 +367,18 @@ def _fitted(
     linear: bool,
 ) -> Fit:
     """With the drawing known within a ``part`` of the plausible sizes; 0 where it does not count."""
-    weights, priors = np.where(data.used, 1.0 / noise.sigma, 0.0), part > 0.0
+    weights, priors, beyond_noise = np.where(data.used, 1.0 / noise.sigma, 0.0), part > 0.0, 1.0
     problem = LeastSquaresProblem(model, data, scaled_sizes(model, part or 1.0))
     known = priors or any(p.known for p in model.parameters)
     try:
         values = beginning(model, data, weights) if start is None else model.starting_at(start)
         # what begins at another fit is near its minimum, or has none
         most, roughly = (_EVALUATIONS, _EVALUATIONS) if start is None else (NEAR, ROUGHLY)
-        if known and noise.origin == "unknown":
+        if known and (priors or noise.origin == "unknown"):
             ratio, near = noise_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear, most=roughly)
+            if noise.origin != "unknown":
+                # what the model lacks is no noise, and bends the robot as if it were: the drawing is weighed against it
+                ratio = beyond_noise = max(ratio, 1.0)
             weights, values = weights / max(ratio, 1e-12), values if linear else near
         solver, ended = problem.solve(weights, values, priors=priors, linear=linear, max_evaluations=most)
         result = solver.result()
@@ -429,7 +432,7 @@ def _fitted(
         rank=result["rank"],
         singular_values=result["singular_values"],
         unobserved_basis=in_plausible_sizes(result["unobserved"], model, part),
-        scale=overall,
+        scale=overall * beyond_noise,
         noise=noise,
         loss=loss,
         priors=part,
