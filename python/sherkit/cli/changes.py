@@ -92,7 +92,8 @@ def _say(found: Comparison, *files: Path) -> None:
     for run, stand in found.stand.items():
         turned = ", ".join(f"{name.rpartition('_')[0]} {sized(value, unit_in(name))}" for name, value in stand.items())
         which, _, source = run.partition(": ")
-        output.say(f"the sensor of run {which} ({source}) stands elsewhere than that of the first: {turned}")
+        beside = ", as far as a robot that has not changed says; part of it may be what has" if found.changed else ""
+        output.say(f"the sensor of run {which} ({source}) stands elsewhere than that of the first: {turned}{beside}")
     for run, count in found.aside.items():
         if count:
             output.say(f"{count} rows of run {run} stand apart from all others and were left out")

@@ -131,7 +131,9 @@ _NOT_LARGE = 0.05
 #: A reading that hardly moves counts as moving by this part of the one that moves most.
 _LEAST_SPREAD = 0.02
 #: Parameters are plausible as long as they cost no more than this.
-_MOVED = 15.0
+_MOVED = 8.0
+#: So much more they cost where a robot is far from its drawing: one of them is off by six of its sizes.
+_FAR_FROM_DRAWN = 5.0
 #: More mistakes than this at once are not looked for.
 _MOST_MISTAKES = 3
 #: Of how far readings lie from their middle, the part by which two frames may differ and be said as one: 3°.
@@ -240,7 +242,7 @@ def _wrong(
     now = plausible_fit(model, data, datum)
     if now is not None and _is_small(now, data):
         return []
-    stands = min((p.misfit for p in (now, free) if p is not None), default=np.inf)
+    stands = min((p for p in (now, free) if p is not None), key=lambda p: p.misfit, default=None)
     better = _much_better(model, data, datum, stands, now)
     unit, per_unit = data.layout.unit, data.layout.per_unit
     before = float("nan") if now is None else per_unit * now.error
@@ -264,7 +266,7 @@ def _wrong(
 
 
 def _much_better(
-    model: ModelWithEffects, data: Measurements, datum: Bools, stands: float, now: Plausible | None
+    model: ModelWithEffects, data: Measurements, datum: Bools, stands: Plausible | None, now: Plausible | None
 ) -> list[tuple[SetUpHypothesis, Plausible]]:
     """The set-up that explains the run much better than it ``stands`` or fits ``now``, first, and those that are as
     good: every coordinate that it touches gets better, and none worse."""
@@ -276,7 +278,7 @@ def _much_better(
         fitted += [_turned(model, data, datum, mirrored=mirrored) for mirrored in (False, True)]
     better = []
     for one, found in fitted:
-        if found is None or found.misfit + one.farther >= stands - _MUCH or found.relative >= _NOT_RIGHT:
+        if found is None or found.relative >= _NOT_RIGHT or not _is_much_better(one, found, stands):
             continue
         if now is None or _nowhere_worse(one, found, now, data):
             better.append((one, found))
@@ -299,6 +301,15 @@ def _much_better(
     if model.stands_anywhere:
         as_good = _handed(as_good, model, data)
     return sorted(as_good, key=lambda pair: pair[1].misfit + pair[0].farther)
+
+
+def _is_much_better(one: SetUpHypothesis, found: Plausible, stands: Plausible | None) -> bool:
+    """Whether a set-up explains the run much better than it ``stands``; or as well, with a robot as it is drawn, where
+    it takes one that is not."""
+    if stands is None or found.misfit + one.farther < stands.misfit - _MUCH:
+        return True
+    as_drawn = found.moved + one.farther < stands.moved - _FAR_FROM_DRAWN
+    return as_drawn and found.relative < stands.relative / _BETTER
 
 
 def _handed(
