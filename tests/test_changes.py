@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+import worlds
 from changed_worlds import ArmPair, DeltaPair, truth_of_change
 from sherkit.cli import main
 from sherkit.errors import FitError, MeasurementError
@@ -173,6 +174,24 @@ def checked(seed: int, changed: str, ratio: float, repeats: int = 2) -> tuple[sk
     world = DeltaPair(seed, (changed,) if changed else (), ratio, places=poses, poses=(60, 12), repeats=repeats)
     off = 1e3 * float(np.sqrt(np.square(world.missed(made)).sum(axis=1).mean()))
     return sk.verify(made, world.runs[1]), off
+
+
+@pytest.mark.parametrize("correction", ["auto", "none"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_what_a_model_lacked_on_its_day_is_no_change(seed: int, correction: str) -> None:
+    """Catches a check that is asked of the model without its correction, and one that takes what the model has always
+    lacked for a change: of deltas whose rails lean, calibrated without that, 36 of 40 were refused that had not
+    changed, and "rail_lean" was said to have moved."""
+    world = worlds.delta_world(seed, {"rail_lean": 6.0 * worlds.NOISE_UM})
+    chosen = np.random.default_rng(seed).permutation(np.unique(world.columns["pose"]))
+    run, check = (
+        sk.from_frame(pl.DataFrame(world.columns).filter(pl.col("pose").is_in(some.tolist())))
+        for some in (chosen[12:], chosen[:12])
+    )
+    found = sk.verify(sk.calibrate(world.robot, run, correction=correction).calibration, check)
+    assert found.valid
+    assert found.changed == ()
+    assert found.advice == "nothing needs to be done"
 
 
 def test_backlash_is_no_noise() -> None:

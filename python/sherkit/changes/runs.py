@@ -45,14 +45,21 @@ class RunPose:
 
 
 def stand_of(
-    model: ModelWithEffects, data: Measurements, values: Floats, axes: tuple[int, ...], used: Bools
+    model: ModelWithEffects,
+    data: Measurements,
+    values: Floats,
+    axes: tuple[int, ...],
+    used: Bools,
+    corrected: Floats | None = None,
 ) -> RunPose:
-    """The stand from which these rows were read, of a model at these values. Raises
+    """The stand from which these rows were read, of a model at these values, ``corrected`` by so much (n, m). Raises
     :class:`~sherkit.errors.FitError` for rows that are too few to tell it."""
     if len(parts := _set_ups(data)) > 1:
-        return _each(parts, [stand_of(model, data.select(rows), values, axes, used[rows]) for rows in parts], used)
+        moved = np.zeros(used.shape) if corrected is None else corrected
+        stands = [stand_of(model, data.select(rows), values, axes, used[rows], moved[rows]) for rows in parts]
+        return _each(parts, stands, used)
     chosen = list(axes)
-    predicted = model.predict(data, values)[:, chosen]
+    predicted = model.predict(data, values)[:, chosen] + (0.0 if corrected is None else corrected)
     seen = np.where(used, data.readings[:, chosen], predicted)
     names = [data.layout.readings[a] for a in axes]
     whole: Bools = np.asarray(used.all(axis=1))

@@ -50,6 +50,10 @@ _REFUSED, _CHANGED = 0.005, 0.015
 #: Degrees of freedom of a noise that a calibration knows.
 _OF_CALIBRATION = 200
 _SHARE, _POWER = 0.95, 0.9
+#: What a model lacks has about so many shapes among the poses of a check.
+_SHAPES = 6
+#: The promise is mostly what the model lacks from this part of its square on.
+_LACKED = 0.5
 #: An error, in promises, of which it is said whether a check finds it.
 _SURE = 1.5
 _CANDIDATES, _RIDGE = 240, 1e-3
@@ -166,6 +170,11 @@ class _Known:
         value, vector = linalg.eigh(covariance)
         return cls(calibration, model, values, vector * np.sqrt(value.clip(0.0)))
 
+    def corrected(self, data: Measurements, axes: tuple[int, ...]) -> Floats | None:
+        """What is deployed beside the model (n, m), as the sensor saw it; None where nothing is."""
+        by = self.calibration.corrects(data.joints)
+        return by if by is None or by.shape[1] == len(axes) else None
+
 
 @validate_arguments
 @linalg.one_thread()
@@ -189,7 +198,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         return _unsaid(known, data, mute)
     model = model.for_run(data)
     used = data.used[:, list(axes)]
-    stand = stand_of(model, data, known.values, axes, used)
+    stand = stand_of(model, data, known.values, axes, used, known.corrected(data, axes))
     basis = orthonormal(stand.columns[used])
     freedom = int(used.sum()) - basis.shape[1]
     if freedom < 3:
@@ -200,7 +209,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     noise, noise_freedom = _noise(known, data, axes)
     square = float(left @ left) / freedom
     seen = float(np.sqrt(max(square - noise**2, 0.0)))
-    promised = _promised(known, data, axes)
+    promised, lacked = _promised(known, data, axes)
     base, unit = _evidence(known, model, data, axes, used, stand, noise)
     flat = stand.columns[used.all(axis=1)].reshape(-1, stand.columns.shape[2])
     valid, least = None, np.inf
@@ -217,7 +226,9 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
             power = _power_at_work(known, model, data, axes, base, off, promised)
             if not power.speaks:
                 valid, mute = None, unable(power, (noise or off * unit) * per_row, data.layout.unit)
-    names, ties, moved = _moved(base)
+    # what the model lacks looks like a change as long as it is no larger than it was
+    evidence = 0.0 if valid and lacked else base.evidence
+    names, ties, moved = _moved(base) if evidence >= ALARM else ((), (), ())
     held = [name for name, same in zip(data.layout.joints, still(data.joints), strict=True) if same]
     shown = {one.name: _power(base, one.name) for one in change_candidates(model, [data])}
     return Verification(
@@ -231,11 +242,11 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         changed=names,
         indistinguishable=ties,
         parameters=moved,
-        evidence=base.evidence / float(np.log(10.0)),
+        evidence=evidence / float(np.log(10.0)),
         stand=stand.moved,
         would_show=tuple(name for name, power in shown.items() if power >= _POWER),
         would_not=tuple(name for name, power in shown.items() if power < _POWER),
-        advice=mute.measure if mute is not None else _advice(valid, names, ties, base.evidence, held),
+        advice=mute.measure if mute is not None else _advice(valid, names, ties, evidence, held),
         silent="" if mute is None else f"{data.source}: {mute}",
     )
 
@@ -292,28 +303,35 @@ def _noise(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[fl
     return float(np.sqrt(scatter.mean())) if same else 0.0, _OF_CALIBRATION
 
 
-def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> float | None:
+def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float | None, bool]:
     """What the calibration promises of a reading at the places of these rows (root mean square, in its unit), as its
-    sensor saw them: what nobody knows of the base no reading shows."""
+    sensor saw them: what nobody knows of the base no reading shows. And whether most of that is what its model lacked
+    on the day of its run."""
     made = known.calibration
     frame = SENSOR if SENSOR in made.frames else None
     there = made.forward_batch(data.joints, frame=frame)
     if not there.reached.any():
-        return None
-    radius = made.predicted_accuracies(there.values[there.reached], frame=frame).radius_mm
-    radius = radius[np.isfinite(radius)]
+        return None, False
+    places = there.values[there.reached]
+    radius = made.predicted_accuracies(places, frame=frame).radius_mm
+    left = np.concatenate([made.left_of(part, places) for part in made.parts_made[:1]])
+    # what the model lacked was as large on average; at these places, a few shapes of it, it may be larger
+    more = float(scipy.stats.f.isf(_REFUSED, _SHAPES, _OF_CALIBRATION)) - 1.0
+    left, radius = left[np.isfinite(radius)], radius[np.isfinite(radius)]
     if not len(radius):
-        return None
+        return None, False
+    lacked = bool(np.mean(left**2) > _LACKED * np.mean(radius**2))
+    radius = np.sqrt(radius**2 + more * np.minimum(left, radius) ** 2)
     per_axis = float(np.sqrt(np.mean(radius**2) / scipy.stats.chi2.ppf(_SHARE, 3)))
     if data.layout.unit == "µm":
-        return per_axis
+        return per_axis, lacked
     # where readings are no lengths, by how far a joint moves either
     inputs = known.model.linearised(data, known.values).inputs
     if inputs is None:
-        return None
+        return None, lacked
     read = float(np.sqrt(np.mean(np.square(inputs[:, list(axes)]).sum(axis=(1, 2)))))
     lever = float(getattr(known.calibration, "reach_mm", 1.0))
-    return per_axis * read / max(lever * np.sqrt(inputs.shape[2]), 1e-300)
+    return per_axis * read / max(lever * np.sqrt(inputs.shape[2]), 1e-300), lacked
 
 
 def _evidence(
@@ -363,8 +381,6 @@ def _of_lead(base: Base, stand: Floats) -> float:
 def _moved(base: Base) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[ParameterChange, ...]]:
     """What has moved, what that cannot be told from, and by how much; nothing where the evidence does not say so."""
     blocks, each = base.family.blocks, base.each
-    if base.evidence < ALARM:
-        return (), (), ()
     ordered = np.argsort(-each).tolist()
     lead = blocks[ordered[0]]
     if base.beside(lead).evidence > SURE or lead.effect is None:

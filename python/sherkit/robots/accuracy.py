@@ -215,6 +215,16 @@ class Accurate(WhereMeasured):
         everywhere."""
         return np.broadcast_to(part.residual_covariance, (len(coordinates), *part.residual_covariance.shape))
 
+    def left_of(self, part: IdentifiedModel, coordinates: Floats) -> Floats:
+        """Radius (n,), mm, of what a part leaves at ``coordinates`` (n, k) of :attr:`frame` in 95 of 100 cases."""
+        return self.reach_mm * radius_95(self.left_at(part, coordinates))
+
+    def corrects(self, joints: Floats) -> Floats | None:
+        """What is deployed beside the model of the whole (n, m) with ``joints`` (n, j), as the sensor saw it; None
+        where nothing is."""
+        del joints
+        return None
+
     def spread(
         self, coordinates: Floats, joints: Floats, *, frame: str | None = None, temperature_c: float | None = None
     ) -> Floats:

@@ -279,6 +279,14 @@ class DeltaCalibration(Calibration):
 
     # -- the model ---------------------------------------------------------------------------------------
 
+    def corrects(self, joints: Floats) -> Floats | None:
+        """What the correction and the model of the region of interest add, (n, 3) mm."""
+        if self.local is None and self.whole.correction is None:
+            return None
+        plain = replace(self, local=None, region_half_width_mm=None, whole=replace(self.whole, correction=None))
+        with_it, without = (one.forward_batch(joints, frame=SENSOR) for one in (self, plain))
+        return np.where((with_it.reached & without.reached)[:, None], with_it.values - without.values, 0.0)
+
     def _core_part(self, part: DeltaPart) -> tuple[_core.DeltaModel, Floats, _core.Bernstein | None]:
         model = part.model(self.robot)
         return model.core, model.full(part.values), part.correction.core if part.correction else None
