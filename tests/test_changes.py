@@ -176,6 +176,27 @@ def checked(seed: int, changed: str, ratio: float, repeats: int = 2) -> tuple[sk
     return sk.verify(made, world.runs[1]), off
 
 
+def test_a_check_that_was_knocked_or_copied_says_so() -> None:
+    """Catches "take twelve times as many readings" of a check in which the tracker was knocked by 0.1 mm, and a machine
+    that is refused since each row of its check stands three times in the file."""
+    world = worlds.clean(1)
+    chosen = np.random.default_rng(1).permutation(np.unique(world.columns["pose"]))
+    every = pl.DataFrame(world.columns)
+    run, check = (every.filter(pl.col("pose").is_in(some.tolist())) for some in (chosen[12:], chosen[:12]))
+    check = pl.concat([check.filter(pl.col("repeat") == k) for k in (1, 2, 3)])
+    check = check.with_columns(time_s=pl.col("time_s").sort())
+    made = sk.calibrate(world.robot, sk.from_frame(run)).calibration
+    late = pl.when(pl.int_range(pl.len()) >= 20).then(0.1).otherwise(0.0)
+    knocked = sk.verify(made, sk.from_frame(check.with_columns(pl.col("x_mm") + late)))
+    copied = sk.verify(made, sk.from_frame(pl.concat([check, check, check]).drop("repeat")))
+    assert sk.verify(made, sk.from_frame(check)).valid
+    assert knocked.valid is None
+    assert "one step, from row 20 on: the instrument or the target was knocked" in knocked.silent
+    assert "two set-ups" in knocked.advice
+    assert copied.valid is None
+    assert "copies of earlier rows" in copied.silent
+
+
 @pytest.mark.parametrize("correction", ["auto", "none"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_what_a_model_lacked_on_its_day_is_no_change(seed: int, correction: str) -> None:

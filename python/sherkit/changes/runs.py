@@ -55,8 +55,8 @@ def stand_of(
     """The stand from which these rows were read, of a model at these values, ``corrected`` by so much (n, m). Raises
     :class:`~sherkit.errors.FitError` for rows that are too few to tell it."""
     if len(parts := _set_ups(data)) > 1:
-        moved = np.zeros(used.shape) if corrected is None else corrected
-        stands = [stand_of(model, data.select(rows), values, axes, used[rows], moved[rows]) for rows in parts]
+        by = np.zeros(used.shape) if corrected is None else corrected
+        stands = [stand_of(model, data.select(rows), values, axes, used[rows], by[rows]) for rows in parts]
         return _each(parts, stands, used)
     chosen = list(axes)
     predicted = model.predict(data, values)[:, chosen] + (0.0 if corrected is None else corrected)

@@ -24,6 +24,7 @@ from ..base.figures import finite, listed, number
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
+from ..data.doubts import copied
 from ..data.reader import RunLike
 from ..errors import FitError, SherkitError
 from ..evidence.base import Base
@@ -193,7 +194,9 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     axes = axes_of(data)
     if not axes:
         raise FitError(f"{data.source}: verification needs coordinates; these rows are distances only")
-    mute = silence(data, axes, 2 * len(axes), _predicted(known, data))
+    mute = silence(data, axes, 2 * len(axes), _predicted(known, data)) or next(
+        (Silent(one.sentence, "leave the copies out") for one in copied(data)), None
+    )
     if mute is not None:
         return _unsaid(known, data, mute)
     model = model.for_run(data)
@@ -225,7 +228,10 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
             off = max(noise / unit, float(np.sqrt(base.rss / max(base.free, 1))))
             power = _power_at_work(known, model, data, axes, base, off, promised)
             if not power.speaks:
-                valid, mute = None, unable(power, (noise or off * unit) * per_row, data.layout.unit)
+                mute = unable(power, (noise or off * unit) * per_row, data.layout.unit, data, axes)
+            elif not np.isfinite(least):
+                mute = Silent("its rows cannot tell an error of any size", "measure at a dozen places or more")
+            valid = None if mute is not None else valid
     # what the model lacks looks like a change as long as it is no larger than it was
     evidence = 0.0 if valid and lacked else base.evidence
     names, ties, moved = _moved(base) if evidence >= ALARM else ((), (), ())

@@ -136,6 +136,8 @@ def _ratio(squares: Floats, share: Floats, answers: Floats, left: Floats, free: 
 
 #: Places that stand for the workspace.
 _PLACES = 120
+#: Repeats beside one of each pose that tell a step in time; the part of their scatter that one takes.
+_FEWEST_AGAIN, _ALL_OF_IT = 8, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,7 +256,7 @@ class Gate:
             )
         if not power.speaks:
             noise = (run.sigma or self.joined.noise) * float(np.sqrt(len(self.joined.axes))) * self._unit.per_unit
-            return unable(power, noise, unit)
+            return unable(power, noise, unit, run.data, self.joined.axes)
         off = error_in_another(run)
         if off <= TIMES * max(self.required, before):
             return None
@@ -276,8 +278,10 @@ def stuck(held: Sequence[str], so: str) -> Silent:
     return Silent(f"its {listed(held)} {verb} not move, {so}", "look at that encoder, and measure again")
 
 
-def unable(power: Power, noise: float, unit: str) -> Silent:
+def unable(power: Power, noise: float, unit: str, data: Measurements, axes: Sequence[int]) -> Silent:
     """Why rows of this power cannot say that nothing has changed; ``noise`` is that of a row, as people read it."""
+    if (stepped := _stepped(data, axes)) is not None:
+        return stepped
     most = TIMES * power.required
     sees = f"a change from {number(power.smallest)} {unit} on" if np.isfinite(power.smallest) else "no change"
     why = f"it would show {sees}, and must show one of {number(most)} {unit}"
@@ -286,6 +290,32 @@ def unable(power: Power, noise: float, unit: str) -> Silent:
     times = float(np.ceil((power.smallest / most) ** 2))
     more = f"about {number(times)} times as many readings" if np.isfinite(times) else "more readings"
     return Silent(f"its noise is {number(noise)} {unit}: {why}", f"take {more}, or measure with less noise")
+
+
+def _stepped(data: Measurements, axes: Sequence[int]) -> Silent | None:
+    """That readings of the same poses differ by one step in time, and so are no noise."""
+    rows = np.flatnonzero(data.used[:, list(axes)].all(axis=1))
+    rows = rows[np.argsort(data.order[rows], kind="stable")]
+    group = np.unique(data.groups[rows], return_inverse=True)[1].ravel()
+    count = np.bincount(group).astype(float)
+    if len(rows) - len(count) < _FEWEST_AGAIN:
+        return None
+    read = data.readings[rows][:, list(axes)]
+    off = read - np.stack([np.bincount(group, one) / count for one in read.T], axis=1)[group]
+    late, since, squares = np.zeros(len(count)), np.zeros(len(axes)), np.zeros(len(rows))
+    for k in range(len(rows) - 1, 0, -1):
+        late[group[k]] += 1.0
+        since += off[k]
+        squares[k] = np.square(since).sum() / max(float((late * (1.0 - late / count)).sum()), 1.0)
+    first = int(np.argmax(squares))
+    if squares[first] < _ALL_OF_IT * np.square(off).sum():
+        return None
+    where = data.place(rows[first : first + 1]).removeprefix(f"{data.source}: ")
+    return Silent(
+        f"its readings of the same poses differ by one step, from {where} on: the instrument or the target was "
+        "knocked, it seems",
+        "measure again, or give the rows before and after as two set-ups",
+    )
 
 
 def _unknown(run: RunData, sizes: Floats, covariance: Floats) -> float:

@@ -12,7 +12,7 @@ from .doubt import DataWarning
 from .repeats import averaged, commanded, copied, declared
 from .values import angles, frozen, lost, on_a_line, one_value, order_lost, temperature, time_in_milliseconds
 
-__all__ = ["RULES", "DataWarning", "angles", "commanded", "doubts"]
+__all__ = ["RULES", "DataWarning", "angles", "commanded", "copied", "doubts"]
 
 #: What is asked of every table.
 RULES: tuple[Callable[[Measurements], Iterator[DataWarning]], ...] = (
