@@ -152,6 +152,8 @@ def run_of(
     hidden = Hidden(sizes or {})
     # the first joint loses steps in the middle of the run; the stand is late by eight minutes
     q = q + zeros_of(name, seed) + np.outer(time_s > time_s[-1] / 2, np.eye(len(low))[0]) * hidden.lost
+    # the motors of the first two joints warm up
+    q = q + np.outer(1 - np.exp(-4 * time_s / time_s[-1]), [1.0, -0.7, *np.zeros(len(low) - 2)]) * hidden.warm_motors
     late = np.full(len(time_s), warmth[0] - 20.0)
     for k in range(1, len(time_s)):
         now = 0.5 * (warmth[k - 1] + warmth[k]) - 20.0

@@ -25,6 +25,7 @@ from running import command
 from second_machines import MACHINES, apart, foreign, run_of, stand_of
 from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
+from sherkit.diagnosis import template
 from sherkit.errors import FitError, RobotError, SherkitError
 from sherkit.model.effect import load_effects
 from sherkit.model.sensor_pose import SPACE
@@ -150,6 +151,19 @@ def test_an_effect_outside_the_catalogue_is_described_and_not_explained() -> Non
     ).diagnose()
     assert d.verdict in ("unexplained", "partly explained")
     assert d.signature is not None
+
+
+@pytest.mark.parametrize("seed", [2, *(pytest.param(k, marks=pytest.mark.slow) for k in (0, 1, 3, 4, 5))])
+def test_motors_that_warm_up_are_no_slip(seed: int, tmp_path: Path) -> None:
+    """Catches a course of joints in time, which no column tells, that is named as joints that slip (four of six); and
+    its effect for one's own, which does not run or helps nothing."""
+    run = run_of("scara", seed, {"warm_motors": 8e-4})
+    d = sk.diagnose(MACHINE["scara"], run)
+    assert (d.verdict, d.effects) == ("unexplained", ())
+    assert (d.signature["depends_on"], d.signature["joint"]) == (["time_s"], "shoulder_rad")
+    (tmp_path / "mine.py").write_text(template(d.signature, d.fit.data.layout), encoding="utf-8")
+    (mine,) = load_effects(tmp_path / "mine.py")
+    assert max(sk.identify(MACHINE["scara"], run, effects=[mine]).rms().values()) < 0.6 * max(d.fit.rms().values())
 
 
 def test_a_users_effect_stands_beside_the_generic_ones() -> None:

@@ -101,6 +101,10 @@ def blocks_of_shapes(made: Maker) -> None:
         _smooth(made, name, t, min(_ORDERS, count[name] - 1), along=name in joints)
     if "time_s" in u:
         _in_time(made, u)
+        powers = [_power(u["time_s"], order) for order in range(1, _ORDERS + 1)]
+        for name in joints if made.reference is None else ():
+            # a motor that warms up moves its own joint
+            made.add("smooth", ("time_s",), [made.along(name, one) for one in powers], order=_ORDERS, pattern=name)
     for name in poses:
         if name in joints:
             if count[name] >= _FEWEST_ALONG:
