@@ -178,7 +178,8 @@ def _diagnosed(
         lambda: backward_elimination(final, sigma, repeated_folds),
     )  # fmt: skip
     verdict = verdict_of(checks, found.names)
-    caveats = [told] if (told := implausible(final.fit, found.names)) else []
+    supposed = final.model.supposed(left=found.structure)
+    caveats = [told for told in (implausible(final.fit, found.names), supposed) if told]
     # where something else is left, that may be what changes with time
     if slow_drift is not None and slow_drift.counts and verdict in ("adequate", "explained"):
         caveats.append(
