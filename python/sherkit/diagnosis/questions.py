@@ -150,6 +150,9 @@ def _diagnosed(
     if look and judged is None and found.names:
         # what is wrong beside a model that lacks an effect is right with it, and what hid in its shadow comes to light
         beside = outliers_beside(found.final, every, outliers, keep)
+        if found.structure:
+            # the extremes of what is left are none
+            beside = np.intersect1d(beside, outliers)
         if not np.array_equal(beside, outliers):
             return _diagnosed(fit, effects, level, keep, seed, step, beside)
     final = found.final
