@@ -120,14 +120,25 @@ class OutlierFit:
 
     def _further_of_pairs(self, outliers: Bools) -> Bools:
         """Of each pose of two readings, both listed, the one (n,) that is further off, where the other is off by no
-        more than noise: which of two is wrong no median tells."""
+        more than noise: which of two is wrong no median tells. Only noise of heavy tails has a reading so wild that it
+        takes its pose with it, and none that stands apart."""
         out = np.zeros(len(outliers), dtype=bool)
         both = (np.bincount(self.item, outliers) == 2) & (self.count == 2) & ~self.moved
+        if not both.any() or not self._has_tails:
+            return out
         rows = self.order[self.starts[both][:, None] + np.arange(2)]
         square = ((self.e[rows] / np.maximum(self.within, self.floor)) ** 2).sum(axis=2)
-        near = scipy.special.chdtrc(self.e.shape[1], square.min(axis=1, initial=np.inf)) >= _BOTH_OFF
+        near = scipy.special.chdtrc(self.e.shape[1], square.min(axis=1)) >= _BOTH_OFF
         out[rows[near, square[near].argmax(axis=1)]] = True
         return out
+
+    @property
+    def _has_tails(self) -> bool:
+        """Whether readings of one pose differ with heavier tails than normal noise, by the fourth moment: of that it is
+        3, give or take √(96 / n)."""
+        steps = np.diff(self.e[self.order], axis=0)[np.diff(self.item[self.order]) == 0]
+        square = np.square(steps) / np.maximum(np.square(steps).mean(axis=0), 1e-300)
+        return bool(np.square(square).mean() > 3.0 + np.sqrt(96.0 / square.size))
 
     def _outlying(self) -> Bools:
         """As :meth:`outliers`, each item as a whole.
@@ -463,12 +474,14 @@ class OutlierFit:
         variance = np.maximum(spread + each - usual, 0.5 * each)
         distance = (square / np.maximum(variance, self.floor**2)).sum(axis=1)
         p = scipy.special.fdtrc(m, max(freedom, 1.0), np.maximum(distance / m, 0.0))
-        order = np.argsort(p)
-        below = np.flatnonzero(p[order] <= _LEVEL * np.arange(1, len(p) + 1) / len(p))
         out = np.zeros(len(p), dtype=bool)
-        out[order[: min(int(below[-1]) + 1, len(p) // 2)] if len(below) else []] = True
         # readings that stand apart from their pose are witnesses of each other, and of no pose that is wrong
-        return out & ((self.count == 1) | (p <= _LEVEL / len(p)))
+        for alone in (True, False):
+            those = np.flatnonzero((self.count == 1) == alone)
+            order = those[np.argsort(p[those])]
+            below = np.flatnonzero(p[order] <= _LEVEL * np.arange(1, len(order) + 1) / len(p))
+            out[order[: min(int(below[-1]) + 1, len(p) // 2)] if len(below) else []] = True
+        return out
 
 
 def _chi2_tail(x: float, freedom: int) -> float:
