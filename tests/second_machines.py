@@ -54,6 +54,8 @@ def gantry(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Fl
     y = y * (1 + h.pitch)
     # a rail that bends pitches what stands on it: once over its length
     x = x + h.bow_mm * (x / 200.0 - 1.0) ** 2
+    # a rack in two pieces, of which the second has another pitch
+    x = x + h.rack_mm * np.maximum(x - h.sizes.get("rack_from_mm", 150.0), 0.0) / 200.0
     frame = shift(x, 0, 0) @ turn(2, -4e-4 - h.square_xy) @ shift(0, y, 0) @ turn(0, h.square_yz) @ shift(0, 0, z)
     point = frame[:3, 3] * (1 + h.growth * warm)
     point[2] -= 2e-4 * point[0] + h.droop * (point[0] ** 2 + point[1] ** 2)
@@ -152,6 +154,8 @@ def run_of(
     hidden = Hidden(sizes or {})
     # the first joint loses steps in the middle of the run; the stand is late by eight minutes
     q = q + zeros_of(name, seed) + np.outer(time_s > time_s[-1] / 2, np.eye(len(low))[0]) * hidden.lost
+    # the motors of the first two joints warm up
+    q = q + np.outer(1 - np.exp(-4 * time_s / time_s[-1]), [1.0, -0.7, *np.zeros(len(low) - 2)]) * hidden.warm_motors
     late = np.full(len(time_s), warmth[0] - 20.0)
     for k in range(1, len(time_s)):
         now = 0.5 * (warmth[k - 1] + warmth[k]) - 20.0

@@ -25,6 +25,7 @@ from running import command
 from second_machines import MACHINES, apart, foreign, run_of, stand_of
 from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
+from sherkit.diagnosis import template
 from sherkit.errors import FitError, RobotError, SherkitError
 from sherkit.model.effect import load_effects
 from sherkit.model.sensor_pose import SPACE
@@ -150,6 +151,34 @@ def test_an_effect_outside_the_catalogue_is_described_and_not_explained() -> Non
     ).diagnose()
     assert d.verdict in ("unexplained", "partly explained")
     assert d.signature is not None
+
+
+@pytest.mark.parametrize("seed", [2, *(pytest.param(k, marks=pytest.mark.slow) for k in (0, 1, 3, 4, 5))])
+def test_motors_that_warm_up_are_no_slip(seed: int, tmp_path: Path) -> None:
+    """Catches a course of joints in time, which no column tells, that is named as joints that slip (four of six); and
+    its effect for one's own, which does not run or helps nothing."""
+    run = run_of("scara", seed, {"warm_motors": 8e-4})
+    d = sk.diagnose(MACHINE["scara"], run)
+    assert (d.verdict, d.effects) == ("unexplained", ())
+    assert (d.signature["depends_on"], d.signature["joint"]) == (["time_s"], "shoulder_rad")
+    (tmp_path / "mine.py").write_text(template(d.signature, d.fit.data.layout), encoding="utf-8")
+    (mine,) = load_effects(tmp_path / "mine.py")
+    assert max(sk.identify(MACHINE["scara"], run, effects=[mine]).rms().values()) < 0.6 * max(d.fit.rms().values())
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 8))])
+def test_a_rack_in_two_pieces_is_no_wave(seed: int, tmp_path: Path) -> None:
+    """Catches another slope of a joint from a place on that is named as a wave longer than half of its range, or told
+    as a curve; and its effect for one's own, which helps nothing."""
+    begins = float(np.random.default_rng([seed, 22]).uniform(120.0, 280.0))
+    run = run_of("gantry", seed, {"rack_mm": 0.15, "rack_from_mm": begins})
+    d = sk.diagnose(MACHINE["gantry"], run)
+    assert (d.verdict, d.effects) == ("unexplained", ())
+    assert (d.signature["shape"], d.signature["joint"]) == ("kink", "x_axis_mm")
+    assert d.signature["at"] == pytest.approx(begins, abs=30.0)
+    (tmp_path / "mine.py").write_text(template(d.signature, d.fit.data.layout), encoding="utf-8")
+    (mine,) = load_effects(tmp_path / "mine.py")
+    assert max(sk.identify(MACHINE["gantry"], run, effects=[mine]).rms().values()) < 0.6 * max(d.fit.rms().values())
 
 
 def test_a_users_effect_stands_beside_the_generic_ones() -> None:

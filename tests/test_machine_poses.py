@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -141,6 +142,52 @@ def test_zeros_of_the_function_are_not_said_twice(degrees: float) -> None:
     assert fit.converged
     assert not fit.unobserved
     assert fit.scale == pytest.approx(1.0, abs=0.1)
+
+
+_ANCHORS = np.array([[0.0, 0.0, 0.0], [3000.0, 100.0, 0.0], [1400.0, 2600.0, 50.0]])
+
+
+def _hanging(joints: Any, p: Any) -> Any:
+    """Three cables of these lengths, mm, hang from three points that are free in x and y: the lower of two places."""
+    x, y = (np.array([_ANCHORS[i, k] + getattr(p, f"{a}_{i}") for i in range(3)]) for k, a in enumerate("xy"))
+    square = [(joints[:, i] + getattr(p, f"length_{i}")) ** 2 - x[i] ** 2 - y[i] ** 2 - _ANCHORS[i, 2] ** 2
+              for i in range(3)]  # fmt: skip
+    by = np.array([[x[i] - x[0], y[i] - y[0]] for i in (1, 2)])
+    off = np.array([0.5 * (square[0] - square[i]) for i in (1, 2)])
+    up = _ANCHORS[1:, 2] - _ANCHORS[0, 2]
+    # x and y as lines in z, then the sphere about the first point
+    det = by[0, 0] * by[1, 1] - by[0, 1] * by[1, 0]
+    inverse = np.array([[by[1, 1], -by[0, 1]], [-by[1, 0], by[0, 0]]]) / det
+    (x0, y0), (xz, yz) = inverse @ off, -(inverse @ up)
+    a, b = 1.0 + xz**2 + yz**2, xz * (x0 - x[0]) + yz * (y0 - y[0])
+    c = (x0 - x[0]) ** 2 + (y0 - y[0]) ** 2 - (joints[:, 0] + p.length_0) ** 2
+    z = (-b - np.sqrt(b * b - a * c)) / a
+    return np.stack([x0 + xz * z, y0 + yz * z, z], axis=1)
+
+
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))])
+def test_base_points_that_are_all_free_stay_where_they_are_drawn(seed: int) -> None:
+    """Catches a turn and shifts of the tracker that are left to base points which do them together: these went metres
+    away, or the fit was lost."""
+    names = [f"{a}_{i}" for a in ("x", "y", "length") for i in range(3)]
+    machine = sk.Machine(
+        _hanging, joints={f"cable_{i}_mm": (1300.0, 3200.0) for i in range(3)}, readings=SPACE,
+        parameters=dict.fromkeys(names, ("mm", 5.0)), name="hanging",
+    )  # fmt: skip
+    rng = np.random.default_rng([seed, 21])
+    drawn, hidden = dict.fromkeys(names, 0.0), dict(zip(names, rng.normal(0.0, 3.0, len(names)), strict=True))
+    there = rng.uniform([900.0, 500.0, -2000.0], [1900.0, 1500.0, -1000.0], (60, 3))
+    joints = np.stack([np.linalg.norm(there - one, axis=1) for one in _ANCHORS], axis=1)
+    assert _hanging(joints, SimpleNamespace(**drawn)) == pytest.approx(there)
+    stands = shift(*rng.uniform(-3000.0, 3000.0, 3)) @ turn(2, rng.uniform(-3, 3)) @ turn(0, rng.uniform(-3, 3))
+    read = seen_from(stands, _hanging(joints, SimpleNamespace(**hidden))) + rng.normal(0.0, 0.05, (60, 3))
+    columns = dict(zip(machine.joints, joints.T, strict=True)) | dict(zip(SPACE, read.T, strict=True))
+    fit = sk.identify(machine, pl.DataFrame(columns))
+    assert fit.converged
+    # two shifts and a turn of all three points are where the tracker stands
+    assert fit.rank == len(fit.values) - 3 == len(names) + 3
+    assert np.sqrt(np.nanmean(np.square(fit.residuals[:, :3]))) < 0.06
+    assert np.abs(fit.values[:6]).max() < 20.0
 
 
 def test_a_squareness_has_one_name_and_offsets_are_shifts() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -181,6 +182,18 @@ def test_second_waves_are_named_and_deployed(tmp_path: Path) -> None:
     assert np.array_equal(again.forward(made.joints[0]), done.forward(made.joints[0]))
     off = np.linalg.norm(done.forward_batch(made.joints, frame="sensor").values - made.read, axis=1)
     assert np.sqrt(np.mean(off**2)) < 1.2 * np.sqrt(3.0) * gear_worlds.NOISE_MM
+
+
+@pytest.mark.parametrize("seed", [4, *(pytest.param(k, marks=pytest.mark.slow) for k in (0, 2, 3, 5, 7))])
+def test_an_overtone_is_no_wave_of_another_joint(seed: int) -> None:
+    """Catches ripple that is told of four or five joints where one has it, with a second wave in each period: the
+    others took parts of that, each at a period of its own."""
+    made = gear_worlds.world(seed, 1, 4.0, second=0.6, rows=120)
+    (joint,) = made.per_turn
+    found = sk.diagnose(robot_of(), run_of(made))
+    assert found.effects == ("encoder_cyclic", f"encoder_second_{joint}")
+    (said,) = (note for note in found.notes if "per turn" in note)
+    assert re.findall(r"joint (\d)", said) == [str(joint)]
 
 
 def of_a_delta() -> tuple[sk.diagnosis.Diagnosis, tuple[str, ...]]:

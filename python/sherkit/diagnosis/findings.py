@@ -15,6 +15,7 @@ from .outliers import sentences
 from .result import (  # fmt: skip
     APART,
     AS_DRAWN,
+    FEW,
     MISSING,
     NEXT,
     SINGLY,
@@ -243,10 +244,11 @@ def _missing(d: Diagnosis) -> Iterator[Finding]:
         {"p_missing": d.p_missing}, sure=f"{_with_p(d.p_missing)} over all effects and shapes",
     )  # fmt: skip
     if len(d.outliers):
+        accidents = all(check.holds is not False for check in d.checks if check.name in (FEW, SINGLY))
         yield Finding(
             MISSING, "left_out", f"{len(d.outliers)} of {len(d.fit.data)} rows, as gross errors",
             {"rows": len(d.fit.data)}, rows=tuple(d.fit.data.line[d.outliers].tolist()),
-            to_do=" ".join(sentences(d.fit, d.outliers)),
+            to_do=" ".join(sentences(d.fit, d.outliers, accidents=accidents)),
         )  # fmt: skip
     if SLIP not in d.effects and (motion := motion_of(d.fit)) is not None:
         yield Finding(MISSING, "note", str(motion), motion.numbers)

@@ -19,7 +19,7 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare, unit_in
 from ..evidence.fitted_run import FittedRun
-from .result import SINGLY, Check
+from .result import FEW, SINGLY, Check
 
 #: Part of the rows that may be listed as wrong before the rest is no run any more.
 WRONG = 0.2
@@ -254,7 +254,7 @@ def checks_of_outliers(run: FittedRun, outliers: Ints, seed: int, *, side: bool)
     the first of all nothing is asked where it is left out for the ``side`` that nobody told."""
     data = run.data
     few = Check(
-        "gross_errors", "few rows are wrong", f"all {len(data)} rows",
+        FEW, "few rows are wrong", f"all {len(data)} rows",
         f"{len(outliers)} are listed as wrong and are in none of these numbers",
         holds=len(outliers) <= WRONG * len(data),
         fails=f"{len(outliers)} of {len(data)} rows stand apart from the others",

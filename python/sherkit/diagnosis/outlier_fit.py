@@ -41,9 +41,13 @@ _ABSORBED = 1e-3
 _LIKE_NOISE = 1.5
 #: What is an outlier without a column, and alone tells so much of it with it, is no witness for it.
 _ALONE = 0.25
+#: Where more than noise is left, a pose that is wrong is so many times as far off as any that is none.
+_CLEAR = 2.0
 #: Chance of a reading that is judged without the others of its pose; variance of readings about the median of three.
 _ALONE_OFF = 1e-2
 _ABOUT_A_MEDIAN = 1.5
+#: Chance of the nearer of two readings of a pose that is wrong in both: heavy tails have one that is wild.
+_BOTH_OFF = 1e-3
 #: Efficiency of a median absolute deviation.
 _MAD_EFFICIENCY = 0.37
 #: A prediction is never taken for better than this part of the reading's own variance.
@@ -117,7 +121,7 @@ class OutlierFit:
         only where its other readings still are.
         """
         out = self._outlying()
-        alone = self._furthest_of_each(out)
+        alone = self._furthest_of_each(out) | self._further_of_pairs(out)
         if not alone.any():
             return out
         again = OutlierFit(self.view, declared=self.declared, alone=alone)._outlying()
@@ -135,6 +139,28 @@ class OutlierFit:
             out[rows[np.argmax(square)]] = _chi2_tail(float(square.max()), self.e.shape[1]) < _ALONE_OFF
         return out
 
+    def _further_of_pairs(self, outliers: Bools) -> Bools:
+        """Of each pose of two readings, both listed, the one (n,) that is further off, where the other is off by no
+        more than noise: which of two is wrong no median tells. Only noise of heavy tails has a reading so wild that it
+        takes its pose with it, and none that stands apart."""
+        out = np.zeros(len(outliers), dtype=bool)
+        both = (np.bincount(self.item, outliers) == 2) & (self.count == 2) & ~self.moved
+        if not both.any() or not self._has_tails:
+            return out
+        rows = self.order[self.starts[both][:, None] + np.arange(2)]
+        square = ((self.e[rows] / np.maximum(self.within, self.floor)) ** 2).sum(axis=2)
+        near = scipy.special.chdtrc(self.e.shape[1], square.min(axis=1)) >= _BOTH_OFF
+        out[rows[near, square[near].argmax(axis=1)]] = True
+        return out
+
+    @property
+    def _has_tails(self) -> bool:
+        """Whether readings of one pose differ with heavier tails than normal noise, by the fourth moment: of that it is
+        3, give or take √(96 / n)."""
+        steps = np.diff(self.e[self.order], axis=0)[np.diff(self.item[self.order]) == 0]
+        square = np.square(steps) / np.maximum(np.square(steps).mean(axis=0), 1e-300)
+        return bool(np.square(square).mean() > 3.0 + np.sqrt(96.0 / square.size))
+
     def _outlying(self) -> Bools:
         """As :meth:`outliers`, each item as a whole.
 
@@ -146,7 +172,7 @@ class OutlierFit:
         if items * m - self.basis.shape[1] < 10:
             return np.zeros(n, dtype=bool)
         left = huber(self.e, self._taken)
-        inliers, criterion, _ = self._concentrated(left)
+        inliers, criterion, left_over = self._concentrated(left)
         bumped = self._bumped(left)
         columns = self.basis.shape[1]
         for _ in range(int(_MOST_COLUMNS * items * m)):
@@ -156,15 +182,32 @@ class OutlierFit:
             self.basis = np.concatenate([self.basis, more], axis=1)
             left = huber(self.e, self._taken)
         if self.basis.shape[1] > columns:
-            described, lower, left_over = self._concentrated(left)
+            described, lower, beside = self._concentrated(left)
             described = described & (inliers | (self._fitted(described)[1] <= _ALONE).all(axis=1))
             if lower < criterion:
                 # where more than noise is left no column describes a structure, and its extremes look like outliers
-                inliers = described if left_over <= _LIKE_NOISE else described | inliers
-                criterion = lower
+                inliers = described if beside <= _LIKE_NOISE else described | inliers
+                criterion, left_over = lower, beside
+        if left_over > _LIKE_NOISE:
+            inliers = inliers | self._ending_a_tail(inliers)
         if bumped is not None and bumped[1] < criterion:
             return bumped[0]
         return ~inliers[self.item]
+
+    def _ending_a_tail(self, inliers: Bools) -> Bools:
+        """Poses (items,) of several readings that are further off than chance takes them, and not clear of those that
+        are none: a structure that no column describes has tails, of a shape that nobody knows."""
+        mean, hat = self._fitted(inliers)
+        square = mean**2 / np.where(inliers[:, None], np.maximum(1.0 - hat, _LEAST_FREE), 1.0 + hat)
+        spread = np.maximum(square[inliers].mean(axis=0), self.floor**2)
+        distance = np.sqrt((square / spread).sum(axis=1))
+        far = np.flatnonzero(~inliers & (self.count > 1) & ~self.moved)
+        far = far[np.argsort(distance[far])]
+        at = np.concatenate([[distance[inliers].max(initial=0.0)], distance[far]])
+        clear = np.flatnonzero(at[1:] >= _CLEAR * at[:-1])
+        out = np.zeros(len(inliers), dtype=bool)
+        out[far[: clear[0] if len(clear) else None]] = True
+        return out
 
     def _bumped(self, left: Floats) -> tuple[Bools, float] | None:
         """Rows (n,) of a stretch of time that is off by one vector and comes back, with all other outliers, and
@@ -452,10 +495,13 @@ class OutlierFit:
         variance = np.maximum(spread + each - usual, 0.5 * each)
         distance = (square / np.maximum(variance, self.floor**2)).sum(axis=1)
         p = scipy.special.fdtrc(m, max(freedom, 1.0), np.maximum(distance / m, 0.0))
-        order = np.argsort(p)
-        below = np.flatnonzero(p[order] <= _LEVEL * np.arange(1, len(p) + 1) / len(p))
         out = np.zeros(len(p), dtype=bool)
-        out[order[: min(int(below[-1]) + 1, len(p) // 2)] if len(below) else []] = True
+        # readings that stand apart from their pose are witnesses of each other, and of no pose that is wrong
+        for alone in (True, False):
+            those = np.flatnonzero((self.count == 1) == alone)
+            order = those[np.argsort(p[those])]
+            below = np.flatnonzero(p[order] <= _LEVEL * np.arange(1, len(order) + 1) / len(p))
+            out[order[: min(int(below[-1]) + 1, len(p) // 2)] if len(below) else []] = True
         return out
 
 

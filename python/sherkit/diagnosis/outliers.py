@@ -53,8 +53,11 @@ _OFF, _NEAR = 1e-6, 1e-3
 _MATTERS = 1.1
 
 
-def without_outliers(run: FittedRun, effects: Sequence[Effect], keep: Sequence[int] = ()) -> tuple[FittedRun, Ints]:
-    """The fit without gross errors, and their rows (k,), indices of the data; rows to ``keep`` are none.
+def without_outliers(
+    run: FittedRun, effects: Sequence[Effect], keep: Sequence[int] = (), judged: Ints | None = None
+) -> tuple[FittedRun, Ints]:
+    """The fit without gross errors, and their rows (k,), indices of the data; rows to ``keep`` are none, and where they
+    are ``judged`` these are all.
 
     Every row is judged anew by each fit, those that an earlier one listed as well: what one gross error hid comes to
     light, and what was listed in its shadow comes back. Raises :class:`FitError` for too few rows.
@@ -62,6 +65,8 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect], keep: Sequence[i
     rows = in_time(run, np.flatnonzero(run.whole))
     if run.is_exact:
         return run, rows[:0]
+    if judged is not None:
+        return run.without(judged) if len(judged) else run, judged
     first, run = run, robust_start(run, rows)
     outliers = np.flatnonzero(run.data.outlier & ~first.data.outlier)
     for _ in range(_FITS):
@@ -71,6 +76,13 @@ def without_outliers(run: FittedRun, effects: Sequence[Effect], keep: Sequence[i
         outliers = again
         run = first.without(outliers) if len(outliers) else first
     return run, outliers
+
+
+def outliers_beside(run: FittedRun, effects: Sequence[Effect], outliers: Ints, keep: Sequence[int]) -> Ints:
+    """The gross errors (k,) beside what was found, which is in the model of a ``run`` without the ``outliers``."""
+    rows = np.union1d(np.flatnonzero(run.whole), outliers)
+    rows = rows[np.argsort(run.data.order[rows], kind="stable")]
+    return np.setdiff1d(_outlying(run, effects, rows), keep)
 
 
 @validate_arguments
@@ -162,10 +174,10 @@ def is_first_by_side(run: FittedRun, effects: Sequence[Effect], outliers: Ints) 
     return len(first) > 0 and came_from_elsewhere(run, effects, np.concatenate([first, rows]))
 
 
-def sentences(fit: Fit, rows: Ints, *, side: bool = False) -> tuple[str, ...]:
+def sentences(fit: Fit, rows: Ints, *, side: bool = False, accidents: bool = True) -> tuple[str, ...]:
     """What is said of gross errors (indices of the rows of a ``fit`` without them): poses that are wrong in all their
     readings, and single rows apart; each by its line in the file, and how far it is off; of the first of all, that it
-    is for the ``side`` that nobody told."""
+    is for the ``side`` that nobody told. Too many, or what lies together, are no ``accidents``."""
     if not len(rows):
         return ()
     data = fit.data
@@ -174,18 +186,25 @@ def sentences(fit: Fit, rows: Ints, *, side: bool = False) -> tuple[str, ...]:
     counted = outliers | ~data.outlier
     group = data.groups
     size = np.bincount(group, counted)
-    whole = (np.bincount(group, outliers) == size) & (size > 1)
+    whole = (np.bincount(group, outliers) == size) & (size > 1) & _agreeing(fit, group, outliers)
     out = []
     poses = np.flatnonzero(outliers & whole[group])
     if len(poses) and data.pose is not None:
         numbers = np.unique(data.pose[poses])
         many = len(numbers) > 1
-        out.append(
-            f"{f'{len(numbers)} poses are' if many else 'one pose is'} wrong in all {'their' if many else 'its'} "
-            f"repeats (pose {spans(numbers)}; {data.counted}s {spans(data.line[poses])}): "
-            "no noise, no effect and no smooth shape explains it; all figures here are without them. "
-            "Look for a wrong index, a target that was knocked, a stage that was bumped"
-        )
+        where = f"(pose {spans(numbers)}; {data.counted}s {spans(data.line[poses])})"
+        poses_are, their = f"{len(numbers)} poses are" if many else "one pose is", "their" if many else "its"
+        if accidents:
+            out.append(
+                f"{poses_are} wrong in all {their} repeats {where}: no noise, no effect and no smooth shape explains "
+                "it; all figures here are without them. "
+                "Look for a wrong index, a target that was knocked, a stage that was bumped"
+            )
+        else:
+            out.append(
+                f"{poses_are} left out with all {their} repeats {where}: all figures here are without them. "
+                "Accidents are fewer, or do not lie together: look for what the model lacks there"
+            )
     single = np.flatnonzero(outliers & ~whole[group])
     if len(single):
         off = of_residuals(data.select(single).kept(), fit.residuals[single], held_out=False)
@@ -200,6 +219,15 @@ def sentences(fit: Fit, rows: Ints, *, side: bool = False) -> tuple[str, ...]:
             told = f"from which side its joints came is not told ({data.layout.directions[0]} …)"
             out.append(f"the first of all {data.counted}s is left out: {told}, and from the other it would not be off")
     return (*out, *_one_value(data, rows))
+
+
+def _agreeing(fit: Fit, group: Ints, outliers: Bools) -> Bools:
+    """Whether the outliers of each group (g,) are twice as near to one another as to what the others predict."""
+    off = np.where(outliers[:, None] & fit.data.taken, fit.residuals, 0.0)
+    count = np.maximum(np.bincount(group, outliers), 1.0)
+    mean = np.stack([np.bincount(group, one) / count for one in off.T], axis=1)
+    within = np.where(outliers[:, None], np.square(off - mean[group]), 0.0).sum(axis=1)
+    return np.asarray(4.0 * np.bincount(group, within) < count * np.square(mean).sum(axis=1))
 
 
 def _one_value(data: Measurements, rows: Ints) -> Iterator[str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..base import linalg
 from ..base.arguments import Level, Seed, validate_arguments
-from ..base.types import Floats
+from ..base.types import Floats, Ints
 from ..data.doubts import commanded, doubts
 from ..data.reader import RunLike
 from ..errors import EffectError, FitError
@@ -29,7 +29,7 @@ from .findings import findings_of
 from .gathered import checks_of_outliers
 from .held_out import backward_elimination, candidates_of, noise_quantile, strongest, unnamed
 from .next_poses import Proposal, next_poses
-from .outliers import is_first_by_side, sentences, without_outliers
+from .outliers import is_first_by_side, outliers_beside, sentences, without_outliers
 from .repeats import contradicted, in_repeats, steps_in
 from .result import Diagnosis, verdict_of
 from .selection import NamedEffects, not_needed, searched
@@ -75,6 +75,19 @@ def diagnose(
     if fit.for_regions:
         # what an effect that is missing does to regions is not the drawing's to say
         fit = identify(fit.model, fit.data, loss=fit.loss, priors=False, noise=fit.noise)
+    return _diagnosed(fit, effects, level, keep, seed, step)
+
+
+def _diagnosed(
+    fit: Fit,
+    effects: Sequence[Effect],
+    level: float,
+    keep: Sequence[int],
+    seed: int,
+    step: Callable[[str], None],
+    judged: Ints | None = None,
+) -> Diagnosis:
+    """As :func:`diagnose`; ``judged`` are its gross errors beside what was found before they were known."""
     step("mistakes of the set-up")
     run = FittedRun(fit)
     given = {one.name for one in (*effects, *run.model.effects)}
@@ -96,11 +109,13 @@ def diagnose(
 
     step("noise and outliers")
     # beside a mistake of the set-up every row may look wrong
-    run, outliers = (run, np.zeros(0, dtype=np.int64)) if not look else without_outliers(run, every, keep)
+    outliers = np.zeros(0, dtype=np.int64)
+    if look:
+        run, outliers = without_outliers(run, every, keep, judged)
     sigma, origin = run.noise
     rows = np.flatnonzero(run.whole)
     side = is_first_by_side(run, every, outliers)
-    notes += sentences(run.fit, outliers, side=side)
+    of_outliers = len(notes)
     if run.is_exact:
         notes.append(
             f"every reading is what the model says, to the last digits: {run.data.source} was computed, it seems, not "
@@ -132,10 +147,20 @@ def diagnose(
         mistakes, look = (Mistake(doubt.sentence),), False
         notes.insert(0, doubt.sentence)
         found = searched(run, every, rows, sigma, repeated_folds, level=level, step=step, look=False)
+    if look and judged is None and found.names:
+        # what is wrong beside a model that lacks an effect is right with it, and what hid in its shadow comes to light
+        beside = outliers_beside(found.final, every, outliers, keep)
+        if found.structure:
+            # the extremes of what is left are none
+            beside = np.intersect1d(beside, outliers)
+        if not np.array_equal(beside, outliers):
+            return _diagnosed(fit, effects, level, keep, seed, step, beside)
     final = found.final
     of_all = _of_all(found, run, long)
     # a row that is as what was found says was wrong beside a model that lacked it
     wrong = checks_of_outliers(of_all, outliers, seed, side=side)
+    accidents = all(check.holds is not False for check in wrong)
+    notes[of_outliers:of_outliers] = sentences(of_all.fit, outliers, side=side, accidents=accidents)
     notes += [*found.notes, *waves_in_words(final.fit)]
     notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
 
@@ -156,7 +181,8 @@ def diagnose(
         lambda: backward_elimination(final, sigma, repeated_folds),
     )  # fmt: skip
     verdict = verdict_of(checks, found.names)
-    caveats = [told] if (told := implausible(final.fit, found.names)) else []
+    supposed = final.model.supposed(left=found.structure)
+    caveats = [told for told in (implausible(final.fit, found.names), supposed) if told]
     # where something else is left, that may be what changes with time
     if slow_drift is not None and slow_drift.counts and verdict in ("adequate", "explained"):
         caveats.append(

@@ -26,7 +26,7 @@ from .where import Dependence
 #: Checks of which the first line speaks though nothing is decided by them.
 AS_DRAWN, DIGITS, DECLARED = "as_drawn", "digits", "noise_as_declared"
 #: The check that rows that are wrong lie as accidents do.
-SINGLY = "apart"
+FEW, SINGLY = "gross_errors", "apart"
 #: The check that repeats differ by noise alone.
 REPEATS = "repeats_are_noise"
 #: The check that tests lack of fit.

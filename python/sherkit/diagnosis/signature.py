@@ -23,7 +23,7 @@ from .template import what_parts
 #: Evidence, in nats, by which one shape is clearly better than another (Kass and Raftery, "Bayes factors", JASA 1995).
 CLEARLY = 3.0
 #: Kinds of shapes, the simplest first.
-_SIMPLEST = ("alternating", "smooth", "step", "interaction", "hysteretic", "periodic")
+_SIMPLEST = ("alternating", "smooth", "step", "kink", "interaction", "hysteretic", "periodic")
 #: Level at which an axis takes part in a signature.
 _AXIS_LEVEL = 1e-3
 

@@ -78,6 +78,7 @@ def _how(shape: Mapping[str, Any]) -> str:
         "smooth": f"varies smoothly{order} with {what}",
         "periodic": f"repeats with {what}, period {shape['period'] or 0.0:.3g}",
         "step": f"steps at {what} = {shape.get('at') or 0.0:.0f}",
+        "kink": f"has another slope from {what} = {shape.get('at') or 0.0:.4g} on",
         "hysteretic": f"depends on the way {what} came there "
         f"(width {shape.get('at') or 0.0:g} {unit_in(shape['depends_on'][0])})",
         "interaction": f"depends on {what} together",
@@ -163,7 +164,7 @@ def _variables(signature: Mapping[str, Any], layout: Layout) -> list[str]:
     """Lines that bring each variable to about -1 … 1, with the numbers of this run written in."""
     out = []
     for letter, name in zip("uv", signature["depends_on"], strict=False):
-        if signature["shape"] in ("periodic", "step", "hysteretic"):
+        if signature["shape"] in ("periodic", "step", "kink", "hysteretic"):
             out.append(f"{letter} = {_column(name, layout)}")
         else:
             middle, half = signature["ranges"][name]
@@ -181,6 +182,9 @@ def _terms(signature: Mapping[str, Any], layout: Layout) -> tuple[list[str], lis
         return ["sine", "cosine"], [f"np.sin({wave})", f"np.cos({wave})"]
     if shape == "step":
         return ["step"], [f"(u >= {float(signature['at'])!r}).astype(float)"]
+    if shape == "kink":
+        half = float(signature["ranges"][signature["depends_on"][0]][1])
+        return ["slope"], [f"np.maximum(u - {float(signature['at'])!r}, 0.0) / {half!r}"]
     if shape == "hysteretic":
         if not signature.get("at"):
             joint = layout.joints.index(signature["depends_on"][0])

@@ -191,10 +191,12 @@ def _beside_all(base: Base, effect: Effect) -> Base:
 
 
 def _beside(base: Base, found: Mapping[str, tuple[float, float]]) -> Base:
-    """With these waves in the model."""
+    """With these waves in the model, and with what goes twice as often: the overtone of one joint is no wave of
+    another."""
     if not found:
         return base
-    columns = np.concatenate([_pair(base.family.run, name, at) for name, (at, _) in found.items()], axis=1)
+    waves = [(name, k * at) for name, (at, _) in found.items() for k in (1.0, 2.0)]
+    columns = np.concatenate([_pair(base.family.run, *wave) for wave in waves], axis=1)
     return base.with_columns(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), SEEN**0.5)
 
 

@@ -85,6 +85,8 @@ def stepped(columns: Floats, cut: int) -> Floats:
 _ORDERS, _FEWEST, _FEWEST_FOR_WAVES, _FEWEST_ALONG = 3, 2, 5, 9
 #: Time constants of what dies away, in parts of the run; widths of play, in the unit of the joint.
 _DYING, _PLAY = (0.06, 0.12, 0.25, 0.5), (0.02, 0.1, 0.5, 2.0)
+#: Places, over a joint's range of -1 … 1, from which on its error may have another slope.
+_KINKS = tuple(np.linspace(-0.75, 0.75, 13).tolist())
 #: Waves in time that are also looked for on one axis alone: up to so many over the run.
 _ON_ONE_AXIS = 12.0
 
@@ -101,10 +103,15 @@ def blocks_of_shapes(made: Maker) -> None:
         _smooth(made, name, t, min(_ORDERS, count[name] - 1), along=name in joints)
     if "time_s" in u:
         _in_time(made, u)
+        powers = [_power(u["time_s"], order) for order in range(1, _ORDERS + 1)]
+        for name in joints if made.reference is None else ():
+            # a motor that warms up moves its own joint
+            made.add("smooth", ("time_s",), [made.along(name, one) for one in powers], order=_ORDERS, pattern=name)
     for name in poses:
         if name in joints:
             if count[name] >= _FEWEST_ALONG:
                 _along(made, name, u[name])
+                _kinks(made, name, u[name])
         elif count[name] >= _FEWEST_FOR_WAVES:
             _over_place(made, name, u[name])
     _products(made, u, joints, poses)
@@ -161,6 +168,14 @@ def _along(made: Maker, name: str, t: Floats) -> None:
     for k, count in enumerate(counts.tolist()):
         at = np.array([k, len(counts) + k])
         made.add("periodic", (name,), [(part, at)], pattern=name, period=reach / count)
+
+
+def _kinks(made: Maker, name: str, t: Floats) -> None:
+    """Another slope of a joint's error from a place on: of scales, racks or rails in two pieces."""
+    values = made.view.variables[name]
+    for place in _KINKS if made.reference is None else ():
+        at = float(values.min()) + 0.5 * (place + 1.0) * float(np.ptp(values))
+        made.add("kink", (name,), [made.along(name, np.maximum(t - place, 0.0))], pattern=name, setting=at)
 
 
 def _over_place(made: Maker, name: str, t: Floats) -> None:

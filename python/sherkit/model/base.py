@@ -280,6 +280,12 @@ class ModelWithEffects(Saved, ABC):
         del data
         return None
 
+    def supposed(self, *, left: bool) -> str | None:
+        """What the drawing does not say and one of its effects supposes, which others of them may make up for, or what
+        has a structure where that is ``left``; None where there is nothing of that sort."""
+        del left
+        return None
+
     @property
     def relations(self) -> tuple[Apart, ...]:
         """What is known of several of its parameters at once, besides the readings."""

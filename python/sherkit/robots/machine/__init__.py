@@ -65,9 +65,10 @@ class Machine(MachineDescription):
 
     Where readings are x, y and z of one point, mm (``x_mm``, or ``ball_x_mm`` …), the instrument may stand anywhere:
     the function says where the point is in the axes of the machine, and ``sensor_pose`` is ``"free"``, found with the
-    parameters under the names ``sensor_turn_x`` … (rad) and ``sensor_shift_x`` … (mm). What the function's own
-    parameters do of it already is left to them. ``"held"`` is an instrument that reads in the function's own axes, as
-    all other readings are; a :class:`~sherkit.model.sensor_pose.SensorPose` says how well it is known where it stands.
+    parameters under the names ``sensor_turn_x`` … (rad) and ``sensor_shift_x`` … (mm). What a parameter of the
+    function does of it by itself is left to that; base points that are all free stay where they are drawn as a whole.
+    ``"held"`` is an instrument that reads in the function's own axes, as all other readings are; a
+    :class:`~sherkit.model.sensor_pose.SensorPose` says how well it is known where it stands.
 
     Errors of joints, readings, time and temperature (:mod:`~sherkit.robots.machine.core`) need not be described: a
     diagnosis tries them by itself.

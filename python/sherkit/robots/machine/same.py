@@ -20,8 +20,9 @@ _SAME = 1e-3
 def not_in(
     function: UserFunction, pose: SensorPose | None, open_of_pose: Collection[str], effects: Sequence[Generic]
 ) -> tuple[Generic, ...]:
-    """The sensor's pose, first, where any of its numbers that are open is left, and the effects: without those
-    parameters that do what the function's own do already, and the effects without those of the pose.
+    """The sensor's pose, first, where any of its numbers that are open is left, and the effects: the pose without what
+    parameters of the function do that only turn or shift it, the effects without those parameters that do what the
+    function's own, or those of the pose, do already.
 
     Two names for one thing would be a valley in which no fit settles. Of an effect whose own parameters say one thing
     twice once the pose is out (a rail that leans to its neighbour, and the neighbour to it), the first is kept. Found
@@ -29,8 +30,12 @@ def not_in(
     """
     every = (sensor_pose(open_of_pose), *effects)
     columns, places = _columns(function, pose, every)
-    own = _basis(columns[:, : len(function.parameters)])
-    out, taken = [], own
+    own = columns[:, : len(function.parameters)]
+    whole = _basis(columns[:, places[0]])
+    # where parameters that change the machine only together turn or shift it, as base points do, the pose is what does:
+    # no reading tells that combination, and it stays as drawn
+    taken = _basis(own[:, np.linalg.norm(own - whole @ (whole.T @ own), axis=0) <= _SAME])
+    out: list[Generic] = []
     for one, place in zip(every, places, strict=True):
         if one.search:
             out.append(one)
@@ -44,7 +49,7 @@ def not_in(
                 kept.append(k)
                 mine = np.column_stack([mine, left / size])
         if one is every[0]:
-            taken = mine
+            taken = _basis(np.column_stack([own, mine]))
         if kept:
             out.append(one.only(kept) if len(kept) < len(one.parameters) else one)
     return tuple(out)

@@ -16,6 +16,7 @@ import numpy as np
 
 import sherkit._core as _core
 
+from ...base.figures import listed
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import Layout, unit_in
@@ -86,6 +87,8 @@ _BY_MOMENT, _SLIDE_MM_BY_N, _PAYLOAD_N = "rad/(N·m)", 1e-3, 40.0
 #: Effects of which the drawing leaves some parameters nothing to do: no weight turns an upright joint, no link grows
 #: that has no length.
 _BY_DRAWING = ("joint_compliance", "payload_compliance", "link_growth")
+#: What the weights of the links do.
+_BY_WEIGHT = "joint_compliance"
 
 
 def joint_of(name: str) -> int | None:
@@ -237,6 +240,22 @@ class SerialModel(ChainModel):
     def in_sockets(self, data: Measurements) -> Sockets | None:
         """As of any model: a ball in the socket that is its centre."""
         return sockets_of(self, data)
+
+    def supposed(self, *, left: bool) -> str | None:
+        """As of any model: without masses links are sticks, and what follows the poses at the joints that give way may
+        be what these leave."""
+        names = {effect.name for effect in self.effects} - set(self.within)
+        if _BY_WEIGHT not in names or self.robot.knows_masses:
+            return None
+        at_joints = (effect for effect in self.effects if effect.name in names and effect.link == "joints")
+        those = [effect.name for effect in at_joints if effect.name != _BY_WEIGHT and not effect.needs]
+        those += ["what is left"] if left else []
+        if not those:
+            return None
+        return (
+            f"the robot file has no masses, so that {_BY_WEIGHT} takes links for sticks: {listed(those)} may be what "
+            "that makes up for; add mass_kg and centre_mm of each [[joint]]"
+        )
 
     @property
     def relations(self) -> tuple[Apart, ...]:

@@ -354,13 +354,18 @@ class Serial(Declared, Stating, Saved, Shown):
         behind = [*steps, float(np.linalg.norm(self.targets, axis=1).max())]
         return np.cumsum(behind[::-1])[::-1]
 
+    @property
+    def knows_masses(self) -> bool:
+        """Whether a joint has a mass."""
+        return any(joint.mass_kg for joint in self.joints)
+
     @cached_property
     def weights(self) -> tuple[Floats, Floats]:
         """Masses (k,) and their centres (k, 3), mm, in the frames of the joints whose z is their axis.
 
         Where no joint has a mass, links are taken for sticks that weigh as much as they are long.
         """
-        if any(joint.mass_kg for joint in self.joints):
+        if self.knows_masses:
             masses = np.array([joint.mass_kg or 0.0 for joint in self.joints])
             return masses, np.array([joint.turn.T @ np.array(joint.centre_mm) for joint in self.joints])
         # the frame of the next joint stands in that of the drawing, not in the turned one
