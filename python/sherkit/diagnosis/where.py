@@ -12,7 +12,7 @@ import scipy
 from ..base import linalg
 from ..base.types import Floats
 from ..data.columns import bare
-from ..evidence.base import Base, chance_of, log_bayes, total
+from ..evidence.base import Base, chance_of, gain_asked, total
 from ..evidence.blocks import Block
 from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
@@ -140,14 +140,9 @@ def smallest_found(base: Base, block: Block, level: float) -> tuple[float, float
     whole = float(np.square(columns).sum(axis=0) @ size**2)
     rank, free, count = float(len(size)), base.free, len(base.residual)
     asked = -float(np.log(level) + family.log_weight[family.where(block)])
-
-    def short(gain: float) -> float:
-        return float(log_bayes(np.array([gain / (gain + free)]), np.array([rank]), free, count)[0]) - asked
-
-    most = 1e3 * (asked + rank + 10.0)
-    if at_size <= NOTHING * whole or short(most) < 0:
+    gain = gain_asked(rank, free, count, asked)
+    if at_size <= NOTHING * whole or np.isinf(gain):
         return float("inf"), float("inf")
-    gain = float(scipy.optimize.brentq(short, 0.0, most))
     needed = float(
         scipy.optimize.brentq(lambda nc: 1.0 - _POWER - scipy.special.chndtr(gain, rank, nc), 0.0, 4.0 * gain + 200.0)
     )

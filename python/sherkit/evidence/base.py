@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+import scipy
 
 import sherkit._core as _core
 
@@ -41,6 +42,17 @@ def log_bayes(part: Floats, rank: Floats, free: float | Floats, count: int, scal
     g = np.square(scales)[:, None] * count / np.maximum(k, 1.0)
     each = -0.5 * k * np.log1p(g) - 0.5 * free * np.log1p(-np.clip(part, 0.0, _ALL) * g / (1.0 + g))
     return np.where(k < 1, -np.inf, np.logaddexp.reduce(each, axis=0) - np.log(len(scales)))
+
+
+def gain_asked(rank: float, free: int, count: int, odds: float) -> float:
+    """What columns of this ``rank`` must take of what is left, in squared noises, for a :func:`log_bayes` of so many
+    nats; infinite where nothing is enough."""
+
+    def short(gain: float) -> float:
+        return float(log_bayes(np.array([gain / (gain + free)]), np.array([rank]), free, count)[0]) - odds
+
+    most = 1e3 * (odds + rank + 10.0)
+    return float(scipy.optimize.brentq(short, 0.0, most)) if short(most) > 0 else float("inf")
 
 
 def log_bayes_of(squares: Floats, right: Floats, rss: float, free: int, scales: Floats = SCALES) -> Floats:

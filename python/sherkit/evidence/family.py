@@ -18,7 +18,7 @@ from .thresholds import HELD_EFFECT, HELD_SHAPE, TWIN
 from .whitening import orthonormal
 
 #: Prior part of all effects together; that of all shapes is the rest.
-_EFFECTS = 0.5
+EFFECTS = 0.5
 #: Length of what a model leaves of a column of unit length below which it holds it.
 _LEFT = 1e-3
 
@@ -179,7 +179,7 @@ def _everything(
 def log_weights(blocks: Sequence[Block], is_effect: Bools) -> Floats:
     """Logarithms of prior weights (B,), as :class:`Family` has them."""
     out = np.zeros(len(blocks))
-    for which, share in ((is_effect, _EFFECTS), (~is_effect, 1.0 - _EFFECTS)):
+    for which, share in ((is_effect, EFFECTS), (~is_effect, 1.0 - EFFECTS)):
         some = np.flatnonzero(which).tolist()
         count: dict[tuple[object, ...], int] = {}
         for i in some:

@@ -13,13 +13,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from ..base import linalg
 from ..base.figures import nearest
 from ..base.types import Floats
 from ..data import Measurements
 from ..errors import EffectError, FitError
+from ..evidence.base import gain_asked
 from ..evidence.design import needed, power
+from ..evidence.family import EFFECTS
 from ..evidence.whitening import independent
 from ..model.base import missing_columns
 from ..model.chain import ChainModel
@@ -67,7 +70,7 @@ class EffectPower:
 class Planning:
     """A model, the rows that a plan would give (their readings are still to come), and the noise of each coordinate.
 
-    ``sigma`` (m,) is in the unit of the readings. ``level`` is that of the test.
+    ``sigma`` (m,) is in the unit of the readings. ``level`` is that of a diagnosis.
     """
 
     model: ChainModel
@@ -177,7 +180,23 @@ class Planning:
     def _test(self, left: Floats, name: str, beside: int = 0) -> tuple[int, float, int]:
         """Of the test the degrees of freedom of the effect, the level, and the degrees of freedom of the noise."""
         rank = _rank(left, self._raw[name])
-        return rank, self.level, self.readings - self._basis.shape[1] - beside - rank
+        free = self.readings - self._basis.shape[1] - beside
+        return rank, self._level_of(rank, free), free - rank
+
+    def _level_of(self, rank: int, free: int) -> float:
+        """The level of the F-test that finds what a diagnosis finds at :attr:`level`: an effect among all that it
+        tries, by odds of one to the level."""
+        if rank <= 0 or free <= rank:
+            return self.level
+        weight = EFFECTS / max(len(self.candidates), 1)
+        # of what is left once the effect is in the model
+        gain = gain_asked(rank, free, self.readings, -float(np.log(self.level * weight)))
+        return float(scipy.special.fdtrc(rank, free - rank, gain * (free - rank) / (free * rank)))
+
+    def finds(self, name: str, p_value: float) -> bool:
+        """Whether a diagnosis finds an effect of which an F-test says this. Raises as :meth:`effect`."""
+        self.effect(name)
+        return p_value < self._test(self._left(name), name)[1]
 
     @cached_property
     def effect_powers(self) -> tuple[EffectPower, ...]:

@@ -130,7 +130,7 @@ def study_power(
             if progress is not None:
                 progress(done, total)
     return tuple(
-        DetectionCount(one.name, power, sum(p_values[k, r] < planning.level for r in range(runs)), runs)
+        DetectionCount(one.name, power, sum(planning.finds(one.name, p_values[k, r]) for r in range(runs)), runs)
         for k, (one, power) in enumerate(zip(sought, promised, strict=True))
     )
 
