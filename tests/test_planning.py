@@ -82,13 +82,14 @@ def test_the_promised_power_is_that_of_many_simulated_runs(planning):
         assert abs(one.share - one.power) <= 0.025
 
 
-@pytest.mark.parametrize(("runs", "most"), [(100, 5), pytest.param(300, 9, marks=pytest.mark.slow)])
-def test_nothing_is_found_where_nothing_is(planning, runs, most):
-    """Catches a test whose level is not the one it says, 1 %: more would come by chance in one of 1,000 such counts."""
+@pytest.mark.parametrize("runs", [100, pytest.param(300, marks=pytest.mark.slow)])
+def test_nothing_is_found_where_nothing_is(planning, runs):
+    """Catches a level of 1 % for each effect, where a diagnosis asks for odds of 100 to 1 that any of all is there: a
+    size was promised half as large as what is found."""
     with ThreadPoolExecutor(1) as pool:
         (none,) = study_power(planning, [EffectSize("rail_lean", {})], runs=runs, seed=3, executor=pool)
-    assert none.power == pytest.approx(0.01, abs=1e-6)
-    assert none.found <= most
+    assert 0.0 < none.power < 1e-4
+    assert none.found == 0
 
 
 class _AtOnce(Executor):
@@ -170,8 +171,8 @@ def test_a_plan_that_shuffles_tells_drift_from_space():
     """Catches ties that do not depend on the order of the poses: plane by plane, time and height are one."""
     # a turn of the sensor takes most of what grows with the height, where it is free
     model = DeltaModel(replace(EXAMPLE, sensor_pose=SensorPose(turn_sd_deg=HELD)))
-    in_order = planning_of(model, rows("planes", repeats=1), NOISE_MM)
-    shuffled = planning_of(model, rows(repeats=1), NOISE_MM)
+    in_order = planning_of(model, rows("planes", repeats=1), 0.7 * NOISE_MM)
+    shuffled = planning_of(model, rows(repeats=1), 0.7 * NOISE_MM)
     assert "beam_alignment" in power_of(in_order, "drift").indistinguishable
     assert "beam_alignment" not in power_of(shuffled, "drift").indistinguishable
 
@@ -181,7 +182,8 @@ def test_more_readings_and_less_noise_find_less():
     one = power_of(planning_of(DeltaModel(EXAMPLE), rows(repeats=2), 0.005), "rail_lean").times
     more = power_of(planning_of(DeltaModel(EXAMPLE), rows(repeats=8), 0.005), "rail_lean").times
     quiet = power_of(planning_of(DeltaModel(EXAMPLE), rows(repeats=2), 0.0025), "rail_lean").times
-    assert more == pytest.approx(one / 2.0, rel=0.03)
+    # of more readings more is asked, by the logarithm of their number
+    assert more == pytest.approx(one / 2.0, rel=0.07)
     assert quiet == pytest.approx(one / 2.0, rel=1e-6)
 
 
