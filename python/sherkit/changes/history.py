@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from os import PathLike
 from typing import Any
 
@@ -165,7 +165,7 @@ class History(Shown):
 @validate_arguments
 @linalg.one_thread()
 def history(
-    robot: RobotLike, runs: Sequence[RunLike], *, dates: Sequence[str | float] = (),
+    robot: RobotLike, runs: Sequence[RunLike], *, dates: Sequence[str | float | date] = (),
     effects: Sequence[str | Effect] | None = None,
 ) -> History:  # fmt: skip
     """The course over runs of one machine. ``dates`` are ISO dates or seconds since 1970, one for each run; left out,
@@ -190,7 +190,7 @@ def history(
     return concluded(Pool.of(made, given, effects), given, at_s[order], [told[k] for k in order])
 
 
-def _dates(data: Sequence[Measurements], given: Sequence[str | float]) -> tuple[Floats, list[str]]:
+def _dates(data: Sequence[Measurements], given: Sequence[str | float | date]) -> tuple[Floats, list[str]]:
     """When each run was taken (R,), s since 1970, or in their order, and how that is told."""
     at = [_seconds(one, "dates") for one in given] if given else [_own_date(one) for one in data]
     known = [one for one in at if one is not None]
@@ -213,8 +213,10 @@ def _own_date(data: Measurements) -> float | None:
     return data.begins_s if data.begins_s > _CLOCK_S else None
 
 
-def _seconds(one: str | float, where: str) -> float:
+def _seconds(one: str | float | date, where: str) -> float:
     try:
+        if isinstance(one, date):
+            one = one.isoformat()
         if not isinstance(one, str):
             _EPOCH + timedelta(seconds=float(one))
             return float(one)
@@ -326,9 +328,9 @@ def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tu
     """All runs; of those that were left out there is no error."""
     seen = {} if pool.joined is None else dict(zip(pool.numbers, pool.joined.runs, strict=True))
     out = []
-    for k, (given, date) in enumerate(zip(every, dates, strict=True)):
+    for k, (given, when) in enumerate(zip(every, dates, strict=True)):
         run, silent = seen.get(k), pool.silent.get(pool.names[k])
-        out.append({"run": given.source, "date": date, "rows": len(given),
+        out.append({"run": given.source, "date": when, "rows": len(given),
                     "error": None if run is None else finite(error_in_another(run)),
                     "stand": {} if run is None else run.stand.moved,
                     "left_out": "" if silent is None else str(silent)})  # fmt: skip

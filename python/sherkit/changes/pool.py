@@ -70,7 +70,7 @@ class Pool:
                 continue
             made = cls(robot, names, tuple(kept), tuple(used), dict(silent), unit, joined)
             why = made.gate.first()
-            mute = {kept[0]: why} if why is not None else {kept[k]: one for k, one in made.gate.stuck().items()}
+            mute = {kept[0]: why} if why is not None else {kept[k]: one for k, one in made.gate.mute().items()}
             if not mute:
                 return made
             silent |= {names[k]: one for k, one in mute.items()}

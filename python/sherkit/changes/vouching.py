@@ -21,6 +21,7 @@ from ..data import Measurements
 from ..errors import SherkitError
 from ..evidence.base import Base
 from ..evidence.whitening import orthonormal
+from ..fit.set_up import set_up_mistakes
 from .pooled_fit import Joined
 from .runs import RunData, stand_of
 
@@ -136,6 +137,8 @@ def _ratio(squares: Floats, share: Floats, answers: Floats, left: Floats, free: 
 
 #: Places that stand for the workspace.
 _PLACES = 120
+#: A run is asked for mistakes of its set-up where it is off by this part of how far its readings move.
+_MISTAKEN = 0.01
 #: Repeats beside one of each pose that tell a step in time; the part of their scatter that one takes.
 _FEWEST_AGAIN, _ALL_OF_IT = 8, 0.8
 
@@ -235,7 +238,22 @@ class Gate:
             f"later runs were read", "measure it at more places, over all of the workspace, before anything changes",
         )  # fmt: skip
 
-    def stuck(self) -> dict[int, Silent]:
+    def mute(self) -> dict[int, Silent]:
+        """Runs, by their numbers, that say nothing since something is wrong with them."""
+        return self._mistaken() or self._stuck()
+
+    def _mistaken(self) -> dict[int, Silent]:
+        """Later runs that are off by a good part of how far they move, and in which a usual mistake of the set-up is
+        seen: what it does to a run no change of the robot should explain."""
+        out = {}
+        for k, run in enumerate(self.joined.runs[1:], 1):
+            moves = np.square(run.data.readings - np.nanmean(run.data.readings, axis=0))[:, list(self.joined.axes)]
+            spread = float(np.sqrt(np.nansum(moves) / len(moves))) * run.data.layout.per_unit
+            if error_in_another(run) > _MISTAKEN * spread and (found := set_up_mistakes(self.joined.model, run.data)):
+                out[k] = Silent(found[0].sentence, "put that right, and compare again")
+        return out
+
+    def _stuck(self) -> dict[int, Silent]:
         """Runs, by their numbers, that are far off where a joint stands still that moves in others."""
         runs, before = self.joined.runs, float(self.joined.fit.error.rms)
         far, out = TIMES * self.required, {}
