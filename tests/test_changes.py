@@ -191,6 +191,22 @@ def test_a_run_with_a_mistake_of_its_set_up_blames_no_other(factor: list[float],
     assert words in found.headline
 
 
+def test_what_follows_the_temperature_is_said() -> None:
+    """Catches "nothing needs to be done" of a robot that is off by its growth in a warmer room, and a run that is left
+    out since no change explains that growth."""
+    world = worlds.clean(3)
+    every, poses = pl.DataFrame(world.columns), np.unique(world.columns["pose"])
+    runs = [every.filter(pl.col("pose").is_in(poses[k::2].tolist())) for k in range(2)]
+    room = [np.random.default_rng(k).normal(20.0 + 10.0 * k, 0.05, len(one)) for k, one in enumerate(runs)]
+    cold, warm = (one.with_columns(temperature_c=pl.Series(at)) for one, at in zip(runs, room, strict=True))
+    warm = warm.with_columns(pl.col(axis) * (1.0 + 1e-3) for axis in ("x_mm", "y_mm", "z_mm"))
+    found = sk.compare(world.robot, [sk.from_frame(cold), sk.from_frame(warm)])
+    assert found.verdict == "unchanged"
+    assert not found.silent
+    assert "nothing has changed but the temperature" in found.advice
+    assert "thermal_growth" in found.advice
+
+
 def test_a_check_that_was_knocked_or_copied_says_so() -> None:
     """Catches "take twelve times as many readings" of a check in which the tracker was knocked by 0.1 mm, and a machine
     that is refused since each row of its check stands three times in the file."""

@@ -218,7 +218,7 @@ def concluded(pool: Pool) -> Comparison:
     error = {"before": float(before.rms), "after": after, "needed": pool.needed}
     called = [_called(one, number) for one, number in zip(data, pool.numbers, strict=True)]
     if verdict == "unchanged":
-        to_do = _zeros_moved(joined) or [unchanged_advice(float(before.rms), pool.needed, before.unit)]
+        to_do = _zeros_moved(joined) or [unchanged_advice(float(before.rms), pool.needed, before.unit, joined)]
     else:
         what = _advice(verdict, named, tied, bool(poses), lead.run.of.left if lead else 1.0)
         to_do = [*differing(data, called), _doubt(large) + what]

@@ -292,7 +292,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
         known=joined.known,
         smallest_found=pool.smallest if quiet else None, silent={name: str(one) for name, one in pool.silent.items()},
         advice="; ".join([
-            unchanged_advice(float(joined.fit.error.rms), needed, pool.unit) if quiet else _ADVICE[verdict],
+            unchanged_advice(float(joined.fit.error.rms), needed, pool.unit, joined) if quiet else _ADVICE[verdict],
             *pool.to_measure,
         ]),
     )  # fmt: skip

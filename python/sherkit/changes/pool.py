@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..adaptive.gate import POWER, Power, Silent, silence
+from ..adaptive.gate import POWER, TIMES, Power, Silent, silence
 from ..base.answer import FILES
-from ..base.figures import number
+from ..base.figures import listed, number
 from ..base.types import Floats
 from ..data import Measurements
 from ..data.reader import RunLike
@@ -27,7 +27,7 @@ from ..model.kinds import Robot, model_of, required_um
 from ..model.robot_file import run_for
 from .courses import lacking
 from .pooled_fit import Joined
-from .vouching import Gate, held_in, stuck
+from .vouching import Gate, error_in_another, held_in, stuck
 
 #: How a copy is told.
 _COPY = "holds the same rows as"
@@ -139,8 +139,16 @@ class Pool:
         return replace(self, numbers=numbers, data=data, silent=silent, joined=rest)
 
 
-def unchanged_advice(before: float, needed: float | None, unit: str) -> str:
-    """What to do where nothing has changed: what is off by more than is needed was so before."""
+def unchanged_advice(before: float, needed: float | None, unit: str, joined: Joined) -> str:
+    """What to do where nothing has changed: what is off by more than is needed was so before, or follows the
+    temperature, as no change does."""
+    off = max((error_in_another(run) for run in joined.runs[1:]), default=0.0)
+    if joined.growth and off > max(needed or 0.0, TIMES * before):
+        names = listed(effect.name for effect in joined.growth)
+        return (
+            "nothing has changed but the temperature: by the model of the first run another one is off by "
+            f"{number(off)} {unit}, which follows it; have that in the model ({names})"
+        )
     if needed is None or before <= needed:
         return "nothing needs to be done: the calibration still describes the robot"
     return (

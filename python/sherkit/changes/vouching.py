@@ -275,7 +275,8 @@ class Gate:
         if not power.speaks:
             noise = (run.sigma or self.joined.noise) * float(np.sqrt(len(self.joined.axes))) * self._unit.per_unit
             return unable(power, noise, unit, run.data, self.joined.axes)
-        off = error_in_another(run)
+        # what follows the temperature is no change, and none need explain it
+        off = error_in_another(run, [run.columns[effect.name] for effect in self.joined.growth])
         if off <= TIMES * max(self.required, before):
             return None
         return Silent(
@@ -345,8 +346,13 @@ def _unknown(run: RunData, sizes: Floats, covariance: Floats) -> float:
     return float(np.sqrt(max(total, 0.0) / max(int(run.used.any(axis=1).sum()), 1)))
 
 
-def error_in_another(run: RunData) -> float:
-    """How far the model of the first run is off in another (root mean square of a row), as people read it."""
+def error_in_another(run: RunData, beside: Sequence[Floats] = ()) -> float:
+    """How far the model of the first run is off in another (root mean square of a row), as people read it; ``beside``
+    columns (n, m, k) each that are fitted to it."""
     left = np.where(run.used, run.stand.residual, 0.0)
+    if beside:
+        every = np.where(run.used[:, :, None], np.concatenate([run.stand.columns, *beside], axis=2), 0.0)
+        basis = orthonormal(every.reshape(left.size, -1))
+        left = left - (basis @ (basis.T @ left.ravel())).reshape(left.shape)
     rows = max(int(run.used.any(axis=1).sum()), 1)
     return float(np.sqrt(np.square(left).sum() / rows)) * run.data.layout.per_unit
