@@ -147,16 +147,16 @@ def _diagnosed(
         mistakes, look = (Mistake(doubt.sentence),), False
         notes.insert(0, doubt.sentence)
         found = searched(run, every, rows, sigma, repeated_folds, level=level, step=step, look=False)
+    of_all = _of_all(found, run, long)
     if look and judged is None and found.names:
         # what is wrong beside a model that lacks an effect is right with it, and what hid in its shadow comes to light
-        beside = outliers_beside(found.final, every, outliers, keep)
+        beside = outliers_beside(of_all, every, outliers, keep)
         if found.structure:
             # the extremes of what is left are none
             beside = np.intersect1d(beside, outliers)
         if not np.array_equal(beside, outliers):
             return _diagnosed(fit, effects, level, keep, seed, step, beside)
     final = found.final
-    of_all = _of_all(found, run, long)
     # a row that is as what was found says was wrong beside a model that lacked it
     wrong = checks_of_outliers(of_all, outliers, seed, side=side)
     accidents = all(check.holds is not False for check in wrong)
