@@ -28,7 +28,7 @@ from ...model.rows import EffectRows
 from .alignment import at_times
 from .effects import TOOL_CATALOGUE, ToolEffect
 from .places import TipPlaces
-from .runs import ToolRun, check_camera, check_wavelengths, require_camera
+from .runs import ToolRun, check_camera, check_wavelengths, require_camera, warn_frozen
 from .tool import FlexibleTool, rotation_of
 
 # -- As it is drawn -----------------------------------------------------------------------------------------------
@@ -111,6 +111,7 @@ class ToolModel(Saved):
 
     def __post_init__(self) -> None:
         require_camera(self.run)
+        warn_frozen(self.run)
         if int(self.pictures.sum()) < _LEAST:
             raise MeasurementError(
                 f"{self.run.source}: {int(self.pictures.sum())} pictures lie within the robot's time; expected "
@@ -123,10 +124,14 @@ class ToolModel(Saved):
 
     @cached_property
     def pictures(self) -> NDArray[np.bool_]:
-        """Pictures (m,) inside the robot's time, with room for an effect of the delay."""
+        """Pictures (m,) inside the robot's time, with room for an effect of the delay, and not of seconds in which the
+        robot's pose or the wavelengths froze."""
         moment = self.run.camera_time_s - self.tool.camera_delay_s
         room = 5.0 * TOOL_CATALOGUE["camera_delay"].parameters[0].size
-        return (moment >= self.run.time_s[0] + room) & (moment <= self.run.time_s[-1] - room)
+        inside = (moment >= self.run.time_s[0] + room) & (moment <= self.run.time_s[-1] - room)
+        for one in (*self.run.frozen_fibres, *self.run.frozen_pose):
+            inside &= (moment < one.since_s - room) | (moment > one.until_s + room)
+        return inside
 
     @cached_property
     def moments_s(self) -> Floats:

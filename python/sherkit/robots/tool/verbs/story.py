@@ -24,7 +24,7 @@ from ..filters import Estimate
 from ..filters import estimate as run_filters
 from ..model import Applied, ToolModel, applied
 from ..places import TipPlaces
-from ..runs import ToolRun, read_tool_run, require_camera
+from ..runs import ToolRun, read_tool_run, require_camera, warn_frozen
 from ..tare import Tare, tare
 from ..tool import FlexibleTool, load_tool
 from .estimate import (
@@ -62,6 +62,7 @@ def tool_story(
         step("reading")
         loads, led, recorded = read_loads(bench), read_tool_run(free), read_tool_run(run)
         require_camera(led)
+        warn_frozen(led)
         require_camera(recorded)
         step("gains, stiffness and length")
         calibration = run_calibration(load_tool(drawing) if drawing else FlexibleTool(), loads)
