@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...base.answer import Answer, ToDo
+from .began import began
 from .consistency import NeesConsistency
 from .exchanged import exchanged
 from .filters import Estimate
@@ -38,7 +39,7 @@ class Trust:
 def trust(e: Estimate, truths: list[NeesConsistency]) -> Trust:
     """From what is known of the depth's errors, where the run tells a truth; else from its innovations, which see no
     bias and never know that a filter is too careful."""
-    mistaken, froze = exchanged(e), e.run.froze
+    mistaken, froze = [*exchanged(e), *began(e)], e.run.froze
     noticed = (*mistaken, *froze, *_noticed(e))
     why = " for what is said below" if noticed else ""
     of = [k for k in truths if (k.quantity, k.signal, k.condition) == ("depth", "filter", "whole run")]
