@@ -22,7 +22,7 @@ from ..calibration import calibrate_tool as run_calibration
 from ..consistency import judge, known
 from ..filters import Estimate
 from ..filters import estimate as run_filters
-from ..model import Applied, ToolModel, applied
+from ..model import Applied, ToolModel, mended
 from ..places import TipPlaces
 from ..runs import ToolRun, read_tool_run, require_camera, warn_frozen
 from ..tare import Tare, tare
@@ -79,7 +79,7 @@ def tool_story(
         step("what is missing")
         model = ToolModel(made, recorded)
         diagnosis = run_diagnosis(identify(model, model.readings), seed=seed, step=step)
-        told = applied(model, diagnosis.fit)
+        told = mended(model, diagnosis)
         after = run_filters(told.tool, recorded)
     told.tool.save(destination)
     if report is not None:
