@@ -95,8 +95,8 @@ def test_a_robot_that_holds_still_has_not_frozen() -> None:
     assert replace(run_of(eye), **held).froze == []
 
 
-def test_a_reading_that_is_given_several_times_counts_once(sound: tuple[FlexibleTool, Recorded, ToolRun]) -> None:
-    """Catches a slow interrogator, whose last reading stands in four rows, that is called frozen or counts fourfold;
+def test_a_reading_that_is_given_several_times_has_not_frozen(sound: tuple[FlexibleTool, Recorded, ToolRun]) -> None:
+    """Catches a slow interrogator, whose last reading stands in four rows, that is called frozen;
     and wavelengths that are written so coarsely that noise repeats them."""
     tool, recorded, run = sound
     held = replace(run, wavelengths_nm=run.wavelengths_nm[np.arange(len(run)) // 4 * 4])

@@ -273,7 +273,7 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     """Runs sensing and the filters over a recorded run.
 
     A reading is used at the time it was taken: its stamp where the run has one, less the delay of the fibres.
-    Rows without wavelengths are predicted over, as are those that repeat the reading of the row before, and those in
+    Rows without wavelengths are predicted over, as are those of wavelengths that froze, and those in
     which the robot's pose stood while the tool moved: there deviations are of how far this robot goes in as much time.
     Raises :class:`~sherkit.errors.MeasurementError` for a run in which no
     row has wavelengths, or whose wavelengths are in another unit or of another tool.
@@ -310,7 +310,7 @@ def _track(told: dict[str, Any]) -> Track:
 
 def _readings(run: ToolRun) -> Bools:
     """Rows (n,) with a wavelength, and no reading that an earlier row has already, where the pose is known."""
-    some = np.isfinite(run.wavelengths_nm).any(axis=1) & ~run.again & ~run.lost_pose
+    some = np.isfinite(run.wavelengths_nm).any(axis=1) & ~run.lost_fibres & ~run.lost_pose
     if run.fibre_time_s is None:
         return np.asarray(some)
     before = np.maximum.accumulate(np.where(some, run.fibre_times_s, -np.inf))

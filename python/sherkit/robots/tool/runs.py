@@ -274,7 +274,7 @@ class ToolRun:
     def present(self) -> Bools:
         """Rows (n,) with all wavelengths of sections I and II, and no reading that an earlier row has already, where
         the robot's pose is known."""
-        whole = np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1) & ~self.again & ~self.lost_pose
+        whole = np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1) & ~self.lost_fibres & ~self.lost_pose
         if self.fibre_time_s is None:
             return np.asarray(whole)
         before = np.maximum.accumulate(np.where(whole, self.fibre_times_s, -np.inf))
