@@ -61,7 +61,8 @@ def split(off: Floats, t0: NDArray[np.bool_]) -> tuple[float, float, float]:
 
 def virtual(experiment: str, seed: int) -> tuple[FlexibleTool, ToolRun]:
     """A tool whose file is right, and a run of it."""
-    tool = replace(FlexibleTool(), per_second_mm2=(WANDER_MM2_S, 1.0), floor_mm2=(0.0, 0.0))
+    # its runs begin where the hole touches the tip
+    tool = replace(FlexibleTool(), per_second_mm2=(WANDER_MM2_S, 1.0), floor_mm2=(0.0, 0.0), start_std_mm=0.5)
     return tool, VirtualTool(tool, wander_mm2_s=WANDER_MM2_S).run(experiment, seed=seed)
 
 

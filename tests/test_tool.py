@@ -28,7 +28,7 @@ from tool_honesty import honest, run_of, tool_of
 Floats = NDArray[np.float64]
 
 #: Filters that know the virtual tool's noise: no floor, and the hole's own random walk.
-KNOWING = FlexibleTool(per_second_mm2=(0.004, 1.0), floor_mm2=(0.0, 0.0))
+KNOWING = FlexibleTool(per_second_mm2=(0.004, 1.0), floor_mm2=(0.0, 0.0), start_std_mm=0.5)
 TOOL = FlexibleTool(
     camera_rotation_rad=(0.3, -0.2, 1.0), camera_translation_mm=(50.0, -20.0, 300.0), camera_delay_s=0.031
 )

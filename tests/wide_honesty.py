@@ -111,7 +111,7 @@ def plain(tool: FlexibleTool, run: ToolRun) -> Floats:
     out = plain_filter(
         np.array(tool.gains), np.array(tool.distances_mm), tool.length_mm, tool.stiffness_mn_mm2,
         np.array(tool.reference_nm), run.rotations, run.position_mm, run.wavelengths_nm, tool.start_depth_mm,
-        tool.start_std_mm**2,
+        tool.start_known_mm**2,
     )  # fmt: skip
     return np.column_stack([out.depth_mm, out.tip_mm])
 

@@ -55,7 +55,7 @@ def tool_header(tool: FlexibleTool, source: str = "tool.toml") -> str:
         *(f"    .{name} = {value}," for name, value in fields.items()),
         "};",
         f"static const double tool_start_depth_mm = {c_number(tool.start_depth_mm)};",
-        f"static const double tool_start_variance_mm2 = {c_number(tool.start_std_mm**2)};",
+        f"static const double tool_start_variance_mm2 = {c_number(tool.start_known_mm**2)};",
         f"static const double tool_fibre_delay_s = {c_number(tool.fibre_delay_s)};",
         "",
         "#endif",

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from ...base.types import Floats
 from .alignment import at_times
@@ -25,9 +26,22 @@ def _inverse(run: ToolRun) -> ToolRun:
     return replace(run, turn_rad=-run.turn_rad)
 
 
+def _of_angles(order: str) -> Callable[[ToolRun], ToolRun]:
+    """Turns that are three angles about the axes, in an order as scipy names it."""
+
+    def undone(run: ToolRun) -> ToolRun:
+        turn = scipy.spatial.transform.Rotation.from_euler(order, run.turn_rad).as_rotvec()
+        return replace(run, turn_rad=np.ascontiguousarray(turn))
+
+    return undone
+
+
+_ANGLES = "robot_rx_rad, robot_ry_rad and robot_rz_rad are roll, pitch and yaw about axes that"
 _UNDONE: dict[str, Callable[[ToolRun], ToolRun]] = {
     "robot_x_mm and robot_y_mm are exchanged": _swapped,
     "robot_rx_rad, robot_ry_rad and robot_rz_rad are those of the inverse turn, base to tool": _inverse,
+    f"{_ANGLES} stand still, and no rotation vector": _of_angles("xyz"),
+    f"{_ANGLES} turn with the tool, and no rotation vector": _of_angles("XYZ"),
 }
 
 

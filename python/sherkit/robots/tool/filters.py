@@ -21,6 +21,7 @@ from ...base import linalg
 from ...base.notebook import Shown
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError
+from .frozen import strayed_mm2
 from .runs import OUT_OF_REACH_NM, ToolRun, check_wavelengths
 from .tool import FIBRES, FlexibleTool
 
@@ -272,10 +273,12 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     """Runs sensing and the filters over a recorded run.
 
     A reading is used at the time it was taken: its stamp where the run has one, less the delay of the fibres.
-    Rows without wavelengths are predicted over. Raises :class:`~sherkit.errors.MeasurementError` for a run in which no
+    Rows without wavelengths are predicted over, as are those of wavelengths that froze, and those in
+    which the robot's pose stood while the tool moved: there deviations are of how far this robot goes in as much time.
+    Raises :class:`~sherkit.errors.MeasurementError` for a run in which no
     row has wavelengths, or whose wavelengths are in another unit or of another tool.
     """
-    waves = np.ascontiguousarray(run.wavelengths_nm)
+    waves = np.where(run.lost_fibres[:, None], np.nan, run.wavelengths_nm)
     reading = _readings(run)
     if not reading.any():
         raise MeasurementError(f"{run.source}: no row has wavelengths; there is nothing to estimate from")
@@ -284,6 +287,9 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     measured = tool.sensor.measure_batch(stamps, tool.as_if_cold(waves))[0]
     start, pose = float(run.time_s[0]), run.poses[0]
     told = tool.tracker(start, pose).run(run.time_s, run.poses, stamps, waves, reading)
+    slides, goes = strayed_mm2(run.position_mm, run.rotations[:, :, 2], run.lost_pose)
+    told["covariance"][:, 0, 0] += slides
+    told["covariance"][:, [1, 2, 3], [1, 2, 3]] += goes[:, None]
     together = _track(told)
     # the paper's measurement is of the row that it came in
     there = np.ascontiguousarray(run.present)
@@ -303,8 +309,8 @@ def _track(told: dict[str, Any]) -> Track:
 
 
 def _readings(run: ToolRun) -> Bools:
-    """Rows (n,) with a wavelength, and no reading that an earlier row has already."""
-    some = np.isfinite(run.wavelengths_nm).any(axis=1)
+    """Rows (n,) with a wavelength, and no reading that an earlier row has already, where the pose is known."""
+    some = np.isfinite(run.wavelengths_nm).any(axis=1) & ~run.lost_fibres & ~run.lost_pose
     if run.fibre_time_s is None:
         return np.asarray(some)
     before = np.maximum.accumulate(np.where(some, run.fibre_times_s, -np.inf))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -20,15 +21,16 @@ from ...base import linalg
 from ...base.notebook import Saved
 from ...base.types import Floats
 from ...data import Measurements, from_arrays
+from ...diagnosis import Diagnosis
 from ...errors import FitError, MeasurementError, RobotError
-from ...fit.identify import Fit
+from ...fit.identify import Fit, identify
 from ...model.drawing import Drawing, DrawnPart, line, with_target
 from ...model.effect import Effect, Parameter
 from ...model.rows import EffectRows
 from .alignment import at_times
 from .effects import TOOL_CATALOGUE, ToolEffect
 from .places import TipPlaces
-from .runs import ToolRun, check_camera, check_wavelengths, require_camera
+from .runs import ToolRun, check_camera, check_wavelengths, require_camera, warn_frozen
 from .tool import FlexibleTool, rotation_of
 
 # -- As it is drawn -----------------------------------------------------------------------------------------------
@@ -111,6 +113,7 @@ class ToolModel(Saved):
 
     def __post_init__(self) -> None:
         require_camera(self.run)
+        warn_frozen(self.run)
         if int(self.pictures.sum()) < _LEAST:
             raise MeasurementError(
                 f"{self.run.source}: {int(self.pictures.sum())} pictures lie within the robot's time; expected "
@@ -123,10 +126,14 @@ class ToolModel(Saved):
 
     @cached_property
     def pictures(self) -> NDArray[np.bool_]:
-        """Pictures (m,) inside the robot's time, with room for an effect of the delay."""
+        """Pictures (m,) inside the robot's time, with room for an effect of the delay, and not of seconds in which the
+        robot's pose or the wavelengths froze."""
         moment = self.run.camera_time_s - self.tool.camera_delay_s
         room = 5.0 * TOOL_CATALOGUE["camera_delay"].parameters[0].size
-        return (moment >= self.run.time_s[0] + room) & (moment <= self.run.time_s[-1] - room)
+        inside = (moment >= self.run.time_s[0] + room) & (moment <= self.run.time_s[-1] - room)
+        for one in (*self.run.frozen_fibres, *self.run.frozen_pose):
+            inside &= (moment < one.since_s - room) | (moment > one.until_s + room)
+        return inside
 
     @cached_property
     def moments_s(self) -> Floats:
@@ -252,6 +259,28 @@ class Applied:
     written: tuple[str, ...]
     kept_out: tuple[str, ...]
     why: tuple[str, ...]
+
+
+#: An effect is written where it leaves no more than this part of the error on poses that the fit had not seen: a long
+#: run makes less certain, and still moves gains, and so the depth, by more than it mends.
+_GAINS = 0.95
+
+
+def mended(model: ToolModel, found: Diagnosis) -> Applied:
+    """What a diagnosis named as :func:`applied`, without effects that gain next to nothing on rows held out."""
+    idle = {}
+    for before, after in pairwise(found.steps):
+        if after.effect is not None and not after.error.rms < _GAINS * before.error.rms:
+            unit = after.error.unit
+            idle[after.effect] = (
+                f"{after.effect} is not written: with it the error on poses that the fit had not seen falls only from "
+                f"{before.error.rms:.3g} to {after.error.rms:.3g} {unit}"
+            )
+    if not idle:
+        return applied(model, found.fit)
+    kept = [e for e in found.fit.model.effects if e.name not in idle]
+    told = applied(model, identify(model, found.fit.data, effects=kept))
+    return replace(told, kept_out=(*told.kept_out, *idle), why=(*told.why, *idle.values()))
 
 
 @linalg.one_thread()

@@ -341,7 +341,7 @@ def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats, le
     and over steps that are what the robot ``led`` (n - 1,) but for a random walk: a tridiagonal system."""
     step = np.diff(run.time_s)
     tie = 1.0 / (max(tool.per_second_mm2[0], _LEAST_WANDER_MM2_S) * step)
-    start = 1.0 / tool.start_std_mm**2
+    start = 1.0 / tool.start_known_mm**2
     diagonal, right = weight.copy(), seen.copy()
     diagonal[0] += start
     right[0] += start * tool.start_depth_mm

@@ -21,6 +21,7 @@ from ...data.columns import TIME
 from ...data.reader import checked
 from ...data.tables import read_table, write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
+from .frozen import Frozen, frozen_fibres, frozen_pose, repeats, rows_of, sentences
 from .tool import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN, rotation_of
 
 # -- What numbers cannot be: other units, another clock, another tool, a camera that saw something else -----------
@@ -271,12 +272,44 @@ class ToolRun:
 
     @cached_property
     def present(self) -> Bools:
-        """Rows (n,) with all wavelengths of sections I and II, and no reading that an earlier row has already."""
-        whole = np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1)
+        """Rows (n,) with all wavelengths of sections I and II, and no reading that an earlier row has already, where
+        the robot's pose is known."""
+        whole = np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1) & ~self.lost_fibres & ~self.lost_pose
         if self.fibre_time_s is None:
             return np.asarray(whole)
         before = np.maximum.accumulate(np.where(whole, self.fibre_times_s, -np.inf))
         return np.asarray(whole & (self.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
+
+    @cached_property
+    def again(self) -> Bools:
+        """Rows (n,) that hold the reading of the row before, to the last digit."""
+        return repeats(self.wavelengths_nm)
+
+    @cached_property
+    def frozen_fibres(self) -> list[Frozen]:
+        """Stretches in which one reading came again and again."""
+        return frozen_fibres(self.time_s, self.again)
+
+    @cached_property
+    def frozen_pose(self) -> list[Frozen]:
+        """Stretches in which the robot's pose stood while the tool moved."""
+        waves = np.where(self.again[:, None], np.nan, self.wavelengths_nm)
+        return frozen_pose(self.time_s, self.position_mm, self.turn_rad, waves)
+
+    @cached_property
+    def lost_fibres(self) -> Bools:
+        """Rows (n,) that hold a reading of long ago."""
+        return rows_of(self.frozen_fibres, len(self))
+
+    @cached_property
+    def lost_pose(self) -> Bools:
+        """Rows (n,) of which nobody knows where the robot was."""
+        return rows_of(self.frozen_pose, len(self))
+
+    @property
+    def froze(self) -> list[str]:
+        """A sentence on each stream that stood still while the others went on."""
+        return sentences(self.frozen_fibres, self.frozen_pose)
 
     def without_fibres(self, rows: Bools) -> ToolRun:
         """The same run with these wavelengths lost."""
@@ -368,6 +401,12 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
 def _refuse(bad: Any, sentence: str) -> None:
     if bad.any():
         raise MeasurementError(sentence.format(int(np.argmax(bad)) + 1))
+
+
+def warn_frozen(run: ToolRun) -> None:
+    """Warns of streams that stood still while the others went on."""
+    for sentence in run.froze:
+        warnings.warn(f"{run.source}: {sentence[0].lower()}{sentence[1:]}", SherkitWarning, stacklevel=3)
 
 
 def require_camera(run: ToolRun) -> None:

@@ -129,6 +129,7 @@ class FlexibleTool(Declared, Saved):
     the camera's frame to the base: x_base = R(``camera_rotation_rad``) x_camera + ``camera_translation_mm``; its clock
     stands ``camera_delay_s`` later than the robot's, and that of the fibres ``fibre_delay_s``. ``bending`` is
     ``"exact"``, an elastica, or ``"small"``, the paper's cantilever, which is off by 0.03 mm and more above 150 mN.
+    A run starts at ``start_depth_mm`` within ``start_std_mm``; None where nobody knows: outside, or far inside.
     ``clearance_mm`` is how much wider than the shaft the hole is (radius), as far as that is known before it is felt.
     ``bench`` says how its table of loads is to be read, depth and force (see :mod:`.bench_fit`); ``"any"``: as fits
     best.
@@ -157,7 +158,7 @@ class FlexibleTool(Declared, Saved):
     per_second_mm2: tuple[float, float] = (0.01, 1.0)
     floor_mm2: tuple[float, float] = (0.01, 0.002)
     start_depth_mm: float = 0.0
-    start_std_mm: float = 0.5
+    start_std_mm: float | None = None
     bending: str = "exact"
     fibre_delay_s: float = 0.0
     clearance_mm: float = 0.5
@@ -197,7 +198,7 @@ class FlexibleTool(Declared, Saved):
             "per_second_mm2": key(Table.numbers, 2),
             "floor_mm2": key(Table.numbers, 2),
             "start_depth_mm": key(Table.number),
-            "start_std_mm": key(Table.number, positive=True),
+            "start_std_mm": key(Table.positive),
             "clearance_mm": key(Table.number, least=0.0),
             "clearance_std_mm": key(Table.number, least=0.0),
         },
@@ -255,7 +256,7 @@ class FlexibleTool(Declared, Saved):
                 ) -> _core.ToolFilter:  # fmt: skip
         """The filter that a control loop runs, started at a time and a pose (12,); depth as in the file if left out."""
         depth = self.start_depth_mm if depth_mm is None else depth_mm
-        std = self.start_std_mm if std_mm is None else std_mm
+        std = self.start_known_mm if std_mm is None else std_mm
         d = self.doubt
         doubts = (d.deeper_mm, d.turn_rad, d.force, d.reference_nm, d.mean, d.unlike, d.warmth, self.clearance_std_mm)
         return _core.ToolFilter(
@@ -265,11 +266,17 @@ class FlexibleTool(Declared, Saved):
             self.per_second_mm2[0], (depth, std**2, time_s), np.ascontiguousarray(pose),
         )  # fmt: skip
 
+    @property
+    def start_known_mm(self) -> float:
+        """How well it is known where a run starts, as a standard deviation, mm: a third of the shaft where the file
+        says nothing, so that the first force decides."""
+        return self.length_mm / 3.0 if self.start_std_mm is None else self.start_std_mm
+
     def paper_filter(self, time_s: float, pose: Floats) -> _core.PaperFilter:
         """The paper's own filters, started as :meth:`tracker`."""
         return _core.PaperFilter(
             np.array(self.gains, dtype=float), np.array(self.distances_mm), np.array(self.reference_nm), self.noise_nm,
-            self.beam, (self.start_depth_mm, self.start_std_mm**2, time_s), np.ascontiguousarray(pose),
+            self.beam, (self.start_depth_mm, self.start_known_mm**2, time_s), np.ascontiguousarray(pose),
             self.noise == "ebrahimi_2020_of_force",
         )  # fmt: skip
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...base.answer import Answer, ToDo
+from .began import began
 from .consistency import NeesConsistency
 from .exchanged import exchanged
 from .filters import Estimate
@@ -38,7 +39,8 @@ class Trust:
 def trust(e: Estimate, truths: list[NeesConsistency]) -> Trust:
     """From what is known of the depth's errors, where the run tells a truth; else from its innovations, which see no
     bias and never know that a filter is too careful."""
-    noticed = tuple(_noticed(e))
+    mistaken, froze = [*exchanged(e), *began(e)], e.run.froze
+    noticed = (*mistaken, *froze, *_noticed(e))
     why = " for what is said below" if noticed else ""
     of = [k for k in truths if (k.quantity, k.signal, k.condition) == ("depth", "filter", "whole run")]
     std = float(np.median(e.depth_std_mm))
@@ -50,17 +52,23 @@ def trust(e: Estimate, truths: list[NeesConsistency]) -> Trust:
         c = e.depth.consistency
         verdict = "unknown" if not np.isfinite(c.ratio) else ("overconfident" if c.ratio > _TOO_FAR else "trusted")
         told = f"innovations squared are {c.ratio:.2f} of what is stated, ± {std:.2f} mm; no truth is in this run"
+    # of a run that was recorded wrongly innovations tell nothing
+    wrong = "put that right, and estimate again" if mistaken else "use the other seconds, or measure again"
+    if (mistaken or froze) and verdict != "overconfident":
+        verdict = "unknown"
     do = {
         "trusted": "use the estimate with its deviation",
         "too careful": "use it as it is; more loads on the bench would narrow the deviation",
         "overconfident": f"count on more than the deviation{why or ', and calibrate the tool again on its bench'}",
-        "unknown": "nothing was measured that tells; look at what the rows say of themselves",
+        "unknown": wrong
+        if mistaken or froze
+        else "nothing was measured that tells; look at what the rows say of themselves",
     }[verdict]
     return Trust(verdict, told, do, noticed)
 
 
 def _noticed(e: Estimate) -> list[str]:
-    out = [*exchanged(e)]
+    out = []
     if (share := float(e.goes_along[-1])) > 0.0:
         out.append(
             f"The hole goes along with the shaft, by about {100 * share:.0f} % of each slide: the depth is known less "

@@ -25,7 +25,7 @@ from ..consistency import ErrorStatistics, NeesConsistency, SignalErrors, judge,
 from ..filters import Estimate, status_in_words
 from ..filters import estimate as run_filters
 from ..model import Applied
-from ..runs import read_tool_run, require_camera, summary
+from ..runs import read_tool_run, require_camera, summary, warn_frozen
 from ..tool import FlexibleTool, load_tool
 from ..trust import trust
 
@@ -283,6 +283,7 @@ def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: f
     made = load_tool(tool)
     recorded = read_tool_run(run)
     require_camera(recorded)
+    warn_frozen(recorded)
     found = align(
         recorded.time_s, recorded.position_mm, recorded.camera_time_s, recorded.camera_mm, longest_s=longest_delay_s,
         source=recorded.source,

@@ -22,9 +22,9 @@ from ..calibration import calibrate_tool as run_calibration
 from ..consistency import judge, known
 from ..filters import Estimate
 from ..filters import estimate as run_filters
-from ..model import Applied, ToolModel, applied
+from ..model import Applied, ToolModel, mended
 from ..places import TipPlaces
-from ..runs import ToolRun, read_tool_run, require_camera
+from ..runs import ToolRun, read_tool_run, require_camera, warn_frozen
 from ..tare import Tare, tare
 from ..tool import FlexibleTool, load_tool
 from .estimate import (
@@ -62,6 +62,7 @@ def tool_story(
         step("reading")
         loads, led, recorded = read_loads(bench), read_tool_run(free), read_tool_run(run)
         require_camera(led)
+        warn_frozen(led)
         require_camera(recorded)
         step("gains, stiffness and length")
         calibration = run_calibration(load_tool(drawing) if drawing else FlexibleTool(), loads)
@@ -78,7 +79,7 @@ def tool_story(
         step("what is missing")
         model = ToolModel(made, recorded)
         diagnosis = run_diagnosis(identify(model, model.readings), seed=seed, step=step)
-        told = applied(model, diagnosis.fit)
+        told = mended(model, diagnosis)
         after = run_filters(told.tool, recorded)
     told.tool.save(destination)
     if report is not None:

@@ -26,7 +26,7 @@ from ....model.kinds import model_of
 from ..c_header import tool_header
 from ..effects import TOOL_CATALOGUE
 from ..filters import estimate
-from ..model import ToolModel, applied
+from ..model import ToolModel, mended
 from ..runs import read_tool_run
 from ..tool import KIND, FlexibleTool, load_tool
 from ..virtual import EXPERIMENTS, VirtualTool
@@ -74,13 +74,13 @@ class ToolFile:
 
     def write(self, destination: Path, found: Diagnosis) -> list[str]:
         """The tool with what was named."""
-        told = applied(self.model, found.fit)
+        told = mended(self.model, found)
         told.tool.save(destination)
         return [*sentences_of(told), f"the tool is in {destination}"]
 
     def report(self, path: Path, found: Diagnosis, *, sources: Sequence[Path], **_: Any) -> None:
         """The story of the run, with what was named written into the tool."""
-        told = applied(self.model, found.fit)
+        told = mended(self.model, found)
         write_tool_report(path, found, estimate(told.tool, self.model.run), told, sources)
 
     # -- verbs in a way of its own -----------------------------------------------------------------------

@@ -17,6 +17,9 @@ use nalgebra::{Matrix2, Vector2};
 const DETECTED: f64 = 5.0;
 /// The hole must stand so far below section I for its moment to count, mm.
 const NEAREST_MM: f64 = 2.0;
+/// A depth that is known no better is hardly known, mm; how often its moments are then looked at again.
+const VAGUE_MM: f64 = 5.0;
+const AGAIN: usize = 6;
 /// Deviation of the part of a force that drags along the shaft while it slides; how fast that is, mm/s.
 const DRAGS: f64 = 0.08;
 const SLIDES_MM_S: f64 = 0.2;
@@ -37,6 +40,8 @@ pub(super) struct Said {
     pub(super) way: Vector2<f64>,
     /// Length of shaft beyond the hole that the reading was looked at with, what the bend takes from `l` there, mm.
     pub(super) depth: f64,
+    /// How much deeper that is than expected, where the reading was looked at again, mm.
+    ahead: f64,
     short: f64,
     relief: [f64; 2],
     /// Variance of the force's components by noise, mN²; the force by the moments of I and II and by the depth.
@@ -57,6 +62,40 @@ impl Said {
     /// Square of how far the depth is off over its variance; zero where it is not told.
     pub(super) fn far(&self) -> f64 {
         self.off.map_or(0.0, |(mm, seen)| mm * mm / seen.total)
+    }
+}
+
+/// By how much the hole stands deeper than where moments were looked at with a force, mm, least squares; how well that is told
+/// where the force is not known either, 1/mm²; what of it goes with the force.
+struct Deeper {
+    mm: f64,
+    told: f64,
+    turned: Vector2<f64>,
+    ja: [Vector2<f64>; 2],
+}
+
+impl Deeper {
+    #[inline]
+    fn of(
+        m: &Moments,
+        relief: &[f64; 2],
+        c: &[f64; 2],
+        f: &Vector2<f64>,
+        v: &Matrix2<f64>,
+    ) -> Self {
+        let a = [f / relief[0], f / relief[1]];
+        let ja = [m.j[0] * a[0], m.j[1] * a[1]];
+        let cross = ja[0] * c[0] + ja[1] * c[1];
+        let turned = v * cross;
+        let told = a[0].dot(&ja[0]) + a[1].dot(&ja[1]) - cross.dot(&turned);
+        let left = |i: usize| m.z[i] - m.j[i] * f * c[i];
+        let mm = -(a[0].dot(&left(0)) + a[1].dot(&left(1))) / told;
+        Self {
+            mm,
+            told,
+            turned,
+            ja,
+        }
     }
 }
 
@@ -83,22 +122,41 @@ impl ToolFilter {
                 near - NEAREST_MM
             }
         };
-        // first with the shape of the last reading, for the shape of this one
+        // first with the shape of the last reading, for the shape of this one; where the depth is hardly known, on to where the
+        // reading itself has the hole: from far away its moments are no straight line
+        let rounds = if s.p[L][L] > VAGUE_MM * VAGUE_MM {
+            AGAIN
+        } else {
+            1
+        };
         let (mut depth, mut relief, mut short) = (held(s.arc()), s.relief, s.short);
         let (mut c, mut f, mut v) = ([0.0; 2], Vector2::zeros(), Matrix2::zeros());
-        for first in [true, false] {
+        let mut ahead = 0.0;
+        for round in 0..=rounds {
             c = [(near - depth) / relief[0], (far - depth) / relief[1]];
             let precision = m.j[0] * (c[0] * c[0]) + m.j[1] * (c[1] * c[1]);
             v = precision.try_inverse().unwrap_or_else(Matrix2::zeros);
             f = v * (m.z[0] * c[0] + m.z[1] * c[1]);
-            if first {
-                let squared = f.norm_squared();
-                relief = [
-                    shaft.relief(squared, near - depth),
-                    shaft.relief(squared, far - depth),
-                ];
-                short = shaft.short(squared, shaft.arc(depth));
-                depth = held(s.x[L] + s.x[DEEPER] - short);
+            let squared = f.norm_squared();
+            // where nothing is felt there is nothing to look at again
+            let leans = squared > DETECTED * DETECTED * 0.5 * v.trace();
+            if round == rounds || (round > 0 && !leans) {
+                break;
+            }
+            let there = if round == 0 {
+                None
+            } else {
+                Some(depth + Deeper::of(m, &relief, &c, &f, &v).mm)
+            };
+            relief = [
+                shaft.relief(squared, near - depth),
+                shaft.relief(squared, far - depth),
+            ];
+            short = shaft.short(squared, shaft.arc(depth));
+            let expected = s.x[L] + s.x[DEEPER] - short;
+            depth = held(there.map_or(expected, |mm| mm.max(0.0)));
+            if there.is_some() {
+                ahead = depth - expected;
             }
         }
         let size = sqrt(f.norm_squared());
@@ -111,6 +169,7 @@ impl ToolFilter {
                 Vector2::new(1.0, 0.0)
             },
             depth,
+            ahead,
             short,
             relief,
             noise: 0.5 * v.trace(),
@@ -153,13 +212,12 @@ impl ToolFilter {
             let variance = (g.per_nm[0] * c[1] * c[1] + g.per_nm[1] * c[0] * c[0]) * g.noise;
             said.misfit = across * across / variance;
         }
-        let a = [f / said.relief[0], f / said.relief[1]];
-        let ja = [m.j[0] * a[0], m.j[1] * a[1]];
-        let cross = ja[0] * c[0] + ja[1] * c[1];
-        let turned = v * cross;
-        let told = a[0].dot(&ja[0]) + a[1].dot(&ja[1]) - cross.dot(&turned);
-        let left = |i: usize| m.z[i] - m.j[i] * f * c[i];
-        let delta = -(a[0].dot(&left(0)) + a[1].dot(&left(1))) / told;
+        let Deeper {
+            mm: delta,
+            told,
+            turned,
+            ja,
+        } = Deeper::of(m, &said.relief, c, f, v);
         // false for NaN: what acts further from here than a shaft is long is no force
         if !(told > 0.0 && delta.abs() < self.trusted.rod.beam.length_mm()) {
             return;
@@ -223,7 +281,7 @@ impl ToolFilter {
             s.lean(&self.shaft);
             return status;
         }
-        s.size = (said.size + said.by_depth * moved).max(0.0);
+        s.size = (said.size + said.by_depth * (moved - said.ahead)).max(0.0);
         (s.way, s.short, s.relief) = (said.way, said.short, said.relief);
         self.felt = Some(Felt {
             time_s: s.time_s,
