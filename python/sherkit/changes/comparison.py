@@ -225,7 +225,7 @@ def concluded(pool: Pool) -> Comparison:
     return Comparison(
         verdict=verdict,
         changed=tuple(sorted(named)),
-        indistinguishable=(tied,) if len(tied) > 1 else (),
+        indistinguishable=(*((tied,) if len(tied) > 1 else ()), *(lead.run.of.swaps if lead else ())),
         stand={name: joined.runs[k].stand.moved for k, name in enumerate(called) if k},
         error=error,
         unit=before.unit,

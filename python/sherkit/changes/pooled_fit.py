@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,6 +24,7 @@ from ..data import Measurements
 from ..errors import FitError
 from ..evidence.linearised import Linearised
 from ..evidence.run import Run
+from ..evidence.thresholds import TIED
 from ..evidence.whitening import Whitening, orthonormal
 from ..fit.identify import Fit
 from ..model.base import ModelWithEffects
@@ -107,6 +109,22 @@ class About:
             some = np.delete(some, np.argmin(far / std[some].clip(1e-300)))
         every = [(p, float(v * p.size), float(s * p.size)) for p, v, s in zip(self.parameters, value, std, strict=True)]
         return [[one for one in every[self.of(k)] if one[2] > 0] for k in range(len(self.changes))]
+
+    @cached_property
+    def swaps(self) -> list[tuple[str, str]]:
+        """Numbers that moved, each with another of the same effect that explains as much in its place."""
+        moved = {one.name for some in self.told for one, _, _ in some}
+        kept = [k for k, p in enumerate(self.parameters) if p.name in moved]
+        best = estimated(self.columns[:, kept], self.free, self.residual)[2] if kept else 0.0
+        out = []
+        for number in range(len(self.changes)):
+            own = range(*self.of(number).indices(len(self.parameters)))
+            for one, other in product((k for k in kept if k in own), (k for k in own if k not in kept)):
+                some = [other if k == one else k for k in kept]
+                left = estimated(self.columns[:, some], self.free, self.residual)[2]
+                if left**2 < best**2 * (1.0 + 2.0 * TIED / len(self.residual)):
+                    out.append((self.parameters[one].name, self.parameters[other].name))
+        return out
 
     def of(self, number: int) -> slice:
         """Where the parameters of a change stand among them, by its number."""
