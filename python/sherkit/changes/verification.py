@@ -53,6 +53,8 @@ _OF_CALIBRATION = 200
 _SHARE, _POWER = 0.95, 0.9
 #: What a model lacks has about so many shapes among the poses of a check.
 _SHAPES = 6
+#: A run tells what its model leaves no better than this part of its noise.
+_BY_CHANCE = 0.5
 #: The promise is mostly what the model lacks from this part of its square on.
 _LACKED = 0.5
 #: An error, in promises, of which it is said whether a check finds it.
@@ -320,8 +322,10 @@ def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple
         return None, False
     places = there.values[there.reached]
     radius = made.predicted_accuracies(places, frame=frame).radius_mm
-    left = np.concatenate([made.left_of(part, places) for part in made.parts_made[:1]])
-    # what the model lacked was as large on average; at these places, a few shapes of it, it may be larger
+    left, noise = made.left_of(made.parts_made[0], places)
+    # what the model lacked, beyond what a run tells of that by chance, was as large on average; at these places, a few
+    # shapes of it, it may be larger
+    left = np.sqrt(np.maximum(left**2 - (_BY_CHANCE * noise) ** 2, 0.0)) if noise > 0 else np.zeros(len(left))
     more = float(scipy.stats.f.isf(_REFUSED, _SHAPES, _OF_CALIBRATION)) - 1.0
     left, radius = left[np.isfinite(radius)], radius[np.isfinite(radius)]
     if not len(radius):

@@ -215,9 +215,11 @@ class Accurate(WhereMeasured):
         everywhere."""
         return np.broadcast_to(part.residual_covariance, (len(coordinates), *part.residual_covariance.shape))
 
-    def left_of(self, part: IdentifiedModel, coordinates: Floats) -> Floats:
-        """Radius (n,), mm, of what a part leaves at ``coordinates`` (n, k) of :attr:`frame` in 95 of 100 cases."""
-        return self.reach_mm * radius_95(self.left_at(part, coordinates))
+    def left_of(self, part: IdentifiedModel, coordinates: Floats) -> tuple[Floats, float]:
+        """Radius (n,), mm, of what a part leaves at ``coordinates`` (n, k) of :attr:`frame` in 95 of 100 cases, and of
+        what readings scatter by about it; zero where nobody knows."""
+        left, scatter = radius_95(self.left_at(part, coordinates)), radius_95(part.scatter[None])
+        return self.reach_mm * left, self.reach_mm * float(scatter[0]) if part.scatter.any() else 0.0
 
     def corrects(self, joints: Floats) -> Floats | None:
         """What is deployed beside the model of the whole (n, m) with ``joints`` (n, j), as the sensor saw it; None
