@@ -20,6 +20,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..errors import SherkitError
 from ..evidence.base import Base
+from ..evidence.linearised import step_gains, within
 from ..evidence.whitening import orthonormal
 from ..fit.set_up import set_up_mistakes
 from .pooled_fit import Joined
@@ -321,13 +322,11 @@ def _stepped(data: Measurements, axes: Sequence[int]) -> Silent | None:
         return None
     read = data.readings[rows][:, list(axes)]
     off = read - np.stack([np.bincount(group, one) / count for one in read.T], axis=1)[group]
-    late, since, squares = np.zeros(len(count)), np.zeros(len(axes)), np.zeros(len(rows))
-    for k in range(len(rows) - 1, 0, -1):
-        late[group[k]] += 1.0
-        since += off[k]
-        squares[k] = np.square(since).sum() / max(float((late * (1.0 - late / count)).sum()), 1.0)
-    first = int(np.argmax(squares))
-    if squares[first] < _ALL_OF_IT * np.square(off).sum():
+    poses = ((group == k)[:, None] / np.sqrt(count[k]) for k in range(len(count)))
+    cuts = np.arange(1, len(rows))
+    taken = step_gains(off, within(poses, cuts), cuts, 1.0 / len(rows))
+    first = int(cuts[np.argmax(taken)])
+    if taken.max() < _ALL_OF_IT * np.square(off).sum():
         return None
     where = data.place(rows[first : first + 1]).removeprefix(f"{data.source}: ")
     return Silent(

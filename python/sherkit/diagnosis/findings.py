@@ -148,14 +148,13 @@ def _beside(d: Diagnosis) -> str:
 
 def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
     """What is said where no effect is named, and what to do."""
-    mistake = next((check.fails for check in d.checks if check.name == "set_up" and check.holds is False), None)
-    if mistake is not None:
+    if mistake := _fails(d, "set_up"):
         return (
             f"Columns or the robot's file are not as they should be: {mistake}. Before that is put right nothing can "
             "be said of the machine.",
             "Put that right, and ask again.",
         )
-    if d.verdict == "adequate" and (drawn := _not_as_drawn(d)):
+    if d.verdict == "adequate" and (drawn := _fails(d, AS_DRAWN)):
         return (
             f"The model describes this machine: on poses that it was not fitted to it is {off}; but {drawn}",
             "Measure that at the machine: where it is so, write it into the robot's file; where it is not, something "
@@ -194,9 +193,9 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
     )
 
 
-def _not_as_drawn(d: Diagnosis) -> str:
-    """What of the drawing is farther off than robots are, in words; empty where nothing is."""
-    return next((check.fails for check in d.checks if check.name == AS_DRAWN and check.holds is False), "")
+def _fails(d: Diagnosis, name: str) -> str:
+    """What a check that does not hold says; empty where it holds, or was not made."""
+    return next((check.fails for check in d.checks if check.name == name and check.holds is False), "")
 
 
 def _rest(d: Diagnosis) -> str:
@@ -339,7 +338,7 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
         yield f"take {out} out of the model: the error on rows held out is no larger without", ""
     elif d.noise_origin == "unknown":
         yield "repeat some poses, or add sigma columns: only then can it be said whether the model is good enough", ""
-    elif _not_as_drawn(d):
+    elif _fails(d, AS_DRAWN):
         yield "measure at the machine what is so far from the robot's file, and correct the file or look again", ""
     else:
         yield "nothing; go on with the model as it is", ""

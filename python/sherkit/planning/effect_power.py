@@ -193,10 +193,10 @@ class Planning:
         gain = gain_asked(rank, free, self.readings, -float(np.log(self.level * weight)))
         return float(scipy.special.fdtrc(rank, free - rank, gain * (free - rank) / (free * rank)))
 
-    def finds(self, name: str, p_value: float) -> bool:
-        """Whether a diagnosis finds an effect of which an F-test says this. Raises as :meth:`effect`."""
+    def level_of(self, name: str) -> float:
+        """Below which chance of an F-test a diagnosis finds an effect. Raises as :meth:`effect`."""
         self.effect(name)
-        return p_value < self._test(self._left(name), name)[1]
+        return self._test(self._left(name), name)[1]
 
     @cached_property
     def effect_powers(self) -> tuple[EffectPower, ...]:

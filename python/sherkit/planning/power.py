@@ -129,8 +129,9 @@ def study_power(
             done += len(fresh)
             if progress is not None:
                 progress(done, total)
+    levels = [planning.level_of(one.name) for one in sought]
     return tuple(
-        DetectionCount(one.name, power, sum(planning.finds(one.name, p_values[k, r]) for r in range(runs)), runs)
+        DetectionCount(one.name, power, sum(p_values[k, r] < levels[k] for r in range(runs)), runs)
         for k, (one, power) in enumerate(zip(sought, promised, strict=True))
     )
 
