@@ -180,7 +180,7 @@ def checked(seed: int, changed: str, ratio: float, repeats: int = 2) -> tuple[sk
 @pytest.mark.parametrize(("factor", "words"), [([1 / 25.4] * 3, "inches"), ([1.0, 1.0, -1.0], "left-handed")])
 def test_a_run_with_a_mistake_of_its_set_up_blames_no_other(factor: list[float], words: str) -> None:
     """Catches a third run in inches, or with a mirrored axis, that a change of the robot "once, at the second"
-    explains, in 10 of 14 histories in metres."""
+    explains, in 10 of 14 histories in metres; and such a check of a calibration "not valid: beam_alignment"."""
     world = worlds.clean(2)
     every, poses = pl.DataFrame(world.columns), np.unique(world.columns["pose"])
     runs = [every.filter(pl.col("pose").is_in(poses[k::3].tolist())) for k in range(3)]
@@ -189,6 +189,10 @@ def test_a_run_with_a_mistake_of_its_set_up_blames_no_other(factor: list[float],
     found = sk.history(world.robot, [sk.from_frame(one) for one in runs], dates=[date(2025, k, 1) for k in (1, 2, 3)])
     assert found.headline.startswith("unchanged; 3: ")
     assert words in found.headline
+    made = sk.calibrate(world.robot, sk.from_frame(runs[0]), correction="none").calibration
+    check = sk.verify(made, sk.from_frame(runs[2]))
+    assert check.verdict == "undecided"
+    assert words in check.silent
 
 
 def test_of_two_joints_that_look_alike_neither_is_accused_alone() -> None:

@@ -44,7 +44,7 @@ from .comparison import ParameterChange
 from .pool import told_ties
 from .pooled_fit import estimated, rows_as_run
 from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, stand_of
-from .vouching import Work, broken, shows, sights_of, unable
+from .vouching import Work, broken, mistaken, shows, sights_of, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
 _REFUSED, _CHANGED = 0.005, 0.015
@@ -214,6 +214,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     noise, noise_freedom = _noise(known, data, axes)
     square = float(left @ left) / freedom
     seen = float(np.sqrt(max(square - noise**2, 0.0)))
+    if (wrong := mistaken(model, data, axes, seen * per_row)) is not None:
+        return _unsaid(known, data, wrong)
     promised, lacked = _promised(known, data, axes)
     base, unit = _evidence(known, model, data, axes, used, stand, noise)
     flat = stand.columns[used.all(axis=1)].reshape(-1, stand.columns.shape[2])

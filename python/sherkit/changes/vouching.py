@@ -244,15 +244,13 @@ class Gate:
         return self._mistaken() or self._stuck()
 
     def _mistaken(self) -> dict[int, Silent]:
-        """Later runs that are off by a good part of how far they move, and in which a usual mistake of the set-up is
-        seen: what it does to a run no change of the robot should explain."""
-        out = {}
-        for k, run in enumerate(self.joined.runs[1:], 1):
-            moves = np.square(run.data.readings - np.nanmean(run.data.readings, axis=0))[:, list(self.joined.axes)]
-            spread = float(np.sqrt(np.nansum(moves) / len(moves))) * run.data.layout.per_unit
-            if error_in_another(run) > _MISTAKEN * spread and (found := set_up_mistakes(self.joined.model, run.data)):
-                out[k] = Silent(found[0].sentence, "put that right, and compare again")
-        return out
+        """Later runs in which a usual mistake of the set-up is seen."""
+        joined = self.joined
+        found = {
+            k: mistaken(joined.model, run.data, joined.axes, error_in_another(run))
+            for k, run in enumerate(joined.runs[1:], 1)
+        }
+        return {k: one for k, one in found.items() if one is not None}
 
     def _stuck(self) -> dict[int, Silent]:
         """Runs, by their numbers, that are far off where a joint stands still that moves in others."""
@@ -284,6 +282,17 @@ class Gate:
             f"it is off by {number(off)} {unit}, where {number(self.required)} are required, and no change explains it",
             "look whether it is a run of this robot, and measure it again",
         )  # fmt: skip
+
+
+def mistaken(model: Any, data: Measurements, axes: Sequence[int], off: float) -> Silent | None:
+    """Why a run says nothing that is ``off`` by a good part of how far its readings move, and in which a usual mistake
+    of the set-up is seen: what it does to a run no change of the robot should explain."""
+    moves = np.square(data.readings - np.nanmean(data.readings, axis=0))[:, list(axes)]
+    spread = float(np.sqrt(np.nansum(moves) / len(moves))) * data.layout.per_unit
+    if off <= _MISTAKEN * spread:
+        return None
+    found = set_up_mistakes(model, data)
+    return Silent(found[0].sentence, "put that right, and compare again") if found else None
 
 
 def held_in(data: Measurements, others: Sequence[Measurements]) -> list[str]:

@@ -45,7 +45,7 @@ from .least_squares import (
     scale,
     spread,
 )
-from .regions import Elsewhere, errors_elsewhere, in_plausible_sizes, part_of, scaled_sizes
+from .regions import Elsewhere, errors_elsewhere, in_plausible_sizes, part_of, scaled_sizes, sizes_told
 from .set_up import held, set_up_mistakes
 from .table import Direction, badly_observed, parameter_frame, parameter_table, unobserved
 
@@ -188,8 +188,10 @@ class Fit(Identified, Shown):
 
     @cached_property
     def sizes(self) -> Floats:
-        """Plausible sizes (p,); where the drawing counts, as closely as it does."""
-        return scaled_sizes(self.model, self.priors or 1.0)
+        """Plausible sizes (p,); where the drawing counts, as closely as it does, and of effects as large as they are
+        found."""
+        sizes = scaled_sizes(self.model, self.priors or 1.0)
+        return sizes_told(self.model, sizes, self.values) if self.priors else sizes
 
     @cached_property
     def supported(self) -> int:
@@ -365,10 +367,14 @@ def _fitted(
     loss: str,
     part: float,
     linear: bool,
+    sizes: Floats | None = None,
 ) -> Fit:
-    """With the drawing known within a ``part`` of the plausible sizes; 0 where it does not count."""
+    """With the drawing known within a ``part`` of the plausible sizes; 0 where it does not count. ``sizes`` (p,) are
+    those of a first such fit, which finds how large effects are."""
     weights, priors, beyond_noise = np.where(data.used, 1.0 / noise.sigma, 0.0), part > 0.0, 1.0
-    problem = LeastSquaresProblem(model, data, scaled_sizes(model, part or 1.0))
+    first = sizes is None
+    sizes = scaled_sizes(model, part or 1.0) if sizes is None else sizes
+    problem = LeastSquaresProblem(model, data, sizes)
     known = priors or any(p.known for p in model.parameters)
     try:
         values = beginning(model, data, weights) if start is None else model.starting_at(start)
@@ -423,7 +429,7 @@ def _fitted(
     if loss != "linear":
         still = np.maximum(_STILL * np.sqrt(np.diag(covariance).clip(0.0)), _SETTLED * problem.sizes)
         at_minimum = at_minimum and bool((moved <= still).all())
-    return Fit(
+    fit = Fit(
         model=model,
         data=data,
         values=values,
@@ -431,7 +437,7 @@ def _fitted(
         unobserved_covariance=beyond,
         rank=result["rank"],
         singular_values=result["singular_values"],
-        unobserved_basis=in_plausible_sizes(result["unobserved"], model, part),
+        unobserved_basis=in_plausible_sizes(result["unobserved"], model, sizes),
         scale=overall * beyond_noise,
         noise=noise,
         loss=loss,
@@ -439,6 +445,9 @@ def _fitted(
         converged=at_minimum,
         evaluations=evaluations,
     )
+    if first and part and not linear and (fit.sizes > sizes).any():
+        return _fitted(model, data, noise, values, loss=loss, part=part, linear=linear, sizes=fit.sizes)
+    return fit
 
 
 def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:

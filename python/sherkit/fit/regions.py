@@ -234,11 +234,24 @@ def scaled_sizes(model: ModelWithEffects, part: float) -> Floats:
     return np.where(drawn_by(model), part * size, size) if part != 1.0 else size
 
 
-def in_plausible_sizes(basis: Floats, model: ModelWithEffects, part: float) -> Floats:
-    """Directions (m, p), orthonormal in sizes of which the drawing's are a part, in plausible sizes."""
-    if not len(basis) or part in (0.0, 1.0):
+def sizes_told(model: ModelWithEffects, sizes: Floats, values: Floats) -> Floats:
+    """Sizes (p,) of which those of an effect follow what readings find of it, where that is more: no drawing says how
+    large an effect is that is there, and one held to the size that is usual would be found too small."""
+    out, names = sizes.copy(), np.array([p.name.partition(".")[0] for p in model.parameters])
+    anywhere = frame_parameters(model)
+    for name in {e.name for e in model.effects if e.name not in model.within}:
+        own = np.setdiff1d(np.flatnonzero(names == name), anywhere)
+        if len(own):
+            out[own] *= max(float(np.sqrt(np.mean(np.square(values[own] / sizes[own])))), 1.0)
+    return out
+
+
+def in_plausible_sizes(basis: Floats, model: ModelWithEffects, sizes: Floats) -> Floats:
+    """Directions (m, p), orthonormal in these ``sizes`` (p,), in plausible ones."""
+    plausible = scaled_sizes(model, 1.0)
+    if not len(basis) or (sizes == plausible).all():
         return basis
-    turned, _ = linalg.qr((basis * scaled_sizes(model, part) / scaled_sizes(model, 1.0)).T)
+    turned, _ = linalg.qr((basis * sizes / plausible).T)
     return np.asarray(turned.T)
 
 
