@@ -103,20 +103,19 @@ def conclude(loop: BatchLooks) -> Conclusion:
         and (louder := structure_of(found, loop.seed) or "; ".join(loop.against) or louder_than_told(found, verdict))
     ):
         verdict, why = _LOUDER[verdict], louder
-    if verdict == "explained" and (done or state.done):
-        lead = found.lead
-        if lead is not None:
-            accuracy = accuracy_um(loop, found, lead.names, lead.fit)
+    if (verdict == "explained" and (done or state.done)) or (verdict == "adequate" and done):
+        lead = found.lead if verdict == "explained" else None
+        if lead is not None or verdict == "adequate":
+            accuracy = accuracy_um(loop, found, lead.names if lead else (), lead.fit if lead else found.fit)
         needed = loop.required_um
         if state.done and not spent and needed is not None and accuracy is not None and accuracy > needed:
             more = found.readings * (accuracy / needed) ** 2
-            if more <= loop.budget:
+            # of a robot of which nothing is known to be missing more readings tell more than that they are more
+            if more <= loop.budget or verdict == "adequate":
                 done, why = False, ""
             else:
                 short = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
                 notes.insert(0, f"{short} would not bring it")
-    elif verdict == "adequate" and done:
-        accuracy = accuracy_um(loop, found, (), found.fit)
     if done:
         # a verdict of silence rests on what would have been seen; beside a name it is only told
         layout = found.data.layout
