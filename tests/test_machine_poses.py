@@ -135,13 +135,68 @@ def test_zeros_of_the_function_are_not_said_twice(degrees: float) -> None:
     """Catches two names for one thing where an owner has written where his tracker stands, a valley in which no fit
     settles; and a turn that is the function's own and too far for a start from none. Seed 3; it leans by 20°, too."""
     machine = _old_scara()
-    model = machine.brings.model(machine)
-    assert [name for name in model.default if name in POSE] == ["sensor_turn_x", "sensor_turn_y"]
     assert "joint_offset" not in [one.name for one in machine.effects]
     fit = sk.identify(machine, run_of("scara", 3, stand=stand(degrees, 2, 20.0)))
     assert fit.converged
-    assert not fit.unobserved
+    said = " ".join(map(str, fit.unobserved))
+    assert all(name in said for name in ("x_zero", "y_zero", "z_zero", "turned"))
     assert fit.scale == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_zero_of_the_drawing_does_not_hold_where_the_tracker_stands(seed: int) -> None:
+    """Catches an offset of the tool, known to half a millimetre, that takes the place of the tracker's shift of metres:
+    "tool_y = 1078 mm where 0.5 is usual: that is absurd" in 30 of 30 machines with nothing hidden, and columns that
+    look interchanged."""
+
+    def forward(q: Any, p: Any) -> Any:
+        return np.stack([q[:, 0] + p.xy * q[:, 1] + p.tool_x, q[:, 1] + p.tool_y, q[:, 2]], axis=1)
+
+    machine = sk.Machine(
+        forward, joints={"a_mm": (0.0, 1000.0), "b_mm": (0.0, 600.0), "c_mm": (0.0, 300.0)}, readings=SPACE,
+        parameters={"xy": ("rad", 2e-4), "tool_x": ("mm", 0.5), "tool_y": ("mm", 0.5)}, name="with_a_tool",
+    )  # fmt: skip
+    assert sk.diagnose(machine, _seen(forward, machine, seed, {"xy": 1e-4, "tool_x": 0.4, "tool_y": -0.3})).verdict == (
+        "adequate"
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_scales_of_axes_are_not_blamed_on_the_tracker(seed: int) -> None:
+    """Catches sensor_scale in front of joint_scale, which no row tells from it: 11 of 24 gantries, whose calibration
+    then missed by 30 to 310 µm where it could miss by 0.4."""
+
+    def forward(q: Any, p: Any) -> Any:
+        return np.stack([q[:, 0] + p.xy * q[:, 1] + p.xz * q[:, 2], q[:, 1] + p.yz * q[:, 2], q[:, 2]], axis=1)
+
+    machine = sk.Machine(
+        forward, joints={"a_mm": (0.0, 800.0), "b_mm": (0.0, 500.0), "c_mm": (-200.0, 0.0)}, readings=SPACE,
+        parameters=dict.fromkeys(("xy", "xz", "yz"), ("rad", 5e-4)), name="scaled",
+    )  # fmt: skip
+    scales = 1.0 + 1e-4 * np.random.default_rng(seed).normal(size=3)
+    run = _seen(lambda q, p: forward(q * scales, p), machine, seed, {"xy": 2e-4, "xz": -3e-4, "yz": 1e-4})
+    found = sk.diagnose(machine, run)
+    assert found.effects == ("joint_scale",)
+    assert "sensor_scale" in found.indistinguishable[0]
+
+
+def test_a_scale_common_to_all_axes_may_be_the_tracker_s() -> None:
+    """Catches what is the same beside an instrument in the base's axes, and is another thing beside one that stands
+    turned: of sensor_scale one number was taken for the arms' lengths, and the quill's joint_scale named without a
+    tie."""
+    names = [p.name for p in MACHINE["scara"].brings.model(MACHINE["scara"]).known_effects["sensor_scale"].parameters]
+    assert len(names) == 3
+
+
+def _seen(forward: Any, machine: sk.Machine, seed: int, values: dict[str, float]) -> Any:
+    """Two rounds of a hundred poses, by a tracker anywhere; 5 µm of noise."""
+    rng, box = np.random.default_rng(seed), machine.box
+    joints = np.tile(box[:, 0] + np.ptp(box, axis=1) * rng.uniform(size=(100, 3)), (2, 1))
+    places = Rotation.random(random_state=seed).apply(forward(joints, SimpleNamespace(**values)))
+    places += rng.uniform(-1500.0, 1500.0, 3) + 0.005 * rng.normal(size=places.shape)
+    columns = {"pose": np.tile(np.arange(100) + 1, 2), "time_s": 10.0 * np.arange(200)}
+    columns |= dict(zip(machine.joint_names, joints.T, strict=True)) | dict(zip(SPACE, places.T, strict=True))
+    return sk.from_frame(columns)
 
 
 _ANCHORS = np.array([[0.0, 0.0, 0.0], [3000.0, 100.0, 0.0], [1400.0, 2600.0, 50.0]])

@@ -213,7 +213,7 @@ class Sets:
         explaining = [one for one in sets if one.explains]
         fewest = min((len(one.blocks) for one in explaining), default=0)
         some = [one for one in explaining if len(one.blocks) == fewest]
-        lead = max(some or sets, key=lambda one: (one.plausible and bool(some), one.value))
+        lead = self._of_the_machine(max(some or sets, key=lambda one: (one.plausible and bool(some), one.value)), some)
         partly = [one for one in sets if not one.explains]
         partly.sort(key=lambda one: -(one.value + max(float(one.base.shapes.max(initial=-np.inf)), 0.0)))
         both = [(one.value + self.described(one.base, _SHAPES, 1).evidence, one) for one in partly[:_MIXED]]
@@ -222,6 +222,19 @@ class Sets:
             if not explaining or value > lead.value + TIED:
                 return mixed
         return self._of_the_instrument(lead)
+
+    def _of_the_machine(self, lead: EffectSet, others: Sequence[EffectSet]) -> EffectSet:
+        """Where an instrument's and a machine's effect say the same of these rows, that of the machine: the instrument
+        is what all is measured by."""
+        if len(lead.blocks) != 1 or not _at_sensor(lead):
+            return lead
+        most = lead.base.rss * (1.0 + 2.0 / lead.base.free)
+        same = [
+            one for one in others
+            if one.base.rss < most and one.value > lead.value - TIED and not _at_sensor(one)
+            and one.plausible >= lead.plausible
+        ]  # fmt: skip
+        return max(same, key=lambda one: one.value, default=lead)
 
     def _of_the_instrument(self, lead: EffectSet) -> EffectSet:
         """The same set with a step of the instrument where it has what the robot does in time, if that comes as near
@@ -343,6 +356,10 @@ class Sets:
 
 def _each(base: Base) -> Iterator[tuple[float, Block]]:
     return zip(base.each.tolist(), base.family.blocks, strict=True)
+
+
+def _at_sensor(one: EffectSet) -> bool:
+    return any(block.effect is not None and block.effect.link == "sensor" for block in one.blocks)
 
 
 def _key(blocks: Sequence[Block]) -> tuple[_Key, ...]:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ..base import linalg
 from ..base.figures import finite, number
@@ -224,6 +223,8 @@ def _left_out(columns: Callable[[slice], Floats], residual: Floats, region: Ints
 #: Parts that are asked for: what is known better is measured, and says so in the robot's file; what is farther off is
 #: another robot.
 _LEAST, _LARGEST = 1e-2, 4.0
+#: So many of them, each a hundredth larger than the one before.
+_PARTS = 600
 #: Part of a column's square that what projected it out must leave.
 _LEFT = 1e-9
 
@@ -281,21 +282,14 @@ def part_of(fit: FitLike) -> float:
     # readings scatter no less than they are known to
     least = 1.0 if fit.noise.origin != "unknown" else 1e-300
 
-    def noise_at(ratio: float) -> float:
-        """The likeliest variance of the readings where parts are ``ratio`` times their deviation."""
-        return max((rest + float((along / (1.0 + told * ratio**2)).sum())) / numbers, least)
-
-    def against(ratio: float) -> float:
-        """Minus the logarithm of the evidence."""
-        spread, noise = 1.0 + told * ratio**2, noise_at(ratio)
-        of_noise = numbers * np.log(noise) + (rest + float((along / spread).sum())) / noise
-        return 0.5 * float(of_noise + np.log(spread).sum() + np.log(ratio * np.sqrt(noise)) ** 2)
-
-    deviation = np.sqrt(max(rest / free, least))
-    bounds = (np.log(_LEAST / deviation), np.log(_LARGEST / deviation))
-    found = scipy.optimize.minimize_scalar(lambda log: against(np.exp(log)), bounds=bounds, method="bounded")
-    ratio = float(np.exp(found.x))
-    return float(np.clip(ratio * np.sqrt(noise_at(ratio)), _LEAST, _LARGEST))
+    # of parts that are so many times the deviation of a reading, the likeliest noise, and minus the log evidence
+    ratio = np.geomspace(_LEAST, _LARGEST, _PARTS) / np.sqrt(max(rest / free, least))
+    spread = 1.0 + np.multiply.outer(ratio**2, told)
+    left = rest + (along / spread).sum(axis=1)
+    noise = np.maximum(left / numbers, least)
+    part = ratio * np.sqrt(noise)
+    against = numbers * np.log(noise) + left / noise + np.log(spread).sum(axis=1) + np.log(part) ** 2
+    return float(np.clip(part[np.argmin(against)], _LEAST, _LARGEST))
 
 
 def _projected(fit: FitLike, own: Bools) -> tuple[Floats, Floats, float, int]:

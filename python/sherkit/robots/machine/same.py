@@ -1,5 +1,4 @@
-"""Two names for one thing: which numbers of the sensor's pose, and which effects, a machine's own function has
-already."""
+"""Two names for one thing: which effects a machine's own function, or where its instrument stands, has already."""
 
 from __future__ import annotations
 
@@ -9,34 +8,32 @@ import numpy as np
 
 from ...base import linalg
 from ...base.types import Floats
-from ...model.sensor_pose import SensorPose
+from ...model.sensor_pose import FREE, POSE, SensorPose
 from .core import Generic, MachineCore, sensor_pose
 from .function import UserFunction
 
 #: Part of a parameter's columns that must be left where those of others are taken out, for it to be another thing.
 _SAME = 1e-3
+#: Turns of an instrument about its axes, rad, and its shifts: as good as any.
+_ANYHOW = np.array([0.5, 0.7, 0.9, 0.0, 0.0, 0.0])
 
 
 def not_in(
     function: UserFunction, pose: SensorPose | None, open_of_pose: Collection[str], effects: Sequence[Generic]
 ) -> tuple[Generic, ...]:
-    """The sensor's pose, first, where any of its numbers that are open is left, and the effects: the pose without what
-    parameters of the function do that only turn or shift it, the effects without those parameters that do what the
-    function's own, or those of the pose, do already.
+    """The sensor's pose, first, where any of its numbers is open, and the effects without those parameters that do what
+    the function's own, or those of the pose, do already.
 
-    Two names for one thing would be a valley in which no fit settles. Of an effect whose own parameters say one thing
-    twice once the pose is out (a rail that leans to its neighbour, and the neighbour to it), the first is kept. Found
-    at places over the joints' ranges.
+    Where parameters of the function turn or shift the machine, as a zero of a lift or base points do, the pose is what
+    does: it may be anywhere, and no reading tells them, so that they stay as drawn. Of an effect whose own parameters
+    say one thing twice once the pose is out (a rail that leans to its neighbour, and the neighbour to it), the first is
+    kept. Found at places over the joints' ranges.
     """
     every = (sensor_pose(open_of_pose), *effects)
     columns, places = _columns(function, pose, every)
-    own = columns[:, : len(function.parameters)]
-    whole = _basis(columns[:, places[0]])
-    # where parameters that change the machine only together turn or shift it, as base points do, the pose is what does:
-    # no reading tells that combination, and it stays as drawn
-    taken = _basis(own[:, np.linalg.norm(own - whole @ (whole.T @ own), axis=0) <= _SAME])
-    out: list[Generic] = []
-    for one, place in zip(every, places, strict=True):
+    taken = _basis(columns[:, : places[0].stop])
+    out = [every[0]] if every[0].parameters else []
+    for one, place in zip(every[1:], places[1:], strict=True):
         if one.search:
             out.append(one)
             continue
@@ -48,8 +45,6 @@ def not_in(
             if size > _SAME:
                 kept.append(k)
                 mine = np.column_stack([mine, left / size])
-        if one is every[0]:
-            taken = _basis(np.column_stack([own, mine]))
         if kept:
             out.append(one.only(kept) if len(kept) < len(one.parameters) else one)
     return tuple(out)
@@ -58,7 +53,9 @@ def not_in(
 def _columns(
     function: UserFunction, pose: SensorPose | None, effects: Sequence[Generic]
 ) -> tuple[Floats, Sequence[slice]]:
-    """What each parameter moves, to length 1, where all others are zero; and where those of each effect stand."""
+    """What each parameter moves, to length 1, where all others are zero; and where those of each effect stand. An
+    instrument that may stand anywhere is turned: what it has along its own axes is not what the machine has along
+    those of the base."""
     joints = function.somewhere
     k, count = joints.shape[1], len(function.parameters)
     n, rng = len(joints), np.random.default_rng(1)
@@ -67,7 +64,10 @@ def _columns(
     late = 30.0 * n
     core = MachineCore(function, tuple(effects), pose, (1.0,) * k, 0.0, late, late, late)
     total = count + sum(len(one.parameters) for one in effects)
-    columns = core.derivatives(np.zeros(total), (joints, None, known, None), range(total))[0]
+    values = np.zeros(total)
+    anyhow = dict(zip(POSE, _ANYHOW * np.isinf(pose.sd(FREE, FREE)), strict=True)) if pose is not None else {}
+    values[core.places[0]] = [anyhow[name] for name, *_ in effects[0].parameters]
+    columns = core.derivatives(values, (joints, None, known, None), range(total))[0]
     whole = np.asarray(np.isfinite(columns).all(axis=(1, 2)))
     columns = columns[whole].reshape(-1, total)
     length = np.sqrt((columns**2).sum(axis=0))
