@@ -13,7 +13,7 @@ from sherkit.errors import SherkitError
 from sherkit.evidence.base import Base, log_bayes
 from sherkit.evidence.family import Family
 from sherkit.evidence.thresholds import HELD_SHAPE
-from sherkit.evidence.whitening import independent
+from sherkit.evidence.whitening import InCommon, Whitening, independent
 from test_evidence_family import run_of_two_joints
 
 
@@ -162,3 +162,17 @@ def test_the_core_refuses_blocks_of_another_shape() -> None:
     for inside, right, least in ((grams, (2, 2), 2), (grams, (2, 3), 3), (grams[:, :2], (2, 3), 2)):
         with pytest.raises(SherkitError):
             _core.blocks_taken(inside, np.ones(right), np.ones(least))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.4])
+def test_errors_that_rows_have_in_common_are_taken_out(rho: float) -> None:
+    """Catches a filter whose noise is not white: the covariance of a part in common, by matrices, becomes one of equal
+    rows, the filter's transpose is its own, and what it takes out can be put back."""
+    pose = np.array([7, 3, 7, 7, 5, 3])
+    own = InCommon.part(pose, 0.8)
+    filtered = own(np.eye(6))
+    covariance = 0.2 * np.eye(6) + 0.8 * (pose[:, None] == pose)
+    np.testing.assert_allclose(filtered @ covariance @ filtered.T, np.eye(6), atol=1e-12)
+    np.testing.assert_allclose(own.back(filtered), np.eye(6), atol=1e-12)
+    white = Whitening(rho, np.ones(6, dtype=np.int64), None, own)
+    np.testing.assert_allclose(white.transposed(np.eye(6)), white(np.eye(6)).T, atol=1e-12)

@@ -16,7 +16,6 @@ from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy
 
 from ..base import linalg
 from ..base.types import Floats, Ints
@@ -25,7 +24,7 @@ from ..errors import FitError
 from ..evidence.linearised import Linearised
 from ..evidence.run import Run
 from ..evidence.thresholds import TIED
-from ..evidence.whitening import Whitening, orthonormal
+from ..evidence.whitening import InCommon, Whitening, orthonormal
 from ..fit.identify import Fit
 from ..model.base import ModelWithEffects
 from ..model.effect import WITHIN, Effect, Parameter
@@ -134,38 +133,6 @@ class About:
     def owns(self, effect: Effect) -> slice:
         """The same by its effect."""
         return self.of([one.name for one, _ in self.changes].index(effect.name))
-
-
-class Shared(Whitening):
-    """The filter of a correlation in time, then the weights of rows that have errors in common: ``pose`` (n,) says
-    which, ``size`` (n,) how large such an error is in each row, in its noises."""
-
-    def __init__(self, rho: float, lag: Ints, back: Ints, pose: Ints, size: Floats) -> None:
-        super().__init__(rho, lag, back)
-        squares = np.bincount(pose, size**2)
-        along = size / np.sqrt(np.where(squares > 0, squares, 1.0))[pose]
-        n = len(pose)
-        self._poses = scipy.sparse.csr_array((along, (pose, np.arange(n))), shape=(len(squares), n))
-        self._less = 1.0 - 1.0 / np.sqrt(1.0 + squares)
-
-    @property
-    def is_plain(self) -> bool:
-        """As of any filter."""
-        return super().is_plain and not self._less.any()
-
-    def _lessened(self, values: Floats) -> Floats:
-        if not self._less.any():
-            return values
-        flat = values.reshape(len(values), -1)
-        return np.asarray(flat - self._poses.T @ (self._less[:, None] * (self._poses @ flat))).reshape(values.shape)
-
-    def __call__(self, values: Floats) -> Floats:
-        """Values (n, …) as they are weighed."""
-        return self._lessened(super().__call__(values))
-
-    def transposed(self, values: Floats) -> Floats:
-        """The transpose of that."""
-        return super().transposed(self._lessened(values))
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +323,8 @@ class Joined:
         back[self.count :] = 0
         # what is missed at a pose hands on to its repeats
         rho = 0.0 if self.missed else float(np.mean([run.rho for run in self.runs]))
-        return Shared(rho, lag, back, pose, self.by_row(list(size / [self.sigma(run) for run in self.runs]), 0.0))
+        noises = self.by_row(list(size / [self.sigma(run) for run in self.runs]), 0.0)
+        return Whitening(rho, lag, back, InCommon(pose, noises) if noises.any() else None)
 
     @cached_property
     def _around(self) -> dict[str, Any]:

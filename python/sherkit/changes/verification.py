@@ -34,7 +34,7 @@ from ..evidence.family import Family
 from ..evidence.made import Maker
 from ..evidence.shapes import blocks_of_effects
 from ..evidence.thresholds import ALARM, SURE, TIED
-from ..evidence.whitening import Whitening, orthonormal
+from ..evidence.whitening import InCommon, Whitening, orthonormal
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, required_um
 from ..model.robot_file import run_for
@@ -204,20 +204,24 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     model = model.for_run(data)
     used = data.used[:, list(axes)]
     stand = stand_of(model, data, known.values, axes, used, known.corrected(data, axes))
-    basis = orthonormal(stand.columns[used])
+    noise, noise_freedom, part = _noise(known, data, axes)
+    in_common = InCommon.part(data.groups, part) if part else None
+    columns, residual = (
+        (one if in_common is None else in_common(np.where(used[(...,) + (None,) * (one.ndim - 2)], one, 0.0)))[used]
+        for one in (stand.columns, stand.residual)
+    )
+    basis = orthonormal(columns)
     freedom = int(used.sum()) - basis.shape[1]
     if freedom < 3:
         raise FitError(f"{data.source}: {len(data)} rows only tell where the sensor stands; expected a dozen poses")
-    residual = stand.residual[used]
     left = residual - basis @ (basis.T @ residual)
     per_row = float(np.sqrt(len(axes))) * data.layout.per_unit
-    noise, noise_freedom = _noise(known, data, axes)
     square = float(left @ left) / freedom
     seen = float(np.sqrt(max(square - noise**2, 0.0)))
     if (wrong := mistaken(model, data, axes, seen * per_row)) is not None:
         return _unsaid(known, data, wrong)
     promised, lacked = _promised(known, data, axes)
-    base, unit = _evidence(known, model, data, axes, used, stand, noise)
+    base, unit = _evidence(known, model, data, axes, used, stand, noise, part)
     flat = stand.columns[used.all(axis=1)].reshape(-1, stand.columns.shape[2])
     valid, least = None, np.inf
     if promised is not None:
@@ -229,7 +233,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(_REFUSED, freedom, noise_freedom))
         valid = bool(square <= allowed and (found.chance > _CHANGED or seen <= promised))
         if valid:
-            off = max(noise / unit, float(np.sqrt(base.rss / max(base.free, 1))))
+            off = max(1.0 if noise else 0.0, float(np.sqrt(base.rss / max(base.free, 1))))
             power = _power_at_work(known, model, data, axes, base, off, promised)
             if not power.speaks:
                 mute = unable(power, (noise or off * unit) * per_row, data.layout.unit, data, axes)
@@ -298,19 +302,21 @@ def _power_at_work(
     return power_of(sights_of(columns, work.errors(at), base.basis, noise), required, base.free, ALARM)
 
 
-def _noise(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float, int]:
-    """The noise of a reading, with its degrees of freedom: of this run's repeats, else as the calibration knows it; 0
-    where neither does."""
+def _noise(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float, int, float]:
+    """The noise of a reading, with its degrees of freedom, and the part of its variance that repeats of a pose share:
+    of this run's repeats and what it declares, else as the calibration knows it; 0 where neither does."""
     own = noise_of_repeats(data, axes)
     if own and data.repeatability is not None:
         names = [data.layout.readings[a] for a in axes]
-        return own, sum(data.repeatability.degrees_of_freedom.get(name, 0) for name in names)
+        shared = float(np.square(data.pose_sigma[:, list(axes)]).mean())
+        freedom = sum(data.repeatability.degrees_of_freedom.get(name, 0) for name in names)
+        return float(np.hypot(own, np.sqrt(shared))), freedom, shared / (own**2 + shared)
     part: Any = known.calibration.parts_made[0]
     scatter = np.diag(part.scatter) if part.scatter.size else np.zeros(1)
     if not scatter.any():
         scatter = np.diag(part.residual_covariance)
     same = len(scatter) == len(axes) and part.readings == data.layout.coordinates
-    return float(np.sqrt(scatter.mean())) if same else 0.0, _OF_CALIBRATION
+    return float(np.sqrt(scatter.mean())) if same else 0.0, _OF_CALIBRATION, 0.0
 
 
 def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float | None, bool]:
@@ -347,14 +353,16 @@ def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple
 
 
 def _evidence(
-    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], used: Any, stand: RunPose, noise: float
-) -> tuple[Base, float]:
-    """Of every change beside what the calibration does not know, and what readings scatter by, in its unit."""
+    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], used: Any, stand: RunPose, noise: float,
+    part: float,
+) -> tuple[Base, float]:  # fmt: skip
+    """Of every change beside what the calibration does not know, and what readings scatter by, in its unit, without the
+    ``part`` that repeats of a pose share."""
     rows, values = np.flatnonzero(used.all(axis=1)), known.values
     own = model.linearised(data, values).parameters[:, list(axes)]
     candidates = change_candidates(model, [data])
     columns = change_columns(model, values, data, axes, candidates, own)
-    unit = noise or float(np.sqrt(np.square(stand.residual[rows]).mean())) or 1.0
+    unit = noise * float(np.sqrt(1.0 - part)) or float(np.sqrt(np.square(stand.residual[rows]).mean())) or 1.0
     count, m = len(known.root), len(axes)
     beyond = -(-count // m)
 
@@ -364,9 +372,14 @@ def _evidence(
     # what is not known of a parameter is a reading of zero, as exact as that
     unknown, at = over(own @ known.root), np.arange(count)
     unknown[len(rows) + at // m, at % m, at] = 1.0
+    shared = InCommon(
+        np.concatenate([data.groups[rows], data.groups.max() + 1 + np.arange(beyond)]),
+        np.repeat([np.sqrt(part / (1.0 - part)), 0.0], [len(rows), beyond]),
+    )
     run = rows_as_run(
         over(stand.residual), np.concatenate([unknown, over(stand.columns)], axis=2),
-        [(e, over(columns[e.name])) for e in candidates], Whitening.none(len(rows) + beyond),
+        [(e, over(columns[e.name])) for e in candidates],
+        Whitening(0.0, np.ones(len(rows) + beyond, dtype=np.int64), None, shared if part else None),
     )  # fmt: skip
     made = Maker(run, Visits.of(run))
     blocks_of_effects(made)

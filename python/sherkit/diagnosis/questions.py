@@ -167,7 +167,8 @@ def _diagnosed(
     step("fitting all rows")
     # what is left of a mistake of the set-up tells nothing of noise
     repeats = None if mistakes or run.is_exact else in_repeats(found.base, found.left, of_all)
-    declared = {} if repeats is None or origin != "declared" else contradicted(of_all, repeats)
+    # one axis may be declared where others are told by repeats
+    declared = {} if repeats is None else contradicted(of_all, repeats)
     if origin != "declared" or declared:
         sigma = _spread(of_all) if repeats is None else repeats.noise
     if declared:

@@ -236,7 +236,8 @@ class Base:
         m = self.family.run.axes
         _, pose, count = np.unique(self.family.run.view.repeated, return_inverse=True, return_counts=True)
         pose = pose.ravel()
-        residual = self.residual.reshape(-1, m)
+        residual, in_common = self.residual.reshape(-1, m), self.family.run.white.in_common
+        residual = residual if in_common is None else in_common.back(residual)
         mean = np.stack([np.bincount(pose, residual[:, a]) / count for a in range(m)], axis=1)
         within = np.square(residual - mean[pose]).sum(axis=0)
         between = np.square(residual).sum(axis=0) - within

@@ -51,8 +51,8 @@ def _weighed(run: Run, effects: Sequence[Effect]) -> Base:
     best = -np.inf, run.white, np.ones(run.axes), now
     while True:
         loud = loudness(now)
-        rho = correlation_in_time(run.view.residual, now.basis, run.white.back)
-        for white in [run.white, Whitening(rho, run.white.lag, run.white.back)][: 2 if rho else 1]:
+        rho = correlation_in_time(run.residual.reshape(len(run), run.axes), now.basis, run.white.back)
+        for white in [run.white, run.white.with_rho(rho)][: 2 if rho else 1]:
             best = max(best, (_score(first, now, found, white, loud), white, loud, now), key=lambda one: one[0])
         i = int(np.argmax(now.each))
         if len(found) == _MOST or now.each[i] < 0:
@@ -86,8 +86,8 @@ def _score(first: Base, now: Base, found: Sequence[Block], white: Whitening, lou
     loud = loud / np.exp(np.log(loud).mean())
 
     def left(basis: Floats) -> float:
-        flat = (white(run.view.residual) / loud).reshape(-1)
-        q = orthonormal(white(basis.reshape(len(run), run.axes, -1)) / loud[:, None])
+        flat = (white.in_time(run.residual.reshape(len(run), run.axes)) / loud).reshape(-1)
+        q = orthonormal(white.in_time(basis.reshape(len(run), run.axes, -1)) / loud[:, None])
         return float(np.square(flat - q @ (q.T @ flat)).sum())
 
     alone = left(first.basis)

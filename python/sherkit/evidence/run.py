@@ -16,10 +16,12 @@ from ..model.effect import Effect
 from .fitted_run import FittedRun
 from .linearised import Linearised
 from .thresholds import UNEVEN
-from .whitening import Whitening, independent
+from .whitening import InCommon, Whitening, independent
 
 #: Fewest rows of which anything can be said.
 _FEWEST = 10
+#: Part of the noise that rows of a pose may have in common.
+_ALL = 0.999
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,11 @@ def weighed_run(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Fl
     rows = in_time(fit, rows)
     view = fit.linearised(rows, effects, sigma[list(fit.axes)])
     lag, back = one_after_another(fit.data.order, fit.data.series, rows)
-    return Run(fit, rows, sigma, view, Whitening(0.0, lag, back))
+    axes = list(fit.axes)
+    part = float(np.mean(np.square(fit.data.pose_sigma[rows][:, axes] / sigma[axes])))
+    # where it is all the noise that is known, nothing is known of what repeats differ by
+    in_common = InCommon.part(view.repeated, part) if 0.0 < part < _ALL else None
+    return Run(fit, rows, sigma, view, Whitening(0.0, lag, back, in_common))
 
 
 def shared_by_targets(left: Floats, series: Ints) -> float:

@@ -1,4 +1,5 @@
-"""Noise that carries over from row to row: the filter that takes it out, how much of it there is; bases of columns."""
+"""Noise that rows share, of one pose or from one row to the next: the filter that takes it out, how much of it there
+is; bases of columns."""
 
 from __future__ import annotations
 
@@ -6,13 +7,45 @@ import math
 from typing import Self
 
 import numpy as np
+import scipy
 
 from ..base import linalg
 from ..base.types import Floats, Ints
 
 
+class InCommon:
+    """What takes out errors that rows have in common, as of where a marker sits: ``pose`` (n,) says which rows, ``size``
+    (n,) how large such an error is in each, in noises of its own; all is ``times`` as large after it."""
+
+    def __init__(self, pose: Ints, size: Floats, times: float = 1.0) -> None:
+        squares = np.bincount(pose, size**2)
+        along = size / np.sqrt(np.where(squares > 0, squares, 1.0))[pose]
+        n = len(pose)
+        self._poses = scipy.sparse.csr_array((along, (pose, np.arange(n))), shape=(len(squares), n))
+        self._whole, self._times = np.sqrt(1.0 + squares), times
+
+    @classmethod
+    def part(cls, pose: Ints, part: float) -> Self:
+        """Of a part of the noise's variance, the same in all rows; every row keeps its own."""
+        rows = np.unique(pose, return_inverse=True)[1].ravel()
+        return cls(rows, np.full(len(rows), math.sqrt(part / (1.0 - part))), 1.0 / math.sqrt(1.0 - part))
+
+    def __call__(self, values: Floats) -> Floats:
+        """Values (n, …) without them: the filter is its own transpose."""
+        return self._along(values, 1.0 / self._whole) * self._times
+
+    def back(self, values: Floats) -> Floats:
+        """Values (n, …) with them again."""
+        return self._along(values, self._whole) / self._times
+
+    def _along(self, values: Floats, times: Floats) -> Floats:
+        flat = values.reshape(len(values), -1)
+        return np.asarray(flat + self._poses.T @ ((times - 1.0)[:, None] * (self._poses @ flat))).reshape(values.shape)
+
+
 class Whitening:
-    """The AR(1) filter along the first axis; every row keeps its variance.
+    """The AR(1) filter along the first axis; every row keeps its variance. What rows have ``in_common`` is taken apart
+    before.
 
     ``lag`` (n,) is how many rows of the run lie between a row and the one before it here (1 where it follows at once):
     across a gap the correlation is ``rho`` to that power. A row of the result is ``here`` times its own value and
@@ -20,8 +53,10 @@ class Whitening:
     where there is none: those of several targets, read in turn, each follow their own. Left out, it is the next.
     """
 
-    def __init__(self, rho: float, lag: Ints, back: Ints | None = None) -> None:
-        self.rho, self.lag, self.back = rho, lag, back
+    def __init__(
+        self, rho: float, lag: Ints, back: Ints | None = None, in_common: InCommon | None = None
+    ) -> None:
+        self.rho, self.lag, self.back, self.in_common = rho, lag, back, in_common
         carried = np.sign(rho) ** lag * np.abs(rho) ** lag
         #: Rows that follow another, and those that they follow.
         self.late: slice | Ints = slice(1, None)
@@ -43,10 +78,18 @@ class Whitening:
     @property
     def is_plain(self) -> bool:
         """Whether it leaves everything as it is."""
-        return self.rho == 0.0
+        return self.rho == 0.0 and self.in_common is None
+
+    def with_rho(self, rho: float) -> Whitening:
+        """The same rows with another correlation."""
+        return Whitening(rho, self.lag, self.back, self.in_common)
 
     def __call__(self, values: Floats) -> Floats:
         """Values (n, …) filtered."""
+        return self.in_time(values if self.in_common is None else self.in_common(values))
+
+    def in_time(self, values: Floats) -> Floats:
+        """Values (n, …) that have nothing in common, filtered in time."""
         if self.rho == 0.0:
             return values
         shape = (-1,) + (1,) * (values.ndim - 1)
@@ -56,12 +99,12 @@ class Whitening:
 
     def transposed(self, values: Floats) -> Floats:
         """The transpose of the filter on values (n, …): products with filtered columns are products with these."""
-        if self.rho == 0.0:
-            return values
-        shape = (-1,) + (1,) * (values.ndim - 1)
-        out = values * self.here.reshape(shape)
-        out[self.early] += values[self.late] * self.before[self.late].reshape(shape)
-        return out
+        out = values
+        if self.rho != 0.0:
+            shape = (-1,) + (1,) * (values.ndim - 1)
+            out = values * self.here.reshape(shape)
+            out[self.early] += values[self.late] * self.before[self.late].reshape(shape)
+        return out if self.in_common is None else self.in_common(out)
 
 
 def whiten(values: Floats, rho: float, back: Ints | None = None) -> Floats:

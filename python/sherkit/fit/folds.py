@@ -100,7 +100,7 @@ class Folds:
     def of(cls, columns: Callable[[slice], Floats], residual: Floats, fold: Ints, known: Floats | None = None) -> Folds:
         """``columns`` gives those (b, m, k) of a stretch of rows; ``fold`` (repetitions, n) is the fold of each row."""
         (grams,), place = summed(columns, residual, fold, lambda part: [part.T @ part])
-        length = _lengths(np.diagonal(grams, axis1=1, axis2=2)[: len(grams) // len(fold), :-1])
+        length = _lengths(np.diagonal(grams, axis1=1, axis2=2)[: len(grams) // len(fold), :-1], known)
         counts = residual.shape[1] * np.bincount(place.ravel(), minlength=len(grams))
         return cls(
             grams[:, :-1, :-1] / np.multiply.outer(length, length), grams[:, :-1, -1] / length, grams[:, -1, -1],
@@ -196,7 +196,7 @@ class Beside:
         (by_residual, by_fitted, *own), self.place = summed(columns, residual, fold, products)
         p, one_time = by_fitted.shape[1], len(by_fitted) // times
         length = np.ones(p + more)
-        length[:p] = _lengths(np.diagonal(by_fitted[:one_time, :, :p], axis1=1, axis2=2))
+        length[:p] = _lengths(np.diagonal(by_fitted[:one_time, :, :p], axis1=1, axis2=2), known)
         for (_, at), gram in zip(self.sets, own, strict=True):
             length[p + at] = _lengths(np.diagonal(gram[:one_time], axis1=2, axis2=3))
         by_fitted = by_fitted / (length[:p, None] * length)
@@ -289,9 +289,10 @@ def _known(known: Floats | None, length: Floats) -> Floats:
     return np.zeros((2, len(length))) if known is None else known / np.stack([length**2, length])
 
 
-def _lengths(squares: Floats) -> Floats:
-    """What columns (k,) are divided by, of their squares in each fold (f, k) of one repetition."""
-    length = np.sqrt(squares.sum(axis=0))
+def _lengths(squares: Floats, known: Floats | None = None) -> Floats:
+    """What columns (k,) are divided by, of their squares in each fold (f, k) of one repetition, and what is known of
+    their coefficients: of a column that is next to nothing that is all."""
+    length = np.sqrt(squares.sum(axis=0) + (0.0 if known is None else known[0]))
     return np.where(length > 0, length, 1.0)
 
 
