@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..base import linalg
-from ..base.types import Floats, Ints
+from ..base.types import Floats
 from ..data import Measurements
 from ..errors import FitError
 from ..evidence.linearised import Linearised

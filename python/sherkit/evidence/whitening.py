@@ -14,8 +14,8 @@ from ..base.types import Floats, Ints
 
 
 class InCommon:
-    """What takes out errors that rows have in common, as of where a marker sits: ``pose`` (n,) says which rows, ``size``
-    (n,) how large such an error is in each, in noises of its own; all is ``times`` as large after it."""
+    """What takes out errors that rows have in common, as of where a marker sits: ``pose`` (n,) says which rows,
+    ``size`` (n,) how large such an error is in each, in noises of its own; all is ``times`` as large after it."""
 
     def __init__(self, pose: Ints, size: Floats, times: float = 1.0) -> None:
         squares = np.bincount(pose, size**2)
