@@ -26,7 +26,7 @@ from second_machines import MACHINES, apart, foreign, run_of, stand_of
 from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
 from sherkit.diagnosis import template
-from sherkit.errors import FitError, RobotError, SherkitError
+from sherkit.errors import FitError, NotConverged, RobotError, SherkitError
 from sherkit.model.effect import load_effects
 from sherkit.model.sensor_pose import SPACE
 from sherkit.robots.compensation import grid_table
@@ -352,6 +352,33 @@ def test_calibration_is_right_where_nothing_was_measured(name: str, tmp_path: Pa
     promised = [calibration.accuracy(x) for x in shown]
     assert min(promised) > 0
     assert max(promised) < 20 * MACHINES[name][3]
+
+
+def test_a_place_beside_the_surface_of_two_joints_is_reached() -> None:
+    """Catches "the machine shows this nowhere" of a measured place, which lies on the surface that two joints make to
+    no last digit: neither accuracy nor joints of any of 80; and a place far beside it that is reached."""
+
+    def forward(q: Any, p: Any) -> Any:
+        left, right = 100.0 + p.left, 120.0 + p.right
+        return np.stack(
+            [left * np.cos(q[:, 0]) + right * np.cos(q[:, 1]), left * np.sin(q[:, 0]) + right * np.sin(q[:, 1]),
+             0.0 * q[:, 0]], axis=1,
+        )  # fmt: skip
+
+    machine = sk.Machine(
+        forward, joints={"a_rad": (0.2, 1.2), "b_rad": (1.6, 2.6)}, readings=("x_mm", "y_mm", "z_mm"),
+        parameters={"left": ("mm", 0.3), "right": ("mm", 0.3)}, name="two_joints",
+    )  # fmt: skip
+    rng = np.random.default_rng(3)
+    joints = np.stack([rng.uniform(0.2, 1.2, 60), rng.uniform(1.6, 2.6, 60)], axis=1)
+    places = forward(joints, SimpleNamespace(left=0.2, right=-0.1)) + 0.01 * rng.normal(size=(60, 3))
+    columns = {"pose": np.arange(60), "a_rad": joints[:, 0], "b_rad": joints[:, 1]}
+    run = sk.from_frame(pl.DataFrame(columns | dict(zip(("x_mm", "y_mm", "z_mm"), places.T, strict=True))))
+    made = sk.calibrate(machine, run).calibration
+    inside = places[(np.abs(joints - [0.7, 2.1]) < 0.4).all(axis=1)]
+    assert np.isfinite(made.predicted_accuracies(inside).radius_mm).all()
+    with pytest.raises(NotConverged):
+        made.inverse(inside[0] + [0.0, 0.0, 5.0])
 
 
 def test_of_many_postures_the_nearest_is_taken() -> None:

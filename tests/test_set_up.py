@@ -134,6 +134,25 @@ def test_a_table_of_the_other_convention_is_said(read: str, tmp_path: Path) -> N
     assert f"looks {meant}, and was read as {read}" in said[0].sentence
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_counted_from_the_horizontal_is_said(sign: float, tmp_path: Path) -> None:
+    """Catches "nothing that is usually mistaken explains the run" of joint 3 of an arm that is read with joint 2 in it,
+    16 of 16 arms; and a cure that does not cure."""
+    (tmp_path / "ur5.csv").write_text(UR5)
+    robot = replace(import_dh(tmp_path / "ur5.csv"), target_mm=TARGET_MM)
+    arm = VirtualSerial.simulated(robot, 1, 1.0, PLAIN)
+    frame = arm.measure(postures(robot, 60, 0.9, 1), repeats=2, order="shuffled", seed=1).to_frame()
+    second, third = (robot.layout.joints[k] for k in (1, 2))
+    data = sk.from_frame(frame.with_columns(pl.col(third) + sign * pl.col(second)))
+    fit = sk.identify(robot, data)
+    (said,) = set_up_mistakes(fit.model, fit.data, fit.values)
+    assert f"{third} looks counted from the" in said.sentence
+    joints = [replace(one, follows=-sign) if k == 2 else one for k, one in enumerate(robot.joints)]
+    cured = sk.identify(replace(robot, joints=tuple(joints)), data)
+    assert f"follows = {-sign:g}" in said.sentence
+    assert max(cured.rms().values()) < 100.0
+
+
 def test_wild_rows_neither_hide_nor_fake_a_mistake() -> None:
     """Catches a comparison by squares: a tenth of the poses is wrong by up to a metre."""
     world = worlds.clean(2)

@@ -84,7 +84,7 @@ def judged_names(sets: Sets) -> Names:
         left = beside if kept is lead else sets.described(kept.base, MOST, _STARTS)
         those = [_told(sets, kept, left, alone, k) for k in range(len(kept.blocks))]
         told |= {one.name: one for one in those}
-        why = {one.name: reason for one in those if (reason := _refused(kept, one, partly=partly))}
+        why = {one.name: reason for one in those if (reason := _refused(kept, one, alone, partly=partly))}
         refused |= why
         partly = True
         stay = [block for block in kept.blocks if block.name not in why]
@@ -117,10 +117,12 @@ def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDes
     return Told(block.name, needed, float(tells[0]), size)
 
 
-def _refused(lead: EffectSet, one: Told, *, partly: bool) -> str:
+def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: bool) -> str:
     """Why an effect of a set is not named; empty where it may be. ``partly`` where the set does not explain all."""
-    # where one or two explain all, what follows no cause may do a little better, but not clearly
-    least = NEEDED if partly else -SURE
+    # where one or two explain all, what follows no cause may do a little better, but not clearly; but a bend of a
+    # joint, as of a rack in two pieces, is a cause of its own
+    bend = any(shape.shape == "kink" for shape in alone.shapes)
+    least = NEEDED if partly else TIED if bend else -SURE
     steps = [block for block in lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
+from itertools import combinations, islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -166,6 +166,8 @@ def _of_columns(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[s
                 yield from _quarter_turned(block, same, ranges)
             if unit == "rad":
                 yield from _counted_from_elsewhere(block, same)
+                if block is joints:
+                    yield from _counted_with_the_one_before(data, same)
     yield from _other_units(data, joints, readings, taken)
 
 
@@ -221,6 +223,22 @@ def _counted_from_elsewhere(block: _Block, same: Sequence[int]) -> Iterator[tupl
                 looks = f"{name} looks counted from {degrees:.0f}° and the other way round (the complement)"
                 advice = f"{name} is {degrees:.0f}° ({np.pi * half_turns:.5f} rad) minus what it holds"
             yield looks, advice, block.changed([k], factor=sign, offset=np.pi * half_turns)
+
+
+def _counted_with_the_one_before(data: Measurements, same: Sequence[int]) -> Iterator[tuple[str, str, Measurements]]:
+    """An angle that is counted from the horizontal, or by a motor that stands in the base."""
+    for j, k in pairwise(same):
+        for sign, how in ((1.0, "from the sum with"), (-1.0, "from the difference to")):
+            joints, ends = data.joints.copy(), data.to_joints.copy()
+            joints[:, k] -= sign * joints[:, j]
+            if not data.layout.from_fixed:
+                ends[:, k] -= sign * ends[:, j]
+            one, before = data.layout.joints[k], data.layout.joints[j]
+            yield (
+                f"{one} looks counted {how} {before}, as from the horizontal",
+                f"{'subtract' if sign > 0 else 'add'} {before}; in the file of an arm: follows = {-sign:g} of that joint",
+                replace(data, joints=joints, to_joints=ends),
+            )
 
 
 def _other_units(

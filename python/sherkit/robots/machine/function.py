@@ -255,10 +255,12 @@ def _told(values: Floats) -> str:
 #: Places over the ranges of the joints from which one begins.
 _PLACES = 1024
 _ROUNDS = 30
-#: Part of a range by which a step counts as none.
-_STILL = 1e-12
+#: Part of a range by which a step counts as none, and by which a place is as good as the nearest.
+_STILL, _NEAR = 1e-12, 1e-6
 #: Part of a range by which a solution may leave it: a machine is not quite as drawn.
 _SLACK = 0.02
+#: How far beside the surface that fewer joints than readings make a place may be asked for, in parts of its size.
+_BESIDE_SURFACE = 1e-3
 
 
 def starts(forward: Callable[[Floats], Floats], readings: Floats, box: Floats) -> Floats:
@@ -287,7 +289,8 @@ def settled(
     ``start`` (n, k), within the ``box`` (k, 2).
 
     ``forward`` gives readings and their derivatives by the joints. Machines with more joints than readings take the
-    nearest solution to where they begin; with fewer, only readings that they can show are reached.
+    nearest solution to where they begin; with fewer, the place nearest to what is asked, which is as good as reached
+    where it is hardly beside that: no reading lies on their surface to the last digit.
     """
     if not start.shape[1]:
         return start, np.ones(len(start), dtype=bool)
@@ -319,5 +322,9 @@ def settled(
             break
     scale = np.abs(readings).max(axis=1) + 1.0
     within = ((joints >= low - _SLACK * span) & (joints <= high + _SLACK * span)).all(axis=1)
-    reached = (best <= 1e-9 * scale) & within & np.isfinite(joints).all(axis=1)
+    few = readings.shape[1] > joints.shape[1]
+    # beside it steps get shorter by a part each
+    nearest = still | (np.abs(step / span).max(axis=1) < _NEAR)
+    most = np.where(nearest, _BESIDE_SURFACE, 1e-9) if few else 1e-9
+    reached = (best <= most * scale) & within & np.isfinite(joints).all(axis=1)
     return np.where(reached[:, None], joints, np.nan), reached
