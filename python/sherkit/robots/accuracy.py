@@ -26,6 +26,8 @@ from .where_measured import WhereMeasured
 
 # -- What is promised of a place ----------------------------------------------------------------------------------
 
+#: Poses that would leave more than this part of what could hide are no advice.
+_HELPS = 0.9
 #: An addition of more than this part of the radius is worth a measurement.
 _MATTERS = 0.1
 #: Digits of what a person is asked to drive to, by unit.
@@ -136,8 +138,8 @@ class PredictedAccuracies:
         return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s, unit, far)
 
     def _advice(self, one: Hiding) -> str:
-        """Where to measure, and what it would bring."""
-        if not len(one.places):
+        """Where to measure, and what it would bring; nothing where that is next to nothing."""
+        if not len(one.places) or one.left > _HELPS:
             return ""
         names = ", ".join(bare(name) for name in self.coordinates)
         unit = unit_in(self.coordinates[0])

@@ -36,7 +36,7 @@ _OWN = {
         physics="A joint moves a little when the one before it does: a belt or shaft runs through that joint, as in "
         "many wrists, and the controller's ratio for it is missing or not quite right.",
         residuals="Proportional to the travel of the joint before, as if the next one had turned.",
-        remedy="Enter the coupling ratio of the wrist in the controller; check it by turning one joint alone.",
+        remedy="Enter the coupling ratio of this joint in the controller; check it by turning one joint alone.",
         sizes={"share": "joint {k} moves with the one before it by {size}"},
     ),
     "joint_compliance": Sentences(
