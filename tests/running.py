@@ -14,9 +14,16 @@ from typing import Any
 
 import click
 import polars as pl
+import pytest
 
 from sherkit.cli import main
 from sherkit.cli.verbs import cli
+
+
+def slow(*cases: Any) -> list[Any]:
+    """Cases of a parametrization that wait for ``-m slow``, since another asks quickly; a tuple is one of several
+    names."""
+    return [pytest.param(*(one if isinstance(one, tuple) else (one,)), marks=pytest.mark.slow) for one in cases]
 
 
 def command(folder: Path, *arguments: str) -> tuple[int, str, str]:

@@ -118,7 +118,7 @@ def test_a_cell_that_is_a_list_is_said_and_a_late_column_left_out() -> None:
 
 def test_a_repeat_that_is_not_numbered_is_the_next_one() -> None:
     """Catches a run that is refused because its owner calls every reading the first of its pose."""
-    loop = drive(DrivenDelta(6), lambda row: {**row, "repeat": 1}, span_min=0.0)
+    loop = drive(DrivenDelta(6), lambda row: {**row, "repeat": 1}, span_min=0.0, budget=28)
     assert loop.done
     assert loop.readings >= 24
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import worlds
-from second_simulator.unnamed import DELTA_KINDS, delta_unnamed
 from sherkit.base.types import Floats
 from sherkit.evidence.base import Base
 from sherkit.evidence.family import Family
@@ -34,45 +33,12 @@ def asked(*hidden: str) -> Names:
     return judged_names(sets_of(worlds.delta_world(1, dict.fromkeys(hidden, 4 * worlds.NOISE_UM))))
 
 
-def test_nothing_hidden_names_nothing() -> None:
-    """Catches evidence that grows with how much is tried. Level: one run in a hundred; this seed is fixed."""
-    found = judged_names(sets_of(worlds.clean(0)))
-    assert found.lead is None
-    assert found.alone.shapes == ()
-
-
-@pytest.mark.parametrize("name", ["rail_lean", "joint_scale"])
-def test_a_single_effect_is_named_and_explains(name: str) -> None:
-    """Catches a lead that is not the likeliest, and a rest that counts the effect again."""
-    found = asked(name)
-    assert found.named == (name,)
-    assert found.explains
-    assert found.told[0].needed > 0
-
-
 def test_the_size_is_that_of_the_full_fit() -> None:
     """Catches a set whose base is that of the fit before it: with the effect in, noise is left."""
     lead = asked("rail_lean").lead
     assert lead is not None
     assert lead.base.rss / lead.base.free == pytest.approx(1.0, abs=0.1)
     assert lead.log_bf > 100.0
-
-
-def test_two_effects_are_a_pair() -> None:
-    """Catches a search that stops at singles, and a pair that is found where each was best alone."""
-    found = asked("rail_lean", "drive_compliance")
-    assert set(found.named) == {"rail_lean", "drive_compliance"}
-    assert found.explains
-
-
-def test_an_unknown_is_described_and_not_explained() -> None:
-    """Catches an effect that stands in for physics of no catalogue, and a description that stops at its first shape."""
-    bow = next(kind for kind in DELTA_KINDS if kind.__name__ == "bowed_rails")
-    made = delta_unnamed(bow, 5.0, "shuffled", 0)
-    found = judged_names(sets_of(World(made.settings, made.columns, made.noise)))
-    assert not (found.explains and found.named)
-    assert len(found.alone.shapes) > 1
-    assert all(block.effect is None for block in found.alone.shapes)
 
 
 def test_a_moment_is_found_to_the_row() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from laboratories import experiment, laboratory
-from running import command
+from running import command, slow
 from sherkit import identify
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data import Measurements
@@ -82,7 +82,7 @@ def test_the_promised_power_is_that_of_many_simulated_runs(planning):
         assert abs(one.share - one.power) <= 0.025
 
 
-@pytest.mark.parametrize("runs", [100, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [40, *slow(300)])
 def test_nothing_is_found_where_nothing_is(planning, runs):
     """Catches a level of 1 % for each effect, where a diagnosis asks for odds of 100 to 1 that any of all is there: a
     size was promised half as large as what is found."""

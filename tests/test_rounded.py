@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sherkit as sk
+from running import slow
 from sherkit.base.types import Floats
 from sherkit.data.noise import step_of
 from sherkit.diagnosis.repeats import shared_by_repeats
@@ -86,7 +87,7 @@ def test_repeats_that_all_agree_share_all_of_the_rounding() -> None:
 
 
 @pytest.mark.parametrize("repeats", [1, 5])
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_joints_of_too_few_digits_are_named(seed: int, repeats: int) -> None:
     """Catches "each pose is off by its own" that sends somebody to look at markers and seats."""
     data = delta(200, repeats, seed).data

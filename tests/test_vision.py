@@ -16,6 +16,7 @@ import tomli_w
 from click.testing import CliRunner
 from numpy.typing import NDArray
 
+from running import slow
 from sherkit import identify, load_robot, read_measurements
 from sherkit.cli.verbs import cli
 from sherkit.errors import MeasurementError, SherkitError, SherkitWarning
@@ -160,7 +161,7 @@ def photographed(board: NDArray[np.uint8], count: int, seed: int) -> list[NDArra
     return out
 
 
-@pytest.mark.parametrize("board", [pytest.param("chessboard", marks=pytest.mark.slow), "charuco"])
+@pytest.mark.parametrize("board", [*slow("chessboard"), "charuco"])
 def test_intrinsics_come_back(board: str) -> None:
     """Catches swapped axes, a wrong size of squares, a deviation that is none: values within four of them."""
     if board == "chessboard":

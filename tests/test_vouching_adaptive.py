@@ -24,6 +24,7 @@ import pytest
 
 import sherkit as sk
 from driven_worlds import DrivenDelta, DrivenSpherical
+from running import slow
 from sherkit.adaptive import vouching
 from sherkit.errors import ExperimentError, MeasurementError
 
@@ -91,14 +92,14 @@ def late(world: DrivenDelta, row: Row, k: int, before: list[Row]) -> Row:
     ("change", "says"),
     [
         (frozen, r"q1_mm, q2_mm, q3_mm stay the same .* in rows 0-\d+ while the readings move"),
-        pytest.param(
-            noisy, r"left of x_mm \d+, y_mm \d+, z_mm \d+ µm in \d+ rows: .* an error of 60 µm", marks=pytest.mark.slow
+        *slow(
+            (noisy, r"left of x_mm \d+, y_mm \d+, z_mm \d+ µm in \d+ rows: .* an error of 60 µm"),
+            (at_places(1), r"q1_mm, q2_mm, q3_mm hardly move in all \d+ rows"),
         ),
-        pytest.param(at_places(1), r"q1_mm, q2_mm, q3_mm hardly move in all \d+ rows", marks=pytest.mark.slow),
         (at_places(3), r"3 places in \d+ rows for 18 parameters: read at 9 at least"),
         (zeros, r"x_mm stays 0 in rows 0-\d+, the same to the last digit while the robot moved"),
         (stuck, r"z_mm stays \S+ in rows 0-\d+, the same to the last digit while the robot moved"),
-        pytest.param(late, r"readings look shifted: they stand 1 row below the joints", marks=pytest.mark.slow),
+        *slow((late, r"readings look shifted: they stand 1 row below the joints")),
     ],
     ids=["frozen", "noisy", "one place", "three places", "zeros", "stuck", "late"],
 )

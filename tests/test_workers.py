@@ -15,6 +15,7 @@ import polars as pl
 import pytest
 
 import sherkit as sk
+from running import slow
 from sherkit.base import workers
 from sherkit.base.workers import run_tasks
 from sherkit.cli.demo import EXAMPLE
@@ -79,7 +80,7 @@ class _Breaks(Executor):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("at_once", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.parametrize("at_once", [*slow(True), False])
 def test_an_executor_that_says_not_how_many_it_takes_may_break_too(
     tmp_path: Path, at_once: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
