@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import pickle
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +27,7 @@ from sherkit.base.types import Floats
 from sherkit.diagnosis import template
 from sherkit.errors import FitError, RobotError, SherkitError
 from sherkit.model.effect import load_effects
+from sherkit.model.kinds import known_kinds
 from sherkit.model.sensor_pose import SPACE
 from sherkit.robots.compensation import grid_table
 from sherkit.robots.machine import load_machine
@@ -436,11 +436,6 @@ def test_a_machine_with_the_columns_of_a_delta_is_itself() -> None:
 # -- by its file -----------------------------------------------------------------------------------------------
 
 
-def sherkit(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [str(Path(sys.executable).with_name("sherkit")), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-
-
 def test_the_command_line_takes_a_machine_by_its_file(tmp_path: Path) -> None:
     """Catches a verb that reads TOML only. Seed 7."""
     run = tmp_path / "run.csv"
@@ -472,11 +467,12 @@ def test_a_calibration_of_a_machine_is_checked_by_the_machines_file(tmp_path: Pa
     assert "c.toml: is the calibration of gantry" in other[2]
     in_c = command(tmp_path, "export", "c", "c.toml", "-o", "made.h")
     assert "runs there alone; sherkit export comp" in in_c[2]
-    # a process that has not run the file
-    told_how = sherkit("verify", tmp_path / "c.toml", run)
-    assert told_how.returncode == 1
-    assert "is of the machine 'gantry', which is not known here" in told_how.stderr
-    assert "--machine FILE.py" in told_how.stderr
+    with apart():  # as where nobody has run the file
+        known_kinds().pop("gantry")
+        code, _, wrong = command(tmp_path, "verify", "c.toml", "run.csv")
+    assert code == 1
+    assert "is of the machine 'gantry', which is not known here" in wrong
+    assert "--machine FILE.py" in wrong
 
 
 def test_the_page_reads_the_columns_that_a_machine_names(tmp_path: Path) -> None:

@@ -227,7 +227,7 @@ def test_wrong_poses_are_found_beside_a_missing_effect(effect: str) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, *slow(1, 2)])
-@pytest.mark.parametrize("make", [worlds.spherical_scatter, worlds.spherical_sine, worlds.twisted_limbs])
+@pytest.mark.parametrize("make", [worlds.spherical_scatter, *slow(worlds.spherical_sine, worlds.twisted_limbs)])
 def test_what_the_model_does_not_know_is_no_gross_error(make: Any, seed: int) -> None:
     """Catches a scatter from pose to pose, a ripple or an unknown effect of which the extremes are thrown away."""
     assert len(diagnosed(make(seed)).outliers) == 0

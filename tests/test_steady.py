@@ -35,7 +35,7 @@ def noise(rng: np.random.Generator, n: int, rho: float) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -rho], white, axis=0))[100:]
 
 
-@pytest.mark.parametrize("runs", [20, *slow(80)])
+@pytest.mark.parametrize("runs", [12, *slow(80)])
 @pytest.mark.parametrize("rho", [*slow(0.0, 0.3), 0.7])
 def test_noise_that_neighbours_share_does_not_wander(rho: float, runs: int) -> None:
     """Catches a level that is not kept: at 1 in 1,000 of each, two of 240 runs would be one chance in forty."""

@@ -64,7 +64,7 @@ def test_a_marker_is_found_to_hundredths_of_a_pixel() -> None:
     """Catches a detector that is biased by half a pixel, by slant or by turn, and a deviation that is made up."""
     rng = np.random.default_rng(3)
     off = []
-    for point in places(60, 1):
+    for point in places(30, 1):
         picture = draw_marker(VIEW, point, point, 6.0, rng, turn_rad=rng.uniform(0, np.pi))
         seen = find_marker(picture)
         assert seen.found, seen.why
@@ -73,7 +73,7 @@ def test_a_marker_is_found_to_hundredths_of_a_pixel() -> None:
     off = np.array(off)
     assert np.abs(off[:, :2]).max() < 0.12
     assert off[:, :2].std() < 0.02
-    # bias: the mean of 60 within four of its standard errors
+    # bias: the mean of 30 within four of its standard errors
     assert (np.abs(off[:, :2].mean(axis=0)) < 4 * off[:, :2].std(axis=0) / np.sqrt(len(off))).all()
     assert 0.5 < np.sqrt(np.mean(off[:, 2:] ** 2)) < 2.0
 
