@@ -9,6 +9,7 @@ import os
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,20 @@ def several(folder: Path, *lines: str, before: str = "", **environment: str) -> 
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return [(code, out, err) for code, out, err in map(json.loads, done.stdout.splitlines())]
+
+
+@contextlib.contextmanager
+def cluster_of_two() -> Iterator[tuple[Any, Any]]:
+    """A client of a cluster of two processes on this machine, and its executor."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+        distributed.Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        yield client, executor
 
 
 def thin(run: Path, every: int = 6) -> None:

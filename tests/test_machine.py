@@ -152,6 +152,13 @@ def test_an_effect_outside_the_catalogue_is_described_and_not_explained() -> Non
     assert d.signature is not None
 
 
+def assert_template_helps(name: str, run: pl.DataFrame, d: sk.diagnosis.Diagnosis, folder: Path) -> None:
+    """What is described runs as an effect of one's own, and leaves less."""
+    (folder / "mine.py").write_text(template(d.signature, d.fit.data.layout), encoding="utf-8")
+    (mine,) = load_effects(folder / "mine.py")
+    assert max(sk.identify(MACHINE[name], run, effects=[mine]).rms().values()) < 0.6 * max(d.fit.rms().values())
+
+
 @pytest.mark.parametrize("seed", [2, *slow(0, 1, 3, 4, 5)])
 def test_motors_that_warm_up_are_no_slip(seed: int, tmp_path: Path) -> None:
     """Catches a course of joints in time, which no column tells, that is named as joints that slip (four of six); and
@@ -160,9 +167,7 @@ def test_motors_that_warm_up_are_no_slip(seed: int, tmp_path: Path) -> None:
     d = sk.diagnose(MACHINE["scara"], run)
     assert (d.verdict, d.effects) == ("unexplained", ())
     assert (d.signature["depends_on"], d.signature["joint"]) == (["time_s"], "shoulder_rad")
-    (tmp_path / "mine.py").write_text(template(d.signature, d.fit.data.layout), encoding="utf-8")
-    (mine,) = load_effects(tmp_path / "mine.py")
-    assert max(sk.identify(MACHINE["scara"], run, effects=[mine]).rms().values()) < 0.6 * max(d.fit.rms().values())
+    assert_template_helps("scara", run, d, tmp_path)
 
 
 @pytest.mark.parametrize("seed", [0, *slow(*range(1, 8))])
@@ -175,9 +180,7 @@ def test_a_rack_in_two_pieces_is_no_wave(seed: int, tmp_path: Path) -> None:
     assert (d.verdict, d.effects) == ("unexplained", ())
     assert (d.signature["shape"], d.signature["joint"]) == ("kink", "x_axis_mm")
     assert d.signature["at"] == pytest.approx(begins, abs=30.0)
-    (tmp_path / "mine.py").write_text(template(d.signature, d.fit.data.layout), encoding="utf-8")
-    (mine,) = load_effects(tmp_path / "mine.py")
-    assert max(sk.identify(MACHINE["gantry"], run, effects=[mine]).rms().values()) < 0.6 * max(d.fit.rms().values())
+    assert_template_helps("gantry", run, d, tmp_path)
 
 
 def test_a_users_effect_stands_beside_the_generic_ones() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from laboratories import experiment, laboratory
-from running import command, slow
+from running import cluster_of_two, command, slow
 from sherkit import identify
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data import Measurements
@@ -141,16 +141,9 @@ def test_a_study_goes_on_where_it_ended(planning, tmp_path):
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_numbers_as_a_process_pool(planning):
     """Catches a run that depends on the worker, the order or the machine."""
-    distributed = pytest.importorskip("distributed")
     wanted = three(planning)
     pool = study_power(planning, wanted, runs=60, workers=2)
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
-        ) as cluster,
-        distributed.Client(cluster) as client,
-        client.get_executor() as executor,
-    ):
+    with cluster_of_two() as (_, executor):
         assert study_power(planning, wanted, runs=60, executor=executor) == pool
 
 

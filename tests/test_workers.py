@@ -15,7 +15,7 @@ import polars as pl
 import pytest
 
 import sherkit as sk
-from running import slow
+from running import cluster_of_two, slow
 from sherkit.base import workers
 from sherkit.base.workers import run_tasks
 from sherkit.cli.demo import EXAMPLE
@@ -159,15 +159,8 @@ def test_a_fleet_of_300_is_complete_where_a_worker_is_killed() -> None:
 @pytest.mark.slow
 def test_a_cluster_names_the_run_that_kills() -> None:
     """Catches a run that takes one worker of a cluster after the other, and the verdicts of all with them."""
-    distributed = pytest.importorskip("distributed")
     runs = [*(few_poses(k) for k in range(10)), Deadly(), *(few_poses(k) for k in range(10, 20))]
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-        ) as cluster,
-        distributed.Client(cluster) as client,
-        client.get_executor() as executor,
-    ):
+    with cluster_of_two() as (_, executor):
         found = sk.fleet(runs, EXAMPLE, executor=executor)
     failed = [m for m in found.machines if m.failed]
     assert [m.run for m in failed] == ["deadly.csv"]
