@@ -130,6 +130,7 @@ def test_a_joint_that_was_sent_to_where_it_stood_did_not_move() -> None:
     assert directions(joints[::-1], np.arange(4)[::-1], begins=1.0).tolist() == [[1, -1], [1, -1], [1, 1], [1, 1]]
 
 
+@pytest.mark.slow
 def test_backlash_alone_is_named_where_nobody_tells_the_first_side() -> None:
     """Catches a slip after the first reading, which is the side from which it was approached."""
     loop = drive(DrivenDelta(1, ("backlash",), 20.0), span_min=30.0, budget=120)

@@ -203,8 +203,7 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
             ["--linear", "--free", "rod_length_1, rod_length_2,sensor_shift_x"],
             {"linear": True, "free": ("rod_length_1", "rod_length_2", "sensor_shift_x")},
         ),
-        (["--correction", "paper"], {"correction": "paper"}),
-        *slow((["--correction", "auto"], {})),
+        *slow((["--correction", "paper"], {"correction": "paper"}), (["--correction", "auto"], {})),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, list) else "",
 )

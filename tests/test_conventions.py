@@ -64,7 +64,7 @@ MADE: dict[str, Make] = {
 
 
 #: The slow ones besides: what else hangs on time.
-MORE = ("delta, a slip", "spherical, drift", "delta, backlash and growth", "gantry, play and growth")
+MORE = ("arm, drift", "delta, a slip", "spherical, drift", "delta, backlash and growth", "gantry, play and growth")
 
 
 @pytest.mark.parametrize("seed", [1, *slow(2)])

@@ -221,9 +221,8 @@ def test_the_correlation_of_the_noise_is_that_of_the_run(order: str) -> None:
     assert abs(np.mean(found) - 0.7) < 0.03
 
 
-@pytest.mark.parametrize(
-    "pair", [pytest.param(("rail_lean", "drift"), marks=pytest.mark.slow), ("backlash", "sensor_linearity")]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", [("rail_lean", "drift"), ("backlash", "sensor_linearity")])
 def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     """Catches a search that stops after one effect, or takes one wrong one for two. Seed 7, ratio 2."""
     d = measured(GRIDS["small"], 7, scaled=dict.fromkeys(pair, 2 * NOISE_UM)).diagnose()

@@ -338,6 +338,7 @@ def test_scenes_move(study: sk.Study, tmp_path: Path, in_each_font: InEachFont) 
 # -- notebook ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_bokeh_stands_once_in_a_notebook(study: sk.Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches cells that each bring two megabytes, and a first cell that brings nothing when it is run again."""
     running = SimpleNamespace(parent_header={"metadata": {"cellId": "one"}})

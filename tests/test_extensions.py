@@ -37,7 +37,7 @@ ARM = PlanarArm((250.0, 180.0), joint_limits_deg=(-170.0, 170.0))
 # -- the suite of kinds ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["delta", "spherical", *slow("serial"), "printer"])
+@pytest.mark.parametrize("name", ["spherical", *slow("delta", "serial"), "printer"])
 def test_a_built_in_kind_passes_the_suite_of_strangers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a suite that asks what sherkit's own robots do not do, and a robot of its own that has an exception. How
     often they alarm is counted elsewhere."""

@@ -160,6 +160,7 @@ def test_errors_in_the_observed_directions_follow_chi_squared() -> None:
     assert stats.kstest(p, "uniform").pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_fitted_readings_err_by_the_rank() -> None:
     """Catches a fit that is not the minimum: at 5 µm noise the fitted readings miss the true ones by χ² with fourteen
     degrees of freedom, wherever the sensor stands. Level 0.1 %.

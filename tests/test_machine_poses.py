@@ -227,6 +227,7 @@ def test_a_pose_that_is_known_is_a_measurement_of_it() -> None:
     assert fit.by_name["sensor_shift_x"] == pytest.approx(-0.4, abs=0.2)
 
 
+@pytest.mark.slow
 def test_an_instrument_in_the_machines_own_axes() -> None:
     """Catches numbers of a pose where it is held, and a machine that is then without what names a turned instrument."""
     held = gantry_with("held")

@@ -170,6 +170,7 @@ def test_lost_motion_counts_where_the_side_is_not_given() -> None:
     np.testing.assert_allclose(down - up, 0.04, atol=0.004)
 
 
+@pytest.mark.slow
 def test_a_room_of_one_temperature_adds_nothing_at_that_temperature() -> None:
     """Catches what follows the temperature and is added at the temperature of the run, where the pose of the sensor
     holds it: one temperature in every row made a promise eight times as large. In another room it may add."""

@@ -417,6 +417,7 @@ def test_heights_alone(runs: Path) -> None:
         assert max(map(abs, a["ey"])) > 1
 
 
+@pytest.mark.slow
 @needs_browser
 def test_distances_alone(runs: Path) -> None:
     """Catches pictures that need coordinates, all arrows at one place, and words of readings that were not taken."""

@@ -260,7 +260,7 @@ ARM: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], str]] = {
 
 
 #: The others are mistakes of a delta's columns as well, on the long list.
-ASKED = ("clean", "quarter turn", "shoulder")
+ASKED = ("clean", "shoulder")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in ASKED)) for n in ARM])

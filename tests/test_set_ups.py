@@ -257,6 +257,7 @@ def test_bad_input(column: str, made: pl.Expr, said: str, tmp_path: Path) -> Non
     assert "Traceback" not in error
 
 
+@pytest.mark.slow
 def test_exchanged_columns_are_found_in_set_ups(tmp_path: Path) -> None:
     """Catches set-ups whose registrations turn a mirror into as many shapes as there are: it is one mistake in all."""
     table, _ = moved(1)

@@ -298,6 +298,7 @@ def test_chance_does_not_turn_two_effects_into_three_others() -> None:
     assert d.signature is None or d.signature["shape"] == "periodic"
 
 
+@pytest.mark.slow
 def test_a_turn_that_both_joints_share_is_one_of_the_camera() -> None:
     """Catches a joint that is blamed for what a camera does that stands within what is known of it, and a camera that
     would have to stand ten times as far off and is a caveat, or not told of. No picture tells one from the other; seed

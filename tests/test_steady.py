@@ -98,6 +98,7 @@ def test_what_comes_back_in_time_is_a_wave(repeats: int, side: int) -> None:
     assert repeats == 1 or max(found.noise.values()) < 5.5
 
 
+@pytest.mark.slow
 def test_a_verdict_says_that_readings_wander() -> None:
     """Catches praise, or not a word, for a run whose x strays by three times the noise and is back after some rows, at
     no period: nothing in the file tells with what."""

@@ -75,6 +75,7 @@ def test_gem_outliers_are_the_rows_off_by_a_turn(gem: sk.diagnosis.Diagnosis) ->
     assert len(gem.outliers) <= 19 + 6
 
 
+@pytest.mark.slow
 def test_gem_tiles_of_the_sky_tell_the_same(gem: sk.diagnosis.Diagnosis) -> None:
     """Held out by neighbourhoods, errors are larger, the cause is the same."""
     rows = replace(gem.fit.data, block=None, outlier=np.zeros(len(gem.fit.data), dtype=bool))

@@ -419,6 +419,7 @@ def test_a_video_is_joined_to_joints_by_time(tmp_path: Path) -> None:
     assert np.abs(run.readings - virtual.true_reading(way)).max() < 0.5
 
 
+@pytest.mark.slow
 def test_the_lens_from_pictures_of_a_board(tmp_path: Path) -> None:
     """Catches a table [camera] that the robot file refuses, or another lens than the one that took the pictures."""
     for k, taken in enumerate(photographed(chessboard((9, 6), 40), 12, 5)):

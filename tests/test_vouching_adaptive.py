@@ -115,6 +115,7 @@ def test_rows_that_tell_nothing_are_named_and_the_loop_goes_on(change: Change, s
     assert re.search(says, loop.sentence()) or change is late
 
 
+@pytest.mark.slow
 def test_a_sensor_that_comes_right_again_is_believed_again() -> None:
     """Catches rows that are lost for good, or a loop that is, because a channel stuck for four of them; and silence on
     them."""
@@ -221,6 +222,7 @@ def test_a_bad_stretch_of_a_scale_is_no_accident() -> None:
     assert any("set aside" in note for note in loop.notes)
 
 
+@pytest.mark.slow
 def test_what_lies_together_is_found_without_being_read_again() -> None:
     """Catches a scan that the loop does not make: rows of six places next to one another in a joint."""
     world = DrivenDelta(3)

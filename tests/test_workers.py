@@ -118,6 +118,7 @@ def few_poses(seed: int) -> sk.Measurements:
     return drawn.measure(FEW, repeats=2, order="shuffled", seed=seed)
 
 
+@pytest.mark.slow
 def test_a_fleet_names_the_run_that_kills(tmp_path: Path) -> None:
     """Catches a fleet whose verdicts are all lost by one run, a run that is lost without its name, and a fleet that
     never ends since its processes are copies of one whose threads held locks."""
