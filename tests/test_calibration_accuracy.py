@@ -31,7 +31,7 @@ def inside_radius(seed: int, lean: float, half_mm: float, count: int = 200) -> f
 
 @pytest.mark.slow
 @pytest.mark.parametrize("half_mm", [9.5, 19.0])
-def test_predicted_accuracy_is_honest(half_mm: float, robots: int) -> None:
+def test_predicted_accuracy_is_honest(half_mm: float) -> None:
     """Catches a radius that is too small or too large: of 200 fresh readings of each robot 90 to 99 % are inside.
 
     95 % of 200 has a deviation of 1.5 %, and home's own reading, shared by all, adds as much: level 1 % for the mean.
