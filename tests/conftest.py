@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -92,17 +93,22 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     base = tmp_path_factory.getbasetemp()
     shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "made_by_demo"
-    if shared.exists():
-        return shared
-    folder = tmp_path_factory.mktemp("made")
-    (folder / "said.txt").write_text(sherkit(["demo", "--tables"], folder), encoding="utf-8")
-    shutil.copy(folder / "demo" / "robot.toml", folder / "robot.toml")
-    shutil.copy(folder / "demo" / "local.csv", folder / "run.csv")
-    (folder / "printer.cfg").write_text(config(TRUE, SAVED), encoding="utf-8")
-    try:
-        return folder.rename(shared)
-    except OSError:  # another worker was first
-        return folder
+    making = shared.with_name("making")
+    while not shared.exists():
+        try:
+            making.mkdir()
+        except FileExistsError:  # another worker is at it: to wait leaves it the processor
+            time.sleep(0.05)
+            continue
+        if not shared.exists():
+            folder = tmp_path_factory.mktemp("made")
+            (folder / "said.txt").write_text(sherkit(["demo", "--tables"], folder), encoding="utf-8")
+            shutil.copy(folder / "demo" / "robot.toml", folder / "robot.toml")
+            shutil.copy(folder / "demo" / "local.csv", folder / "run.csv")
+            (folder / "printer.cfg").write_text(config(TRUE, SAVED), encoding="utf-8")
+            folder.rename(shared)
+        making.rmdir()
+    return shared
 
 
 @pytest.fixture(autouse=True, scope="module")

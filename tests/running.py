@@ -9,14 +9,22 @@ import os
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 import polars as pl
+import pytest
 
 from sherkit.cli import main
 from sherkit.cli.verbs import cli
+
+
+def slow(*cases: Any) -> list[Any]:
+    """Cases of a parametrization that wait for ``-m slow``, since another asks quickly; a tuple is one of several
+    names."""
+    return [pytest.param(*(one if isinstance(one, tuple) else (one,)), marks=pytest.mark.slow) for one in cases]
 
 
 def command(folder: Path, *arguments: str) -> tuple[int, str, str]:
@@ -68,6 +76,20 @@ def several(folder: Path, *lines: str, before: str = "", **environment: str) -> 
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return [(code, out, err) for code, out, err in map(json.loads, done.stdout.splitlines())]
+
+
+@contextlib.contextmanager
+def cluster_of_two() -> Iterator[tuple[Any, Any]]:
+    """A client of a cluster of two processes on this machine, and its executor."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+        distributed.Client(cluster) as client,
+        client.get_executor() as executor,
+    ):
+        yield client, executor
 
 
 def thin(run: Path, every: int = 6) -> None:

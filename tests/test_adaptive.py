@@ -16,6 +16,7 @@ from scipy import integrate, stats
 
 import sherkit as sk
 from driven_worlds import DrivenArm, DrivenDelta, DrivenSpherical, World
+from running import slow
 from sherkit.adaptive import told
 from sherkit.adaptive.known import FixedBefore, run_at
 from sherkit.errors import ArgumentError, ExperimentError, FitError, MeasurementError
@@ -166,7 +167,7 @@ def test_what_is_in_no_catalogue_is_never_explained() -> None:
     ("world", "name"),
     [
         (lambda: DrivenSpherical(0, ("backlash",), 3.0), "backlash"),
-        pytest.param(lambda: DrivenArm(0, ("joint_compliance",), 3.0), "joint_compliance", marks=pytest.mark.slow),
+        *slow((lambda: DrivenArm(0, ("joint_compliance",), 3.0), "joint_compliance")),
     ],
 )
 def test_other_robots(world: Callable[[], World], name: str) -> None:
@@ -308,13 +309,6 @@ def test_state_follows_from_the_rows(leaning: tuple[sk.Adaptive, World], tmp_pat
     for other in (again, at_once):
         assert (other.verdict, other.effects, other.readings) == (loop.verdict, loop.effects, loop.readings)
         assert [one.log_evidence for one in other.looks] == pytest.approx([one.log_evidence for one in loop.looks])
-    half = sk.Adaptive(loop.robot, required_um=20, budget=150, span_min=5.0)
-    half.tell(loop.data.select(np.arange(loop.start)))
-    half.save(tmp_path / "half.json")
-    asked = half.ask()
-    # a file has one loop
-    del half
-    assert sk.Adaptive.load(tmp_path / "half.json").ask() == asked
 
 
 # -- bad input ------------------------------------------------------------------------------------------------------

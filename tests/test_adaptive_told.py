@@ -118,7 +118,7 @@ def test_a_cell_that_is_a_list_is_said_and_a_late_column_left_out() -> None:
 
 def test_a_repeat_that_is_not_numbered_is_the_next_one() -> None:
     """Catches a run that is refused because its owner calls every reading the first of its pose."""
-    loop = drive(DrivenDelta(6), lambda row: {**row, "repeat": 1}, span_min=0.0)
+    loop = drive(DrivenDelta(6), lambda row: {**row, "repeat": 1}, span_min=0.0, budget=28)
     assert loop.done
     assert loop.readings >= 24
 
@@ -130,6 +130,7 @@ def test_a_joint_that_was_sent_to_where_it_stood_did_not_move() -> None:
     assert directions(joints[::-1], np.arange(4)[::-1], begins=1.0).tolist() == [[1, -1], [1, -1], [1, 1], [1, 1]]
 
 
+@pytest.mark.slow
 def test_backlash_alone_is_named_where_nobody_tells_the_first_side() -> None:
     """Catches a slip after the first reading, which is the side from which it was approached."""
     loop = drive(DrivenDelta(1, ("backlash",), 20.0), span_min=30.0, budget=120)

@@ -26,7 +26,7 @@ from test_other_programs import told
 #: What a text is a path of lies in the folder of the test.
 _LETTERS = st.characters(exclude_characters="/.~")
 #: Arguments that are tried; ``SHERKIT_FUZZ`` sets another count.
-TRIED = int(os.environ.get("SHERKIT_FUZZ", "400"))
+TRIED = int(os.environ.get("SHERKIT_FUZZ", "250"))
 ABSURD = st.one_of(
     st.sampled_from((
         None, True, -1, 0, 2, 10**30, -1.0, 0.5, float("nan"), float("inf"), "", "x", "1", "\0", b"x", "linear", (), [],

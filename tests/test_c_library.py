@@ -20,6 +20,7 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import sherkit as sk
+from running import slow
 from sherkit import _core
 from sherkit.cli.c_library import archive as shipped
 from sherkit.cli.verbs import cli
@@ -317,7 +318,7 @@ def test_the_examples_robots_are_what_flat_writes() -> None:
     assert make_robots.HEADER.read_text(encoding="utf-8") == make_robots.text()
 
 
-@pytest.mark.parametrize("steps", [200_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("steps", [200_000, *slow(10_000_000)])
 def test_random_missing_and_nan_input_under_sanitizers(archive: Path, tmp_path: Path, steps: int) -> None:
     """Catches an estimate that is not finite and does not say so, a read or write beside what was given."""
     program = built(archive, "tests/stress.c", tmp_path, *SANITIZED)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
+from running import slow
 from sherkit.robots.delta import Correction, DeltaCalibration, paper_local, paper_whole
 from strategies import EXAMPLE, between
 from test_calibration import HALF, SEEDS, SIZES, SOME, _branch, experiment, made, part
@@ -28,21 +29,19 @@ def inside_radius(seed: int, lean: float, half_mm: float, count: int = 200) -> f
     return float(np.mean(off <= c.predicted_accuracies(place).visit_mm))
 
 
-@pytest.mark.parametrize(
-    ("half_mm", "robots"), [pytest.param(9.5, 8, marks=pytest.mark.slow), pytest.param(19.0, 8, marks=pytest.mark.slow),
-                            (19.0, 3)],
-)  # fmt: skip
-def test_predicted_accuracy_is_honest(half_mm: float, robots: int) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("half_mm", [9.5, 19.0])
+def test_predicted_accuracy_is_honest(half_mm: float) -> None:
     """Catches a radius that is too small or too large: of 200 fresh readings of each robot 90 to 99 % are inside.
 
     95 % of 200 has a deviation of 1.5 %, and home's own reading, shared by all, adds as much: level 1 % for the mean.
     """
-    shares = [inside_radius(seed, 0.0, half_mm) for seed in range(robots)]
+    shares = [inside_radius(seed, 0.0, half_mm) for seed in range(8)]
     assert 0.90 <= np.mean(shares) <= 0.99
     assert min(shares) >= 0.85
 
 
-@pytest.mark.parametrize("robots", [3, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("robots", [3, *slow(8)])
 def test_accuracy_is_where_the_mean_of_many_visits_lies(robots: int) -> None:
     """Catches an accuracy that still holds the noise, or one that does not hold: places are missed by a tenth of it.
 
@@ -65,15 +64,15 @@ def test_accuracy_is_where_the_mean_of_many_visits_lies(robots: int) -> None:
     assert np.median(ratios) < 6.0
 
 
-@pytest.mark.parametrize("robots", [3, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.slow
 @pytest.mark.parametrize("half_mm", [9.5, 19.0])
-def test_accuracy_is_honest_where_a_correction_works(half_mm: float, robots: int) -> None:
+def test_accuracy_is_honest_where_a_correction_works(half_mm: float) -> None:
     """Catches a radius that forgets what the correction leaves, and one far too wide: leaning rails are corrected to
     the noise; 90 % to 99 % of the readings are inside."""
-    for seed in range(robots):
+    for seed in range(6):
         assert experiment(seed, 0.01)[1].calibration.whole.correction is not None
         assert experiment(seed, 0.01)[1].calibration.accuracy([1.0, 2.0, 3.0]) < 0.1
-    shares = [inside_radius(seed, 0.01, half_mm) for seed in range(robots)]
+    shares = [inside_radius(seed, 0.01, half_mm) for seed in range(6)]
     assert min(shares) >= 0.90
     assert np.mean(shares) <= 0.99
 

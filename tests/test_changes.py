@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 import sherkit as sk
 import worlds
 from changed_worlds import ArmPair, DeltaPair, truth_of_change
+from running import slow
 from sherkit.cli import main
 from sherkit.errors import FitError, MeasurementError
 from sherkit.model.kinds import kind_of
@@ -42,21 +43,26 @@ def test_the_parameter_that_moved_is_named_with_its_size(bumped: DeltaPair) -> N
     assert "base_angle_2" in found.advice
 
 
-@pytest.mark.parametrize("settings", [{}, {"warmer_c": 6.0}, {"poses": (60, 12)}, {"noise_um": 20.0}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"warmer_c": 6.0},
+        {"poses": (60, 12)},
+        *slow({}, {"noise_um": 20.0}),
+    ],
+)
 def test_nothing_has_changed(settings: dict[str, Any]) -> None:
     """Catches a change that other poses, another noise, another station of the sensor or a warmer room make."""
     found = DeltaPair(11, **settings).compare()
     assert (found.verdict, found.changed) == ("unchanged", ())
 
 
-@pytest.mark.parametrize(
-    "changed", [("backlash",), ("rod_length_3",), pytest.param(("base_angle_2", "backlash"), marks=pytest.mark.slow)]
-)
-def test_effects_and_pairs(changed: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("changed", ["backlash", *slow("rod_length_3", "base_angle_2 backlash")])
+def test_effects_and_pairs(changed: str) -> None:
     """Catches an effect that is taken for a parameter, and one change that stands for two."""
-    found = DeltaPair(12, changed, 4.0).compare()
+    found = DeltaPair(12, tuple(changed.split()), 4.0).compare()
     assert found.verdict == "changed"
-    assert set(found.changed) == set(changed)
+    assert set(found.changed) == set(changed.split())
 
 
 def test_what_is_in_no_catalogue_is_not_explained() -> None:
@@ -177,7 +183,10 @@ def checked(seed: int, changed: str, ratio: float, repeats: int = 2) -> tuple[sk
     return sk.verify(made, world.runs[1]), off
 
 
-@pytest.mark.parametrize(("factor", "words"), [([1 / 25.4] * 3, "inches"), ([1.0, 1.0, -1.0], "left-handed")])
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [*slow(([1 / 25.4] * 3, "inches")), ([1.0, 1.0, -1.0], "left-handed")],
+)
 def test_a_run_with_a_mistake_of_its_set_up_blames_no_other(factor: list[float], words: str) -> None:
     """Catches a third run in inches, or with a mirrored axis, that a change of the robot "once, at the second"
     explains, in 10 of 14 histories in metres; and such a check of a calibration "not valid: beam_alignment"."""
@@ -244,7 +253,7 @@ def test_a_check_that_was_knocked_or_copied_says_so() -> None:
 
 
 @pytest.mark.parametrize("correction", ["auto", "none"])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_what_a_model_lacked_on_its_day_is_no_change(seed: int, correction: str) -> None:
     """Catches a check that is asked of the model without its correction, and one that takes what the model has always
     lacked for a change: of deltas whose rails lean, calibrated without that, 36 of 40 were refused that had not
@@ -269,6 +278,7 @@ def test_backlash_is_no_noise() -> None:
     assert found.error["seen"] == pytest.approx(off, rel=0.4)
 
 
+@pytest.mark.slow
 def test_the_smallest_error_that_would_have_been_found() -> None:
     """Catches a check that does not say what it cannot see, or whose readings more than these do not sharpen; and a
     machine as it was that is called not valid."""

@@ -9,6 +9,7 @@ import pytest
 
 import sherkit as sk
 from incomplete_worlds import GearErrors, RippledDelta, small_arm
+from running import slow
 
 Run = dict[str, Any]
 
@@ -36,7 +37,7 @@ def test_a_copy_is_unchanged_and_vouches_for_nothing(arm: Any) -> None:
     assert sk.history(arm, [run, run]).verdict == "unchanged"
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(4, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [1, *slow(4, 5)])
 def test_a_run_against_itself(arm: Any, seed: int) -> None:
     """Catches gear errors that no effect describes taken for a change: by half of the reads of each pose (evidence of
     1e13 where functions of readings did not follow the noise of each run), and by half of the poses."""
@@ -51,7 +52,7 @@ def test_a_run_against_itself(arm: Any, seed: int) -> None:
         assert (found.verdict, found.changed) == ("unchanged", ())
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow), pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [1, *slow(3, 6)])
 def test_other_places_are_no_change(arm: Any, seed: int) -> None:
     """Catches what a model lacks at one side of the table, and otherwise at the other, taken for a change (evidence of
     1e43, an eccentricity of 93 mrad)."""
@@ -61,6 +62,7 @@ def test_other_places_are_no_change(arm: Any, seed: int) -> None:
     assert "what the model lacks differs there too" in found.headline
 
 
+@pytest.mark.slow
 def test_a_change_beside_what_is_missing(arm: Any) -> None:
     """Catches an incomplete model that hides a zero of a joint which moved by 1 mrad, at the same places and others."""
     world = GearErrors(2)
@@ -70,7 +72,7 @@ def test_a_change_beside_what_is_missing(arm: Any) -> None:
     assert found.parameters[0].change == pytest.approx(1e-3, rel=0.2)
 
 
-@pytest.mark.parametrize("seed", [2, *(pytest.param(k, marks=pytest.mark.slow) for k in range(3, 8))])
+@pytest.mark.parametrize("seed", [2, *slow(*range(3, 8))])
 def test_an_incomplete_delta(seed: int) -> None:
     """Catches a ripple that both runs have taken for a change, and a change that it hides."""
     assert RippledDelta(seed).compare(effects=[]).verdict == "unchanged"

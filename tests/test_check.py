@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sherkit as sk
-from running import command, several
+from running import command
+from second_machines import apart
 from sherkit import save_robot
 from sherkit.data.file_check import FileCheck, check_file
 from sherkit.errors import MeasurementError
@@ -385,8 +386,8 @@ def test_a_machine_of_ones_own_has_its_columns(tmp_path: Path) -> None:
         "q1_mm,q2_mm,x_mm,y_mm\n" + "\n".join(f"{k},{k * k},{k},{k * k}" for k in range(9))
     )
     (tmp_path / "other.csv").write_text("a_rad,x_mm,y_mm\n" + "\n".join(f"0.{k},{k},{k * k}" for k in range(9)))
-    # in a process of their own: a machine that was loaded has its columns until the end
-    good, other = several(tmp_path, "check run.csv xy.py", "check other.csv xy.py")
+    with apart():
+        good, other = (command(tmp_path, "check", f"{name}.csv", "xy.py") for name in ("run", "other"))
     assert good[0] == 0
     assert other[0] == 1
     assert "is no run of xy.py (xy_checked): lacks q1_mm, q2_mm" in " ".join(other[1].split())

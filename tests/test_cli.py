@@ -8,6 +8,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ import numpy as np
 import pytest
 
 from bad_inputs import BAD, Bad
+from running import slow, thin
 from second_simulator import write_robot_toml
 from sherkit import Measurements, calibrate, load_robot, read_measurements
 from sherkit.calibration import Result, to_json
@@ -56,11 +58,6 @@ def sherkit(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.CompletedProcess(arguments, end.value.code, out.getvalue(), err.getvalue())
 
 
-def installed(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Runs the installed command in ``folder``, as a shell would."""
-    return subprocess.run([SHERKIT, *arguments], cwd=folder, capture_output=True, encoding="utf-8", timeout=600)
-
-
 def no_constant(name: str) -> NoReturn:
     """Refuses NaN and infinity, which JSON does not have."""
     raise AssertionError(name)
@@ -83,7 +80,7 @@ def one_sentence(done: subprocess.CompletedProcess[str], code: int = 1) -> str:
 
 @pytest.fixture(scope="module")
 def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a robot and two runs of a virtual one, made by the command."""
+    """A folder with a robot and two runs of a virtual one, made by the command, and of each a third of the poses."""
     folder = tmp_path_factory.mktemp("work")
     write_robot_toml(folder / "robot.toml")
     for poses in ("whole", "local"):
@@ -93,6 +90,8 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "--truth", f"{poses}.toml",
         )  # fmt: skip
         assert (done.returncode, done.stderr) == (0, "")
+        shutil.copy(folder / f"{poses}.csv", folder / f"{poses}_all.csv")
+        thin(folder / f"{poses}.csv", 3)
     return folder
 
 
@@ -133,11 +132,11 @@ def test_simulate_writes_what_the_library_makes(work: Path) -> None:
         load_robot("robot.toml"), 1, sizes=TABLE_II_SIZES, rail_lean_rad=3e-3, beam=0.0, noise_mm=4e-3
     )
     data = virtual.measure(paper_whole(), repeats=1, order="shuffled", seed=2)
-    found = read_measurements("whole.csv")
+    found = read_measurements("whole_all.csv")
     assert np.array_equal(found.readings, data.readings)
     assert np.array_equal(found.joints, data.joints)
     assert tomllib.loads((work / "whole.toml").read_text())["errors"] == virtual.errors
-    assert len(read_measurements("local.csv")) == 363
+    assert len(read_measurements("local_all.csv")) == 363
 
 
 def test_simulate_sizes_and_parquet(work: Path) -> None:
@@ -158,7 +157,7 @@ def test_simulate_sizes_and_parquet(work: Path) -> None:
 
 def test_json_agrees_with_the_library(work: Path, whole: Measurements) -> None:
     """Catches numbers that are computed, rounded or labelled otherwise on the way out, NaN in JSON, a lossy file."""
-    done = installed(
+    done = sherkit(
         work, "calibrate", "robot.toml", "whole.csv", "--local", "local.csv", "-o", "calibrated.toml", "--json"
     )
     said = told(done)
@@ -204,8 +203,7 @@ def test_tables_hold_the_same_numbers(work: Path, whole: Measurements) -> None:
             ["--linear", "--free", "rod_length_1, rod_length_2,sensor_shift_x"],
             {"linear": True, "free": ("rod_length_1", "rod_length_2", "sensor_shift_x")},
         ),
-        (["--correction", "paper"], {"correction": "paper"}),
-        pytest.param(["--correction", "auto"], {}, marks=pytest.mark.slow),
+        *slow((["--correction", "paper"], {"correction": "paper"}), (["--correction", "auto"], {})),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, list) else "",
 )
@@ -311,7 +309,7 @@ def test_warnings_are_sentences_beside_the_result(work: Path) -> None:
     Path("slip.csv").write_text(text)
     done = sherkit(work, "calibrate", "robot.toml", "slip.csv", "--correction", "none", "--json")
     assert done.returncode == 0
-    assert json.loads(done.stdout)["whole"]["rows"] == 588
+    assert json.loads(done.stdout)["whole"]["rows"] == 196
     message = "warning: slip.csv: column 'repeats' is taken as a covariate; is it meant to be 'repeat'?\n"
     assert done.stderr == message
 

@@ -12,6 +12,7 @@ import pytest
 
 import sherkit as sk
 from conventions import written_otherwise
+from running import slow
 from second_machines import apart, run_of
 from sherkit.robots.machine import load_machine
 from test_arm_counted import arm_in
@@ -63,10 +64,10 @@ MADE: dict[str, Make] = {
 
 
 #: The slow ones besides: what else hangs on time.
-MORE = ("delta, a slip", "spherical, drift", "delta, backlash and growth", "gantry, play and growth")
+MORE = ("arm, drift", "delta, a slip", "spherical, drift", "delta, backlash and growth", "gantry, play and growth")
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [1, *slow(2)])
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in MORE)) for n in MADE])
 def test_how_a_table_is_written_decides_nothing(name: str, seed: int) -> None:
     """Catches an answer that hangs on the order of rows, the start of a clock, the numbers of poses, or a unit: each

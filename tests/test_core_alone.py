@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from running import slow
 from sherkit import save_robot
 from sherkit.robots.delta import VirtualDelta, grid
 from strategies import EXAMPLE
@@ -129,7 +130,7 @@ def asked(core: Path, code: str, *arguments: str) -> subprocess.CompletedProcess
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("kinds", ["", pytest.param("delta,spherical", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kinds", ["", *slow("delta,spherical")])
 def test_the_core_works_alone(kinds: str, core: Path, tmp_path: Path) -> None:
     """Catches a core that needs what it names nowhere: delta, sphere and machine from a run over diagnosis, report and
     calibration to the header of a loop, in an installation without arms, printers, tool, laboratories, cameras."""

@@ -24,7 +24,7 @@ import pytest
 from tornado.ioloop import IOLoop
 
 import sherkit as sk
-from running import parse
+from running import parse, slow
 from second_machines import apart
 from sherkit import SherkitWarning, load_robot
 from sherkit.cli import main
@@ -155,7 +155,7 @@ def test_what_is_shown_is_known(name: str) -> None:
                 assert hasattr(sk, node.attr), f"{block.place}: sk.{node.attr}"
 
 
-@pytest.mark.parametrize("name", ["README.md", *(pytest.param(one, marks=pytest.mark.slow) for one in REFERENCE)])
+@pytest.mark.parametrize("name", ["README.md", *slow(*REFERENCE)])
 def test_what_is_shown_runs(name: str, made: Path, work: Path) -> None:
     """Catches an example that a rename has broken: a reader copies it first."""
     names: dict[str, Any] = {}

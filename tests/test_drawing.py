@@ -172,7 +172,8 @@ def test_exaggerated_delta_is_that_of_the_second_simulator(name: str) -> None:
 @pytest.mark.parametrize(("kind", "name"), EVERY)
 def test_every_effect_moves_its_drawing(kind: str, name: str) -> None:
     """Catches an effect whose drawing stands still or turns back, a factor that is not one, an effect of the instrument
-    that moves the machine, and one of the machine that moves the instrument's reading alone."""
+    that moves the machine, one of the machine that moves the instrument's reading alone, and a measured place that
+    moves otherwise than the columns by which the effect is identified."""
     robot, plain, _ = example(kind)
     effect = plain.known_effects[name]
     made = exaggerated(effect, robot)
@@ -196,14 +197,6 @@ def test_every_effect_moves_its_drawing(kind: str, name: str) -> None:
         assert np.abs(own).max() == 0.0 or "delay" in name
     else:
         assert np.linalg.norm(own) > 0
-
-
-@pytest.mark.parametrize(("kind", "name"), EVERY)
-def test_drawings_follow_the_derivative(kind: str, name: str) -> None:
-    """Catches a drawing whose measured place moves otherwise than the columns by which the effect is identified."""
-    robot, plain, _ = example(kind)
-    effect = plain.known_effects[name]
-    made = exaggerated(effect, robot)
     model, row, at = made.model, made.row, 1e-4
     full = np.zeros(len(model.parameters))
     full[model.owns(effect)] = at * made.values
@@ -345,6 +338,7 @@ def test_scenes_move(study: sk.Study, tmp_path: Path, in_each_font: InEachFont) 
 # -- notebook ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_bokeh_stands_once_in_a_notebook(study: sk.Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches cells that each bring two megabytes, and a first cell that brings nothing when it is run again."""
     running = SimpleNamespace(parent_header={"metadata": {"cellId": "one"}})

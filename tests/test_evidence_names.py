@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import worlds
-from second_simulator.unnamed import DELTA_KINDS, delta_unnamed
 from sherkit.base.types import Floats
 from sherkit.evidence.base import Base
 from sherkit.evidence.family import Family
@@ -63,16 +62,6 @@ def test_two_effects_are_a_pair() -> None:
     found = asked("rail_lean", "drive_compliance")
     assert set(found.named) == {"rail_lean", "drive_compliance"}
     assert found.explains
-
-
-def test_an_unknown_is_described_and_not_explained() -> None:
-    """Catches an effect that stands in for physics of no catalogue, and a description that stops at its first shape."""
-    bow = next(kind for kind in DELTA_KINDS if kind.__name__ == "bowed_rails")
-    made = delta_unnamed(bow, 5.0, "shuffled", 0)
-    found = judged_names(sets_of(World(made.settings, made.columns, made.noise)))
-    assert not (found.explains and found.named)
-    assert len(found.alone.shapes) > 1
-    assert all(block.effect is None for block in found.alone.shapes)
 
 
 def test_a_moment_is_found_to_the_row() -> None:

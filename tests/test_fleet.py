@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import sherkit as sk
+from running import cluster_of_two
 from sherkit.cli import main
 from sherkit.cli.demo import EXAMPLE
 from sherkit.fleets import Fleet, FleetMember
@@ -102,14 +103,7 @@ def test_a_cluster_says_the_same(found: Fleet, runs: list[str], tmp_path: Path) 
         path.write_bytes(Path(run).read_bytes())
     runs = [str(path) for path in copied]
     found = sk.fleet(runs, EXAMPLE)
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-        ) as cluster,
-        distributed.Client(cluster) as client,
-        client.get_executor() as executor,
-    ):
+    with cluster_of_two() as (_, executor):
         assert sk.fleet(runs, EXAMPLE, executor=executor) == found
         # asked again, a file is read again: a cluster keeps answers by what was asked
         machine(1).save(runs[3])
@@ -122,20 +116,13 @@ def test_a_cluster_says_the_same(found: Fleet, runs: list[str], tmp_path: Path) 
 def test_a_cluster_that_loses_a_worker_loses_no_machine(tmp_path: Path) -> None:
     """Catches a fleet that ends, lacks machines, has them twice or in another order, or stops to say how far it is,
     since one of two processes was killed in the middle of 200 runs."""
-    distributed = pytest.importorskip("distributed")
     runs = []
     for k in range(200):
         machine(k, lean_rad=0.003 if k % 10 == 0 else 0.0).save(tmp_path / f"machine_{k:03d}.csv")
         runs.append(str(tmp_path / f"machine_{k:03d}.csv"))
     told: list[tuple[int, int]] = []
     killed: list[int] = []
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-        ) as cluster,
-        distributed.Client(cluster) as client,
-        client.get_executor() as executor,
-    ):
+    with cluster_of_two() as (client, executor):
 
         def progress(done: int, total: int) -> None:
             told.append((done, total))

@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from accuracy_coverage import MIDDLE_RAD
+from running import slow
 from second_simulator import NOMINAL_CONFIG, Robot, draw_pose, make_plan, simulate, truth
 from sherkit.errors import CalibrationError
 from sherkit.fit.error import radius_95
@@ -276,7 +277,7 @@ def arm_held(seed: int) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("held", [delta_held, arm_held])
-@pytest.mark.parametrize("robots", [6, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("robots", [6, *slow(200)])
 def test_accuracy_holds_in_both_frames(held: Any, robots: int) -> None:
     """Catches a base whose unknown tilt and shift are left out, or counted where the instrument sees them cancel.
 

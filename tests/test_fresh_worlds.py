@@ -22,7 +22,7 @@ from second_simulator.unnamed import Kind, Scene
 #: A world of each suite in which all joints move.
 MOVING = {"delta": 100_000, "sphere": 100_001, "arm": 100_002, "machine": 100_003}
 #: Whose diagnosis takes longest: their rows leave most to be described.
-LONG = {"bumps", "preisach", "stops_short", "heat_of_motors"}
+LONG = {"bumps", "bad_stretch", "preisach", "stops_short", "heat_of_motors"}
 
 
 @pytest.fixture(autouse=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+from running import slow
 from sherkit.cli import main
 from sherkit.errors import MeasurementError, SherkitWarning
 from sherkit.robots.serial import KIND, Hidden, Serial, VirtualSerial, points_of_poses, postures
@@ -93,9 +94,9 @@ def test_the_turn_of_a_tool_tells_more_than_its_place() -> None:
     ("seed", "hidden", "says"),
     [
         (3, {}, ()),
-        pytest.param(4, {}, (), marks=pytest.mark.slow),
+        *slow((4, {}, ())),
         (3, {"play": 4e-4}, ("backlash",)),
-        pytest.param(4, {"gives": 1e-3}, ("joint_compliance",), marks=pytest.mark.slow),
+        *slow((4, {"gives": 1e-3}, ("joint_compliance",))),
     ],
 )
 def test_a_diagnosis_of_full_poses(seed: int, hidden: dict[str, float], says: tuple[str, ...]) -> None:

@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 
 import sherkit as sk
+from running import slow
 from second_simulator import NOMINAL_CONFIG, Robot, draw_geometric_errors, grid, make_plan, simulate
 from strategies import EXAMPLE
 
@@ -39,9 +40,7 @@ def check(part: str, seed: int) -> None:
     assert (np.abs(d.fit.values[place] - PARTS[part][name]) < 4 * d.fit.std[place]).all()
 
 
-@pytest.mark.parametrize(
-    "part", ["rods", "whole", *(pytest.param(p, marks=pytest.mark.slow) for p in ("frame", "rails"))]
-)
+@pytest.mark.parametrize("part", ["rods", "whole", *slow("frame", "rails")])
 def test_the_part_that_grows_is_named(part: str) -> None:
     """Catches growth of the whole about a base that lies a tenth of a metre beside its drawing in the place of a part
     that grows; a shape that stays beside the effect that contains it (a division by zero once); values that are not

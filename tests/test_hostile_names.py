@@ -111,6 +111,7 @@ def test_an_effect_has_the_name_of_a_function(name: str) -> None:
         template(signature, Layout(("t",), ("x",), "mm", 1.0), name)
 
 
+@pytest.mark.slow
 def test_a_run_with_hostile_columns_is_diagnosed_and_reported(tmp_path: Path) -> None:
     """Catches a name that is markup in the terminal, an element in the report, or code in the template that is run."""
     rng = np.random.default_rng(0)

@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import sherkit._core as _core
+from running import slow
 from second_simulator import Robot, draw_geometric_errors, make_plan, simulate, whole_grid
 from sherkit import Measurements, from_frame, identify, read_measurements
 from sherkit.data import MeasurementStream
@@ -159,6 +160,7 @@ def test_errors_in_the_observed_directions_follow_chi_squared() -> None:
     assert stats.kstest(p, "uniform").pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_fitted_readings_err_by_the_rank() -> None:
     """Catches a fit that is not the minimum: at 5 µm noise the fitted readings miss the true ones by χ² with fourteen
     degrees of freedom, wherever the sensor stands. Level 0.1 %.
@@ -170,10 +172,8 @@ def test_fitted_readings_err_by_the_rank() -> None:
     assert stats.kstest(p, "uniform").pvalue > 1e-3
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(400, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    "loss", ["huber", *(pytest.param(n, marks=pytest.mark.slow) for n in ("linear", "cauchy", "tukey"))]
-)
+@pytest.mark.parametrize("count", [100, *slow(400)])
+@pytest.mark.parametrize("loss", ["huber", *slow("linear", "cauchy", "tukey")])
 def test_covariance_is_that_of_repeated_runs(loss: str, count: int) -> None:
     """Catches a covariance that is right on average over robots only, or not corrected for a robust loss: many runs
     of one robot, sum of squares (trace) and generalised variance (determinant). Level 0.1 % each.

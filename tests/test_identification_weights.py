@@ -15,6 +15,7 @@ from scipy import stats
 from scipy.optimize import least_squares, minimize_scalar
 
 import worlds
+from running import slow
 from sherkit import Measurements, from_frame, identify
 from sherkit.diagnosis import gross_errors
 from sherkit.evidence.thresholds import times_plausible
@@ -79,7 +80,7 @@ def test_gross_errors_are_the_spoilt_rows(seed: int) -> None:
     assert gross_errors(identify(TWELVE, data)).tolist() == rows.tolist()
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [40, *slow(200)])
 def test_clean_runs_have_few_gross_errors(count: int) -> None:
     """Catches a threshold far from the 1 % of clean runs that it promises: of 200 runs at most 8. Level 0.1 %."""
     accused = 0

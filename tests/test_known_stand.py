@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 import sherkit as sk
+from running import slow
 from sherkit.diagnosis.sensor_pose import KnownStand, known_stand
 from sherkit.robots.delta import VirtualDelta, paper_whole
 from strategies import EXAMPLE
@@ -27,7 +28,7 @@ def stand_of(where: str, seed: int, off: ArrayLike) -> KnownStand:
     return found
 
 
-@pytest.mark.parametrize("where", [pytest.param("whole", marks=pytest.mark.slow), "small"])
+@pytest.mark.parametrize("where", [*slow("whole"), "small"])
 def test_a_camera_that_stands_as_well_as_is_known_is_not_told_of(where: str) -> None:
     """Catches a p value that is too small, by directions that no picture tells counted as told or by the fit's pull to
     what is known: of 40 cameras drawn as is known it is uniform (level 1 in 1000), and none is at 1 in 10 000."""

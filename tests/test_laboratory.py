@@ -86,6 +86,7 @@ def test_every_instrument_can_be_read_in_an_experiment(tmp_path):
     assert point.values["tx_Nmm"] == pytest.approx(7.0)
 
 
+@pytest.mark.slow
 def test_a_tool_is_calibrated_by_driving_it_aside(tmp_path):
     """Catches fibres that are mixed up, a force that is not the one that bends, and a depth from the wrong end."""
     from sherkit.robots.tool.calibration import Loads, calibrate_tool

@@ -14,6 +14,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+from running import slow
 from second_machines import MACHINES, Hidden, apart, run_of, seen_from, shift, stand_of, turn, zeros_of
 from sherkit.base.types import Floats
 from sherkit.errors import RobotError
@@ -220,7 +221,7 @@ def _hanging(joints: Any, p: Any) -> Any:
     return np.stack([x0 + xz * z, y0 + yz * z, z], axis=1)
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))])
+@pytest.mark.parametrize("seed", [0, 1, *slow(*range(2, 12))])
 def test_base_points_that_are_all_free_stay_where_they_are_drawn(seed: int) -> None:
     """Catches a turn and shifts of the tracker that are left to base points which do them together: these went metres
     away, or the fit was lost."""
@@ -281,6 +282,7 @@ def test_a_pose_that_is_known_is_a_measurement_of_it() -> None:
     assert fit.by_name["sensor_shift_x"] == pytest.approx(-0.4, abs=0.2)
 
 
+@pytest.mark.slow
 def test_an_instrument_in_the_machines_own_axes() -> None:
     """Catches numbers of a pose where it is held, and a machine that is then without what names a turned instrument."""
     held = gantry_with("held")

@@ -400,7 +400,7 @@ def test_other_covariates_pass_without_a_word() -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
 @pytest.mark.parametrize("rows", [1, 7, 23, 1000])
-def test_streams_give_the_same_rows(ending: str, rows: int, tmp_path: Path) -> None:
+def test_streams_give_the_same_rows(ending: str, rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches rows lost or doubled at the border of blocks, and a second pass that starts where the first ended."""
     rng = np.random.default_rng(0)
     n = 23
@@ -408,8 +408,9 @@ def test_streams_give_the_same_rows(ending: str, rows: int, tmp_path: Path) -> N
     whole = from_frame({"pose": np.arange(n), **values, "humidity_pct": rng.normal(size=n), "part": ["“a”"] * n})
     path = tmp_path / f"run{ending}"
     whole.save(path)
-    read = read_measurements(path)
-    stream = stream_measurements(path, block_rows=rows)
+    with forked(monkeypatch):
+        read = read_measurements(path)
+        stream = stream_measurements(path, block_rows=rows)
     for _ in range(2):
         blocks = list(stream.blocks())
         assert max(len(b) for b in blocks) <= rows

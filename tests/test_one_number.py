@@ -16,7 +16,7 @@ import pytest
 
 import sherkit as sk
 from changed_worlds import somewhere
-from running import command
+from running import command, slow, thin
 from second_simulator.geometry import NOMINAL_CONFIG, Robot, draw_geometric_errors
 from second_simulator.plans import make_plan
 from second_simulator.simulate import scaled_effect, truth
@@ -34,7 +34,7 @@ ROBOTS = {
 Say = Callable[..., str]
 
 
-@pytest.fixture(params=["delta", *(pytest.param(name, marks=pytest.mark.slow) for name in ("spherical", "serial"))])
+@pytest.fixture(params=["delta", *slow("spherical", "serial")])
 def say(request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Say:
     """Runs a verb on ``robot.toml`` and ``run.csv`` of this robot, and gives what it prints."""
     planted = ROBOTS[request.param]
@@ -47,6 +47,7 @@ def say(request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFi
         return capsys.readouterr().out
 
     said("simulate", "robot.toml", "-o", "run.csv", "--order", "shuffled", "--seed", "3", *planted)
+    thin(tmp_path / "run.csv", 3)
     said.folder = tmp_path  # type: ignore[attr-defined]
     return said
 
@@ -152,6 +153,7 @@ def test_poses_that_a_fit_goes_through_are_held_out_by_fits_of_their_own(poses: 
     assert fit.error.rms > 50.0
 
 
+@pytest.mark.slow
 def test_what_an_effect_moves_between_repeats_is_no_noise(tmp_path: Path) -> None:
     """Catches play that is counted as noise once it is in the model: the page, a report, a study, a calibration and its
     table have the noise that was put in, and the same figure; without the effect it is three times as large."""

@@ -18,6 +18,7 @@ import pytest
 import sherkit as sk
 import worlds
 from consistency import named
+from running import slow
 from second_simulator.plans import Order
 from sherkit.cli import main
 from sherkit.diagnosis import gross_errors
@@ -45,8 +46,8 @@ def pushed(world: worlds.World, rows: Floats, um: float, seed: int = 0) -> Float
     return out
 
 
-@pytest.mark.parametrize("order", [pytest.param("planes", marks=pytest.mark.slow), "shuffled"])
-@pytest.mark.parametrize("noises", [20.0, pytest.param(50.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order", [*slow("planes"), "shuffled"])
+@pytest.mark.parametrize("noises", [20.0, *slow(50.0)])
 def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> None:
     """Catches a bump taken for a slip, or pressed into a smooth course in time: a tenth of the run, off by one vector,
     whether it holds whole poses or single readings of many. And praise of a run in which something happened, or a
@@ -62,7 +63,7 @@ def test_what_was_bumped_and_put_back_is_listed(order: Order, noises: float) -> 
     assert not next(check["holds"] for check in d.to_json()["checks"] if check["name"] == "apart")
 
 
-@pytest.mark.parametrize("seed", [3, *(pytest.param(k, marks=pytest.mark.slow) for k in (4, 6))])
+@pytest.mark.parametrize("seed", [3, *slow(4, 6)])
 def test_play_of_many_noises_is_named_whichever_side_the_first_reading_came_from(seed: int) -> None:
     """Catches axes that are weighed by a scatter of repeats that is play, so that the fit leaves too much of one that
     is read ten times as well; and a first reading, whose side nobody told, that speaks against what makes all others.
@@ -87,7 +88,7 @@ def test_play_of_many_noises_is_named_whichever_side_the_first_reading_came_from
     assert "from which side" not in " ".join(wrong.notes)
 
 
-@pytest.mark.parametrize("um", [50.0, pytest.param(500.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("um", [50.0, *slow(500.0)])
 def test_a_bad_stretch_of_a_scale_is_no_accident(um: float) -> None:
     """Catches a run that is called adequate without the rows of a stretch of a joint in which all are wrong: 2.5 mm of
     60 of one scale. And a name for it, or a stretch that is said to lie elsewhere."""
@@ -213,9 +214,7 @@ def test_a_reading_off_by_kilometres_does_not_weigh_its_axis_down() -> None:
     assert d.noise["x"] == pytest.approx(clean.noise["x"], rel=0.02)
 
 
-@pytest.mark.parametrize(
-    "effect", ["rail_lean", *(pytest.param(n, marks=pytest.mark.slow) for n in ("beam_alignment", "encoder_cyclic"))]
-)
+@pytest.mark.parametrize("effect", ["rail_lean", *slow("beam_alignment", "encoder_cyclic")])
 def test_wrong_poses_are_found_beside_a_missing_effect(effect: str) -> None:
     """Catches an effect whose extremes are listed, and wrong poses that hide behind it: five of 192 poses off by
     twenty times the noise, and by four times the effect."""
@@ -227,14 +226,14 @@ def test_wrong_poses_are_found_beside_a_missing_effect(effect: str) -> None:
     assert d.effects == (effect,)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
-@pytest.mark.parametrize("make", [worlds.spherical_scatter, worlds.spherical_sine, worlds.twisted_limbs])
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
+@pytest.mark.parametrize("make", [worlds.spherical_scatter, *slow(worlds.spherical_sine, worlds.twisted_limbs)])
 def test_what_the_model_does_not_know_is_no_gross_error(make: Any, seed: int) -> None:
     """Catches a scatter from pose to pose, a ripple or an unknown effect of which the extremes are thrown away."""
     assert len(diagnosed(make(seed)).outliers) == 0
 
 
-@pytest.mark.parametrize("seed", [4, 5, *(pytest.param(k, marks=pytest.mark.slow) for k in (0, 1, 2, 3, 6, 7, 8, 9))])
+@pytest.mark.parametrize("seed", [4, 5, *slow(0, 1, 2, 3, 6, 7, 8, 9)])
 def test_one_wild_reading_of_two_makes_no_wrong_pose(seed: int) -> None:
     """Catches poses that are "wrong in all their repeats" where one reading of two is wild: noise of heavy tails
     (Student's t of 3) and six gross errors of single rows. Each of ten such runs had such poses, up to five."""
@@ -249,7 +248,7 @@ def test_one_wild_reading_of_two_makes_no_wrong_pose(seed: int) -> None:
     assert not [note for note in d.notes if "in all" in note]
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 6))])
+@pytest.mark.parametrize("seed", [0, *slow(*range(1, 6))])
 def test_what_hid_beside_an_effect_comes_to_light_with_it(seed: int) -> None:
     """Catches gross errors that are judged only beside a model that lacks what is found later: three poses off by eight
     noises beside play of ten stayed in, and the run was "partly explained"."""
@@ -289,6 +288,7 @@ def knocked() -> tuple[worlds.World, Floats, Floats]:
     return world, rows, pushed(world, rows, 50.0 * worlds.NOISE_UM)
 
 
+@pytest.mark.slow
 def test_a_study_leaves_out_what_its_diagnosis_lists(tmp_path: Path) -> None:
     """Catches rows that are in one number and not in another, that come back by themselves, or cannot be taken in."""
     world, rows, add = knocked()
@@ -317,6 +317,7 @@ def test_a_study_leaves_out_what_its_diagnosis_lists(tmp_path: Path) -> None:
         study.put_back()
 
 
+@pytest.mark.slow
 def test_a_calibration_leaves_them_out_unless_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches an option that marks other rows than the diagnosis lists, or marks in silence."""
     world, rows, add = knocked()

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from tornado.ioloop import IOLoop
 
+from running import slow
 from sherkit import save_robot
 from sherkit.app.server import PageServer, ended_by_interrupt
 from sherkit.app.workbench import Workbench
@@ -60,9 +61,7 @@ def answer(url: str, path: str | None = None, host: str | None = None) -> tuple[
         line.close()
 
 
-@pytest.mark.parametrize(
-    "name", ["localhost", *(pytest.param(name, marks=pytest.mark.slow) for name in ("127.0.0.1", "[::1]"))]
-)
+@pytest.mark.parametrize("name", ["localhost", *slow("127.0.0.1", "[::1]")])
 def test_it_answers_to_this_machine(url: str, name: str) -> None:
     """Catches a page that its owner cannot open by another name of the same machine."""
     port = url.rsplit(":", 1)[1].split("/")[0]

@@ -23,7 +23,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
-from running import command
+from running import command, slow
 from sherkit.base.figures import number, stated
 from sherkit.cli.next_command import completed
 from sherkit.data.tables import columns_called
@@ -306,9 +306,7 @@ machine = sk.Machine(forward, joints=(), readings=("x_um", "y_um", "z_um"), name
 """
 
 
-@pytest.mark.parametrize(
-    "still", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["no joints", "a joint that stands"]
-)
+@pytest.mark.parametrize("still", [False, *slow(True)], ids=["no joints", "a joint that stands"])
 def test_a_spindle_follows_its_own_temperature(still: bool, tmp_path: Path) -> None:
     """Catches a drift in time that is a matter of poses, thermometers that are no candidates, and a warning of NumPy on
     the screen. Truth: z follows the spindle by 2.1 µm/K, y the column by 0.8."""

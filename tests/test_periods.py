@@ -14,6 +14,7 @@ import pytest
 
 import sherkit as sk
 import worlds
+from running import slow
 from strategies import EXAMPLE
 from worlds import NOISE_UM, World, settings_without
 
@@ -115,7 +116,7 @@ def ring(seed: int, per_turn: float) -> World:
     return worlds.spherical_world(seed, effects=hidden, per_side=14, repeats=3, settings=settings)
 
 
-@pytest.mark.parametrize("per_turn", [2, 5, 90])
+@pytest.mark.parametrize("per_turn", [2, *slow(5, 90)])
 def test_the_period_of_a_ring_is_a_part_of_a_turn(per_turn: int) -> None:
     """Catches a second harmonic that is taken for an eccentricity, lines that are too fine for a grid, and a period
     that does not close in a turn."""

@@ -23,6 +23,7 @@ from scipy import stats
 
 import sherkit as sk
 from browsing import InEachFont, needs_browser, opened, settled
+from running import slow
 from sherkit.diagnosis import Diagnosis
 from sherkit.fit.error import ErrorSize
 from sherkit.model.sensor_pose import ANYWHERE, HELD, SensorPose
@@ -122,8 +123,8 @@ def plane() -> Run:
 
 @pytest.fixture(scope="module")
 def many() -> Run:
-    """4000 poses anywhere, five readings of each, with a temperature."""
-    data = virtual().measure(np.random.default_rng(3).uniform(-20, 20, (4000, 3)), repeats=5, seed=6)
+    """2000 poses anywhere, three readings of each, with a temperature."""
+    data = virtual().measure(np.random.default_rng(3).uniform(-20, 20, (2000, 3)), repeats=3, seed=6)
     warm = pl.Series("temperature_c", 20 + np.sin(np.arange(len(data)) / 3000.0))
     return Run(sk.from_frame(data.to_frame().with_columns(warm), "many"), ("rail_lean",))
 
@@ -169,7 +170,7 @@ def camera(count: int = 100) -> Reprojection:
     return Reprojection(seen, 0.5 * rng.normal(size=(count, 2)), (640, 480), np.arange(count), image)
 
 
-@pytest.fixture(params=["plane", *(pytest.param(name, marks=pytest.mark.slow) for name in ("demo", "many"))])
+@pytest.fixture(params=["plane", *slow("demo", "many")])
 def run(request: pytest.FixtureRequest) -> Run:
     found: Run = request.getfixturevalue(request.param)
     assert found.study
@@ -440,7 +441,7 @@ def test_cells_count_every_reading(many: Run) -> None:
 def test_thinned_points_and_means_of_all(many: Run) -> None:
     """Catches a mean of the drawn rows alone, a note that hides the rest, points of other rows."""
     made = residual_against(ResidualAgainst(many.before, "direction_1"))
-    assert "3000 of 20000 are drawn" in made.note
+    assert "3000 of 6000 are drawn" in made.note
     points, mean = table(made, "points"), table(made, "mean")
     assert len(points["r0"]) == 3000
     left = 1e3 * many.fit.residuals[:, :3]
@@ -509,7 +510,7 @@ def test_run_in_time(many: Run) -> None:
     made = run_in_time(many.after)
     t = table(made, "run")
     assert len(t["t"]) == 4000
-    assert "4000 of 20000" in made.note
+    assert "4000 of 6000" in made.note
     assert np.all(np.diff(t["t"]) > 0)
     row = np.searchsorted(many.data.time_s, t["t"])
     np.testing.assert_allclose(t["r1"], 1e3 * many.study.fit.residuals[row, 1], atol=1e-3)
@@ -772,6 +773,7 @@ def test_readers_without_scripts_see_the_same_map(demo: Run, plane: Run) -> None
     assert still(Change(plane.before, plane.before)).count("<circle") == 1
 
 
+@pytest.mark.slow
 @needs_browser
 def test_saves_png_and_svg(demo: Run, tmp_path: Path) -> None:
     """Catches an empty or cut picture, a format that is another one, and an SVG that is a bitmap."""
@@ -804,9 +806,7 @@ def test_another_ending_is_refused(demo: Run, tmp_path: Path) -> None:
 
 
 @needs_browser
-@pytest.mark.parametrize(
-    "what", ["fit", *(pytest.param(name, marks=pytest.mark.slow) for name in ("study", "found", "calibration"))]
-)
+@pytest.mark.parametrize("what", ["fit", *slow("study", "found", "calibration")])
 def test_notebook_cells(plane: Run, what: str, tmp_path: Path, in_each_font: InEachFont) -> None:
     """Catches a cell that needs an extension, a network or another cell, and one without its text."""
     value = getattr(plane.study, what, None) or {"study": plane.study, "found": plane.found, "calibration": None}[what]

@@ -289,6 +289,7 @@ def test_an_experiment_is_planned(folder: Path, capsys: pytest.CaptureFixture[st
     assert effect_powers["droop"].power > 0.99
 
 
+@pytest.mark.slow
 def test_an_experiment_is_measured(folder: Path) -> None:
     """Catches a laboratory, a bench or a run file that takes lasers for a delta's and two motors for three."""
     motors = '[[instrument]]\nname = "joints"\nkind = "galil"\ncounts_per_rad = 2000000\n'
@@ -355,6 +356,7 @@ def test_the_page(folder: Path) -> None:
 # -- what it has not -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_without_a_calibration_everything_else_works(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from laboratories import experiment, laboratory
-from running import command
+from running import cluster_of_two, command, slow
 from sherkit import identify
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data import Measurements
@@ -82,7 +82,7 @@ def test_the_promised_power_is_that_of_many_simulated_runs(planning):
         assert abs(one.share - one.power) <= 0.025
 
 
-@pytest.mark.parametrize("runs", [100, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [40, *slow(300)])
 def test_nothing_is_found_where_nothing_is(planning, runs):
     """Catches a level of 1 % for each effect, where a diagnosis asks for odds of 100 to 1 that any of all is there: a
     size was promised half as large as what is found."""
@@ -141,16 +141,9 @@ def test_a_study_goes_on_where_it_ended(planning, tmp_path):
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_numbers_as_a_process_pool(planning):
     """Catches a run that depends on the worker, the order or the machine."""
-    distributed = pytest.importorskip("distributed")
     wanted = three(planning)
     pool = study_power(planning, wanted, runs=60, workers=2)
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
-        ) as cluster,
-        distributed.Client(cluster) as client,
-        client.get_executor() as executor,
-    ):
+    with cluster_of_two() as (_, executor):
         assert study_power(planning, wanted, runs=60, executor=executor) == pool
 
 

@@ -15,6 +15,7 @@ import tomli_w
 import sherkit as sk
 from accuracy_coverage import NOISE_UM, SET_UPS, SetUp, box, even_joints, kept, planes
 from gross_errors import scattered
+from running import slow
 from second_simulator import NOMINAL_CONFIG, Robot, draw_geometric_errors, make_plan, simulate
 from sherkit.robots.delta import DeltaCalibration
 from sherkit.robots.identified_model import by_effect
@@ -59,8 +60,8 @@ def blind() -> DeltaCalibration:
 
 @pytest.mark.parametrize(
     "name",
-    ["delta, 2 mm ripple, 6.7 mm grid", "spherical, 36 waves per turn, joints 10° apart",
-     pytest.param("delta, 5 mm ripple, joints 5 mm apart", marks=pytest.mark.slow)],
+    ["spherical, 36 waves per turn, joints 10° apart",
+     *slow("delta, 2 mm ripple, 6.7 mm grid", "delta, 5 mm ripple, joints 5 mm apart")],
 )  # fmt: skip
 def test_what_the_poses_could_not_show_is_promised(name: str) -> None:
     """Catches a promise by the residuals alone: the ripple is in none of them, and everywhere between the poses."""
@@ -72,7 +73,7 @@ def test_what_the_poses_could_not_show_is_promised(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     ["delta, grid of 147, jittered",
-     *(pytest.param(n, marks=pytest.mark.slow) for n in ("spherical, grid of 100", "delta, slip fitted"))],
+     *slow("spherical, grid of 100", "delta, slip fitted")],
 )  # fmt: skip
 def test_poses_that_show_everything_leave_little_unseen(name: str) -> None:
     """Catches an addition for what irregular poses have ruled out, and a radius that does not hold without it."""
@@ -169,6 +170,7 @@ def test_lost_motion_counts_where_the_side_is_not_given() -> None:
     np.testing.assert_allclose(down - up, 0.04, atol=0.004)
 
 
+@pytest.mark.slow
 def test_a_room_of_one_temperature_adds_nothing_at_that_temperature() -> None:
     """Catches what follows the temperature and is added at the temperature of the run, where the pose of the sensor
     holds it: one temperature in every row made a promise eight times as large. In another room it may add."""
@@ -186,7 +188,7 @@ def test_a_room_of_one_temperature_adds_nothing_at_that_temperature() -> None:
     assert promised[26.0] == pytest.approx(promised[None], rel=0.1)
 
 
-@pytest.mark.parametrize(("share", "least", "most"), [(0.01, 0.99, 1.1), (0.2, 0.8, 1.6)])
+@pytest.mark.parametrize(("share", "least", "most"), [*slow((0.01, 0.99, 1.1)), (0.2, 0.8, 1.6)])
 def test_poses_that_are_left_out_count_as_cases_of_a_hundred(share: float, least: float, most: float) -> None:
     """Catches a promise of the good poses alone where one pose of five is off by 100 noises in all its readings (kept
     in 0.7 of the places of a robot with a dent in a rail), and one that a single accident in a hundred poses blows up.

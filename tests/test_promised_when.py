@@ -11,6 +11,7 @@ import pytest
 
 import sherkit as sk
 from driven_worlds import SPAN_S, DrivenSpherical, Rows
+from running import slow
 from test_frames import calibrated, delta
 
 #: Poses of a run, each read twice, and places at which a robot is asked.
@@ -37,7 +38,7 @@ def held(name: str, seed: int) -> float:
 
 
 @pytest.mark.parametrize("name", ["", "drift", "thermal_growth", "thermal_shift", "slip", "sensor_slip"])
-@pytest.mark.parametrize("robots", [3, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("robots", [3, *slow(200)])
 def test_what_lives_in_time_is_promised_for_its_moment(name: str, robots: int) -> None:
     """Catches a promise by what moves the marker or the camera and turns no tool, and one for another temperature.
 

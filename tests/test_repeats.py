@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 import sherkit as sk
 import worlds
+from running import slow
 from second_simulator.plans import Order, grid
 from second_simulator.spherical import spherical_plan
 from test_few_poses import few
@@ -39,7 +40,7 @@ def diagnosed(columns: Columns) -> sk.diagnosis.Diagnosis:
     return sk.diagnose(sk.identify(ROBOT, sk.from_frame(pl.DataFrame(columns))))
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 7, 11))])
+@pytest.mark.parametrize("seed", [0, *slow(3, 7, 11)])
 def test_a_row_that_its_repeats_contradict_is_no_witness(seed: int) -> None:
     """Catches a step in time, or an effect, that one wrong row alone tells, and that so excuses it: the last tenth of a
     column is written at half its size, 34 rows were left out, one was not, and the noise of 0.05 px became 17."""

@@ -127,6 +127,7 @@ def test_no_address_leaves_the_file(demo: Path) -> None:
     assert not re.findall(r"<script[^>]*\bsrc=", text)
 
 
+@pytest.mark.slow
 @needs_browser
 def test_report_says_what_the_json_says(demo: Path) -> None:
     """Catches figures of another model, of other rows or in another unit, a table in another order, a lost row."""
@@ -374,6 +375,7 @@ def test_nothing_missing(runs: Path) -> None:
     assert inside(runs / "plain.html", "swaps")["state"] == 0
 
 
+@pytest.mark.slow
 def test_a_tie_and_an_unknown_noise(runs: Path) -> None:
     """Catches a tie that is not told, poses that are not listed, and a noise that nobody knows given as a figure."""
     text = report(runs, "plane.html", "diagnose", "robot.toml", "plane.csv")
@@ -415,6 +417,7 @@ def test_heights_alone(runs: Path) -> None:
         assert max(map(abs, a["ey"])) > 1
 
 
+@pytest.mark.slow
 @needs_browser
 def test_distances_alone(runs: Path) -> None:
     """Catches pictures that need coordinates, all arrows at one place, and words of readings that were not taken."""
@@ -490,6 +493,7 @@ print("a notebook shows", study._repr_html_(), study.fit._repr_html_())
 """
 
 
+@pytest.mark.slow
 def test_without_bokeh(runs: Path) -> None:
     """Catches an import of Bokeh by what works without it, and a report that fails only after minutes of work."""
     told = subprocess.run(

@@ -16,6 +16,7 @@ import sherkit as sk
 import test_spherical_discovery
 import worlds
 from gear_worlds import TURN, asked, is_right, robot_of, run_of
+from running import slow
 from second_machines import run_of as run_of_machine
 from sherkit.errors import ArgumentError, EffectError
 from sherkit.model.kinds import model_of
@@ -159,6 +160,7 @@ def test_a_second_wave_goes_with_the_first() -> None:
     assert tried == [second]
 
 
+@pytest.mark.slow
 def test_second_waves_are_named_and_deployed(tmp_path: Path) -> None:
     """Catches second waves that stay unnamed, those of gears that have none, a file that forgets them, and a size that
     is not that which was hidden."""
@@ -184,7 +186,7 @@ def test_second_waves_are_named_and_deployed(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(off**2)) < 1.2 * np.sqrt(3.0) * gear_worlds.NOISE_MM
 
 
-@pytest.mark.parametrize("seed", [4, *(pytest.param(k, marks=pytest.mark.slow) for k in (0, 2, 3, 5, 7))])
+@pytest.mark.parametrize("seed", [4, *slow(0, 2, 3, 5, 7)])
 def test_an_overtone_is_no_wave_of_another_joint(seed: int) -> None:
     """Catches ripple that is told of four or five joints where one has it, with a second wave in each period: the
     others took parts of that, each at a period of its own."""
@@ -212,7 +214,7 @@ def of_a_machine() -> tuple[sk.diagnosis.Diagnosis, tuple[str, ...]]:
     return sk.Study(machine, sk.from_frame(frame)).diagnose(), ("encoder_second_x_axis",)
 
 
-@pytest.mark.parametrize("world", [of_a_delta, pytest.param(of_a_sphere, marks=pytest.mark.slow), of_a_machine])
+@pytest.mark.parametrize("world", [of_a_delta, *slow(of_a_sphere), of_a_machine])
 def test_second_waves_of_other_robots(world: Callable[[], tuple[sk.diagnosis.Diagnosis, tuple[str, ...]]]) -> None:
     """Catches robots whose encoders have no second wave, one that is given to another joint, and no word on its size.
     Where this was written, 110 of 110 of 60 deltas were named at 0.4 of the first, none in 60 that have the first

@@ -13,19 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sherkit as sk
+from running import slow
 from sherkit.base.types import Floats
 from sherkit.data.noise import step_of
 from sherkit.diagnosis.repeats import shared_by_repeats
 from sherkit.robots.serial import Serial, postures
 from test_arm_counted import OwnArm, arm_in
-from test_discovery import DELTA, SIGMA, Run, measured, whole_grid
-
-
-def delta(poses: int, repeats: int, seed: int, **scaled: float) -> Run:
-    """A delta at some of the places of the whole grid."""
-    places = whole_grid()
-    chosen = np.random.default_rng([78, seed]).choice(len(places), poses, replace=False)
-    return measured(places[chosen], seed, repeats=repeats, scaled=scaled)
+from test_discovery import DELTA, SIGMA
+from test_few_poses import few
 
 
 def rounded(values: Floats, step: float) -> Floats:
@@ -86,10 +81,10 @@ def test_repeats_that_all_agree_share_all_of_the_rounding() -> None:
 
 
 @pytest.mark.parametrize("repeats", [1, 5])
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_joints_of_too_few_digits_are_named(seed: int, repeats: int) -> None:
     """Catches "each pose is off by its own" that sends somebody to look at markers and seats."""
-    data = delta(200, repeats, seed).data
+    data = few(200, repeats, seed).data
     d = sk.diagnose(DELTA, replace(data, joints=rounded(data.joints, 0.03)))
     # without repeats nobody knows that it is not noise
     assert d.verdict in (("adequate", "unexplained") if repeats == 1 else ("unexplained",)), d.headline
@@ -101,7 +96,7 @@ def test_joints_of_too_few_digits_are_named(seed: int, repeats: int) -> None:
 
 def test_what_steps_of_joints_leave_is_what_they_left() -> None:
     """Catches a wrong size: that of the poses' own, estimated without any model of rounding, within 15 %."""
-    data = delta(400, 4, 9).data
+    data = few(400, 4, 9).data
     d = sk.diagnose(DELTA, replace(data, joints=rounded(data.joints, 0.02)))
     own = next(one.result for one in d.checks if one.name == "poses_as_repeats").split("off by ")[1].split()[0]
     alone = d.headline.split("that alone leaves ")[1].split()[0]
@@ -111,7 +106,7 @@ def test_what_steps_of_joints_leave_is_what_they_left() -> None:
 @pytest.mark.parametrize("repeats", [1, 5])
 def test_readings_of_too_few_digits_are_named(repeats: int) -> None:
     """Catches a dial of a tenth of a millimetre that is taken for physics."""
-    data = delta(300, repeats, 4).data
+    data = few(300, repeats, 4).data
     d = sk.diagnose(DELTA, replace(data, readings=rounded(data.readings, 0.1)))
     assert check(d) is False
     assert not d.effects
@@ -121,7 +116,7 @@ def test_readings_of_too_few_digits_are_named(repeats: int) -> None:
 
 def test_a_file_with_two_decimals_says_so(tmp_path: Path) -> None:
     """The whole way, from the text of a file."""
-    frame = delta(150, 3, 5).data.to_frame().with_columns(pl.col("^q.*$").round(2))
+    frame = few(150, 3, 5).data.to_frame().with_columns(pl.col("^q.*$").round(2))
     frame.write_csv(tmp_path / "two.csv")
     d = sk.diagnose(DELTA, str(tmp_path / "two.csv"))
     assert "stand in steps of 0.01 mm" in d.headline
@@ -148,7 +143,7 @@ def test_degrees_of_two_decimals_are_named_in_degrees(ur5: Serial) -> None:
 
 def test_digits_that_are_enough_are_not_mentioned_beside_a_missing_effect() -> None:
     """Catches steps of a file's last digit that are said of any run."""
-    run = delta(300, 3, 6, rail_lean=15.0)
+    run = few(300, 3, 6, rail_lean=15.0)
     d = sk.diagnose(DELTA, replace(run.data, joints=rounded(run.data.joints, 1e-4)))
     assert d.effects == ("rail_lean",)
     assert check(d) is True
@@ -158,7 +153,7 @@ def test_joints_that_were_sent_to_a_grid_are_not_taken_for_rounded_ones() -> Non
     """Catches every run of a grid of round numbers being blamed on digits: the steps of what was sent to are far
     larger than what is left. Here with an error of each pose's own that has another cause."""
     rng = np.random.default_rng(8)
-    joints = rounded(delta(150, 3, 7).data.joints, 1.0)
+    joints = rounded(few(150, 3, 7).data.joints, 1.0)
     pose = np.unique(joints, axis=0, return_inverse=True)[1].ravel()
     own = 3 * SIGMA * rng.normal(size=(pose.max() + 1, 3))[pose]
     readings = DELTA.forward_batch(joints).require() + own + SIGMA * rng.normal(size=joints.shape)

@@ -17,6 +17,7 @@ import polars as pl
 import pytest
 
 import sherkit as sk
+from running import slow
 from sherkit import save_robot
 from sherkit.app.folder import Typed
 from sherkit.app.sandbox import Cancelled, Sandbox
@@ -132,7 +133,7 @@ _MISBEHAVE = [
 ]
 
 
-@pytest.mark.parametrize("ways", [_MISBEHAVE[:4], pytest.param(_MISBEHAVE[4:], marks=pytest.mark.slow)], ids=len)
+@pytest.mark.parametrize("ways", [_MISBEHAVE[:2], *slow(_MISBEHAVE[2:])], ids=len)
 def test_lines_that_misbehave_are_ended(bench: Workbench, ways: list[tuple[str, str, str]]) -> None:
     """Catches lines that take the page with them, one that is silent on what happened, and half a change."""
     told = errors(bench)

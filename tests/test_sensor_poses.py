@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import sherkit as sk
 import sherkit._core as _core
 from consistency import consistent, named
+from running import slow
 from second_machines import apart
 from sensor_poses import BARS, IN_BASE, IN_SENSOR, Counted, blames_nobody, of_all, pose_found, table_of
 from sherkit.model.sensor_pose import registered
@@ -66,9 +67,7 @@ def test_what_is_hidden_is_told_wherever_the_instrument_stands(kind: str) -> Non
     assert world.effects[name] & named(d)
 
 
-@pytest.mark.parametrize(
-    ("number", "other"), [(116, "encoder_cyclic"), pytest.param(40, "rail_lean", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("number", "other"), [(116, "encoder_cyclic"), *slow((40, "rail_lean"))])
 def test_growth_does_not_tell_where_the_base_is(number: int, other: str) -> None:
     """Catches a fit that turns the base by half a right angle, which only growth about its origin tells from a turn of
     the sensor, and then does not settle: link_growth was refused beside another effect."""

@@ -446,6 +446,7 @@ def test_where_nothing_is_hidden_nothing_is_found(ur5: Serial) -> None:
     assert (found.verdict, found.effects) == ("adequate", ())
 
 
+@pytest.mark.slow
 def test_an_instrument_that_mirrors_the_arm_is_not_explained(ur5: Serial) -> None:
     """Catches a division that overflows where next to no row is believed, and metres of a link taken for its error."""
     found = sk.diagnose(ur5, simulated(ur5, 1, 200, zoom=-6.785830732647848))

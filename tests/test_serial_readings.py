@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+from running import slow
 from sherkit.errors import FitError, MeasurementError, RobotError
 from sherkit.model.kinds import model_of, robot_from_tables
 from sherkit.robots.serial import KIND, Hidden, Joint, Plane, Serial, VirtualSerial, postures
@@ -110,9 +111,9 @@ def test_distances_alone_calibrate_an_arm() -> None:
     data = run_of(robot, 3, 40, gives=1e-3)
     assert not any(name.startswith("frame") for name in model_of(robot).free)
     assert sk.diagnose(robot, data).headline == "explained: joint_compliance"
-    made = sk.calibrate(robot, data, effects=["joint_compliance"]).calibration
+    result = sk.calibrate(robot, data, effects=["joint_compliance"])
+    made, fit = result.calibration, result.whole.fit
     virtual = VirtualSerial.simulated(robot, 3, 1.0, PLAIN).with_hidden(gives=1e-3)
-    fit = sk.identify(robot, data, effects=["joint_compliance"])
     known = dict(zip((p.name for p in fit.parameters), fit.values.tolist(), strict=True))
     centres = np.array(robot.centres_mm) + [[known.get(f"centre_{k}_{a}", 0.0) for a in "xyz"] for k in (1, 2, 3)]
     still = np.zeros(6)
@@ -123,7 +124,7 @@ def test_distances_alone_calibrate_an_arm() -> None:
         np.testing.assert_allclose(told, shown, atol=0.06)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, *slow(3)])
 def test_what_links_without_masses_leave_is_said(seed: int) -> None:
     """Catches an arm whose file has no masses and whose joints give way under others than sticks: encoders off their
     axes were named for the rest, or the joints too soft, without a word of the masses."""
@@ -144,10 +145,12 @@ def test_what_links_without_masses_leave_is_said(seed: int) -> None:
     ("centres", "planes", "hidden", "says"),
     [
         (3, 0, {}, ()),
-        pytest.param(0, 3, {}, (), marks=pytest.mark.slow),
-        pytest.param(3, 0, {"play": 5e-4}, ("backlash",), marks=pytest.mark.slow),
-        pytest.param(0, 3, {"play": 5e-4}, ("backlash",), marks=pytest.mark.slow),
-        pytest.param(3, 0, {"ring": 5e-4}, ("encoder_eccentricity",), marks=pytest.mark.slow),
+        *slow(
+            (0, 3, {}, ()),
+            (3, 0, {"play": 5e-4}, ("backlash",)),
+            (0, 3, {"play": 5e-4}, ("backlash",)),
+            (3, 0, {"ring": 5e-4}, ("encoder_eccentricity",)),
+        ),
         (0, 3, {"ring": 5e-4}, ("encoder_eccentricity",)),
     ],
 )

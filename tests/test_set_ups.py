@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 import sherkit as sk
 import test_arm_counted as arm
 import test_discovery as delta
-from running import command
+from running import command, slow
 from second_simulator import (
     NOMINAL_CONFIG,
     Noise,
@@ -94,7 +94,7 @@ def test_nothing_is_missing_and_where_it_stood_is_told(tmp_path: Path) -> None:
         assert any(note.startswith(f"setup '{name}': the instrument saw the robot ") for note in d.notes)
 
 
-@pytest.mark.parametrize("name", ["backlash", pytest.param("rail_lean", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["backlash", *slow("rail_lean")])
 def test_an_effect_is_named_beside_set_ups(name: str, tmp_path: Path) -> None:
     """Catches poses of set-ups that take an effect up, and an effect that acts along the axes of another set-up."""
     table, _ = moved(2, hidden=name)
@@ -257,6 +257,7 @@ def test_bad_input(column: str, made: pl.Expr, said: str, tmp_path: Path) -> Non
     assert "Traceback" not in error
 
 
+@pytest.mark.slow
 def test_exchanged_columns_are_found_in_set_ups(tmp_path: Path) -> None:
     """Catches set-ups whose registrations turn a mirror into as many shapes as there are: it is one mistake in all."""
     table, _ = moved(1)

@@ -16,6 +16,7 @@ import pytest
 
 import test_docs
 import test_docs_laboratory
+from running import slow
 from sherkit.report.page import browser
 from test_docs import HERE, MACHINE, blocks, command, commands, run_python, sherkit, text_of
 
@@ -210,9 +211,7 @@ def test_the_checker_of_links_sees_what_is_wrong(tmp_path: Path) -> None:
 # -- notebooks -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name", ["tool", *(pytest.param(n, marks=pytest.mark.slow) for n in ("delta", "serial", "spherical"))]
-)
+@pytest.mark.parametrize("name", ["tool", *slow("delta", "serial", "spherical")])
 def test_a_notebook_runs(name: str, notebooks: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a cell that stops, and one whose value shows nothing; cell by cell, as a kernel would."""
     monkeypatch.chdir(notebooks)

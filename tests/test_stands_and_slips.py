@@ -14,6 +14,7 @@ import test_arm_counted as arm
 import test_discovery as delta
 import test_spherical_discovery as spherical
 from consistency import named
+from running import slow
 from second_simulator import grid
 from sherkit.base.types import Floats
 from sherkit.data.in_time import Room
@@ -51,11 +52,11 @@ def test_rows_of_a_run_know_its_whole_room() -> None:
     np.testing.assert_array_equal(some, whole[rows])
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_the_lag_of_a_stand_is_found(seed: int) -> None:
     """Catches a lag that stays where the grid has it, is not used by the fit, or not told. Five times the noise: the
     other program's lag within a quarter, and what is left at the noise."""
-    run = delta.measured(delta.GRIDS["whole"], seed, scaled={"thermal_shift": 5 * delta.NOISE_UM})
+    run = delta.measured(delta.GRIDS["small"], seed, scaled={"thermal_shift": 5 * delta.NOISE_UM})
     d = run.diagnose()
     assert d.effects == ("thermal_shift",)
     true = run.effects["thermal_shift"][3]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 import sherkit as sk
+from running import slow
 from second_simulator import NOMINAL_CONFIG, Robot, grid, make_plan, simulate
 from sherkit.diagnosis.where import slow_drift_of
 from sherkit.evidence.fitted_run import FittedRun
@@ -34,8 +35,8 @@ def noise(rng: np.random.Generator, n: int, rho: float) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -rho], white, axis=0))[100:]
 
 
-@pytest.mark.parametrize("runs", [20, pytest.param(80, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("rho", [*(pytest.param(rho, marks=pytest.mark.slow) for rho in (0.0, 0.3)), 0.7])
+@pytest.mark.parametrize("runs", [12, *slow(80)])
+@pytest.mark.parametrize("rho", [*slow(0.0, 0.3), 0.7])
 def test_noise_that_neighbours_share_does_not_wander(rho: float, runs: int) -> None:
     """Catches a level that is not kept: at 1 in 1,000 of each, two of 240 runs would be one chance in forty."""
     rng, count = np.random.default_rng(3), 0
@@ -76,7 +77,7 @@ def test_too_little_says_nothing() -> None:
     assert slow_drift_of(run) is None
 
 
-@pytest.mark.parametrize(("repeats", "side"), [(3, 6), pytest.param(1, 14, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("repeats", "side"), [(3, 6), *slow((1, 14))])
 def test_what_comes_back_in_time_is_a_wave(repeats: int, side: int) -> None:
     """Catches praise for a run whose x moves by three times the noise of a reading and comes back, again and again: too
     quick for a smooth shape in time, it counted as noise, of single readings and of repeats."""
@@ -97,6 +98,7 @@ def test_what_comes_back_in_time_is_a_wave(repeats: int, side: int) -> None:
     assert repeats == 1 or max(found.noise.values()) < 5.5
 
 
+@pytest.mark.slow
 def test_a_verdict_says_that_readings_wander() -> None:
     """Catches praise, or not a word, for a run whose x strays by three times the noise and is back after some rows, at
     no period: nothing in the file tells with what."""

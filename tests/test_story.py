@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from running import command
+from running import command, slow
 from second_simulator import (
     Noise,
     Robot,
@@ -73,7 +73,7 @@ def targets(half_width_mm: float, count: int = 300) -> Floats:
     return np.random.default_rng(99).uniform(-half_width_mm, half_width_mm, (count, 3))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, *slow(1)])
 def test_a_wrongly_built_robot_is_brought_on_target(seed: int, tmp_path: Path) -> None:
     """Catches any link of the chain that sherkit's own tests have wrong on both sides: geometry, datum, files, sign."""
     write_robot_toml(tmp_path / "robot.toml")

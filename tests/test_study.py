@@ -77,6 +77,7 @@ def same(found: dict[str, float], expected: dict[str, float], rel: float = 1e-9)
     assert found == pytest.approx(expected, rel=rel, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_every_step_is_an_independent_refit(leaning: sk.Measurements) -> None:
     """Catches history that carries a stale fit, a held-out error of another model or of other rows."""
     study = sk.Study(EXAMPLE, leaning)

@@ -12,6 +12,7 @@ import pytest
 import clean_tables
 import sherkit as sk
 import table_mistakes
+from running import slow
 from second_machines import apart
 from sherkit.data.doubts import doubts
 
@@ -26,7 +27,7 @@ def said(tables: clean_tables.Tables) -> tuple[int, list[str]]:
 
 
 @pytest.mark.parametrize("source", clean_tables.SOURCES)
-@pytest.mark.parametrize("seeds", [pytest.param(range(2)), pytest.param(range(2, 42), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [pytest.param(range(2)), *slow(range(2, 42))])
 def test_nothing_is_said_of_a_table_in_which_nothing_is_wrong(source: str, seeds: range) -> None:
     """Catches rules that cry wolf at planes, coarse grids, runs in order of their poses, few digits, large physics."""
     _, out = said(clean_tables.SOURCES[source](seeds))

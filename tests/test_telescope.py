@@ -75,6 +75,7 @@ def test_gem_outliers_are_the_rows_off_by_a_turn(gem: sk.diagnosis.Diagnosis) ->
     assert len(gem.outliers) <= 19 + 6
 
 
+@pytest.mark.slow
 def test_gem_tiles_of_the_sky_tell_the_same(gem: sk.diagnosis.Diagnosis) -> None:
     """Held out by neighbourhoods, errors are larger, the cause is the same."""
     rows = replace(gem.fit.data, block=None, outlier=np.zeros(len(gem.fit.data), dtype=bool))
@@ -321,6 +322,7 @@ def test_the_axis_that_leaned_in_one_of_the_nights() -> None:
     assert course.changes[0].parameters[0][1] == pytest.approx(13.0, abs=1.5)
 
 
+@pytest.mark.slow
 def test_the_side_of_the_pier_is_no_change_of_a_term() -> None:
     """Catches a name for flexure that turning the mount over reverses: nothing was changed between the sides."""
     rows = mount.read_gem(DATA / mount.GEM, "gem-28.dat")

@@ -12,6 +12,7 @@ import pytest
 import sherkit as sk
 import test_discovery as delta
 import test_spherical_discovery as spherical
+from running import slow
 from sherkit.diagnosis import template
 from sherkit.diagnosis.template import course
 from sherkit.model.effect import load_effects
@@ -59,9 +60,7 @@ def test_a_course_that_no_polynomial_names_has_no_order() -> None:
     assert "(order 2)" in course(shape | {"depends_on": ["time_s"], "order": 2})
 
 
-@pytest.mark.parametrize(
-    "of", [pytest.param(of_a_delta, marks=pytest.mark.slow), of_a_spherical_robot, of_a_users_model]
-)
+@pytest.mark.parametrize("of", [*slow(of_a_delta, of_a_spherical_robot), of_a_users_model])
 def test_the_template_of_what_is_left_explains_it(of: Any, tmp_path: Path) -> None:
     """Catches a template that knows the columns of one robot, or a study that cannot take it."""
     robot, data = of()

@@ -16,6 +16,7 @@ import tomli_w
 from click.testing import CliRunner
 from numpy.typing import NDArray
 
+from running import slow
 from sherkit import identify, load_robot, read_measurements
 from sherkit.cli.verbs import cli
 from sherkit.errors import MeasurementError, SherkitError, SherkitWarning
@@ -63,7 +64,7 @@ def test_a_marker_is_found_to_hundredths_of_a_pixel() -> None:
     """Catches a detector that is biased by half a pixel, by slant or by turn, and a deviation that is made up."""
     rng = np.random.default_rng(3)
     off = []
-    for point in places(60, 1):
+    for point in places(30, 1):
         picture = draw_marker(VIEW, point, point, 6.0, rng, turn_rad=rng.uniform(0, np.pi))
         seen = find_marker(picture)
         assert seen.found, seen.why
@@ -72,7 +73,7 @@ def test_a_marker_is_found_to_hundredths_of_a_pixel() -> None:
     off = np.array(off)
     assert np.abs(off[:, :2]).max() < 0.12
     assert off[:, :2].std() < 0.02
-    # bias: the mean of 60 within four of its standard errors
+    # bias: the mean of 30 within four of its standard errors
     assert (np.abs(off[:, :2].mean(axis=0)) < 4 * off[:, :2].std(axis=0) / np.sqrt(len(off))).all()
     assert 0.5 < np.sqrt(np.mean(off[:, 2:] ** 2)) < 2.0
 
@@ -160,7 +161,7 @@ def photographed(board: NDArray[np.uint8], count: int, seed: int) -> list[NDArra
     return out
 
 
-@pytest.mark.parametrize("board", [pytest.param("chessboard", marks=pytest.mark.slow), "charuco"])
+@pytest.mark.parametrize("board", [*slow("chessboard"), "charuco"])
 def test_intrinsics_come_back(board: str) -> None:
     """Catches swapped axes, a wrong size of squares, a deviation that is none: values within four of them."""
     if board == "chessboard":
@@ -418,6 +419,7 @@ def test_a_video_is_joined_to_joints_by_time(tmp_path: Path) -> None:
     assert np.abs(run.readings - virtual.true_reading(way)).max() < 0.5
 
 
+@pytest.mark.slow
 def test_the_lens_from_pictures_of_a_board(tmp_path: Path) -> None:
     """Catches a table [camera] that the robot file refuses, or another lens than the one that took the pictures."""
     for k, taken in enumerate(photographed(chessboard((9, 6), 40), 12, 5)):

@@ -24,6 +24,7 @@ import pytest
 
 import sherkit as sk
 from driven_worlds import DrivenDelta, DrivenSpherical
+from running import slow
 from sherkit.adaptive import vouching
 from sherkit.errors import ExperimentError, MeasurementError
 
@@ -91,14 +92,14 @@ def late(world: DrivenDelta, row: Row, k: int, before: list[Row]) -> Row:
     ("change", "says"),
     [
         (frozen, r"q1_mm, q2_mm, q3_mm stay the same .* in rows 0-\d+ while the readings move"),
-        pytest.param(
-            noisy, r"left of x_mm \d+, y_mm \d+, z_mm \d+ µm in \d+ rows: .* an error of 60 µm", marks=pytest.mark.slow
+        *slow(
+            (noisy, r"left of x_mm \d+, y_mm \d+, z_mm \d+ µm in \d+ rows: .* an error of 60 µm"),
+            (at_places(1), r"q1_mm, q2_mm, q3_mm hardly move in all \d+ rows"),
         ),
-        pytest.param(at_places(1), r"q1_mm, q2_mm, q3_mm hardly move in all \d+ rows", marks=pytest.mark.slow),
         (at_places(3), r"3 places in \d+ rows for 18 parameters: read at 9 at least"),
         (zeros, r"x_mm stays 0 in rows 0-\d+, the same to the last digit while the robot moved"),
         (stuck, r"z_mm stays \S+ in rows 0-\d+, the same to the last digit while the robot moved"),
-        pytest.param(late, r"readings look shifted: they stand 1 row below the joints", marks=pytest.mark.slow),
+        *slow((late, r"readings look shifted: they stand 1 row below the joints")),
     ],
     ids=["frozen", "noisy", "one place", "three places", "zeros", "stuck", "late"],
 )
@@ -114,6 +115,7 @@ def test_rows_that_tell_nothing_are_named_and_the_loop_goes_on(change: Change, s
     assert re.search(says, loop.sentence()) or change is late
 
 
+@pytest.mark.slow
 def test_a_sensor_that_comes_right_again_is_believed_again() -> None:
     """Catches rows that are lost for good, or a loop that is, because a channel stuck for four of them; and silence on
     them."""
@@ -220,6 +222,7 @@ def test_a_bad_stretch_of_a_scale_is_no_accident() -> None:
     assert any("set aside" in note for note in loop.notes)
 
 
+@pytest.mark.slow
 def test_what_lies_together_is_found_without_being_read_again() -> None:
     """Catches a scan that the loop does not make: rows of six places next to one another in a joint."""
     world = DrivenDelta(3)

@@ -15,6 +15,7 @@ import polars as pl
 import pytest
 
 import sherkit as sk
+from running import cluster_of_two, slow
 from sherkit.base import workers
 from sherkit.base.workers import run_tasks
 from sherkit.cli.demo import EXAMPLE
@@ -79,7 +80,7 @@ class _Breaks(Executor):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("at_once", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.parametrize("at_once", [*slow(True), False])
 def test_an_executor_that_says_not_how_many_it_takes_may_break_too(
     tmp_path: Path, at_once: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,6 +118,7 @@ def few_poses(seed: int) -> sk.Measurements:
     return drawn.measure(FEW, repeats=2, order="shuffled", seed=seed)
 
 
+@pytest.mark.slow
 def test_a_fleet_names_the_run_that_kills(tmp_path: Path) -> None:
     """Catches a fleet whose verdicts are all lost by one run, a run that is lost without its name, and a fleet that
     never ends since its processes are copies of one whose threads held locks."""
@@ -158,15 +160,8 @@ def test_a_fleet_of_300_is_complete_where_a_worker_is_killed() -> None:
 @pytest.mark.slow
 def test_a_cluster_names_the_run_that_kills() -> None:
     """Catches a run that takes one worker of a cluster after the other, and the verdicts of all with them."""
-    distributed = pytest.importorskip("distributed")
     runs = [*(few_poses(k) for k in range(10)), Deadly(), *(few_poses(k) for k in range(10, 20))]
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-        ) as cluster,
-        distributed.Client(cluster) as client,
-        client.get_executor() as executor,
-    ):
+    with cluster_of_two() as (_, executor):
         found = sk.fleet(runs, EXAMPLE, executor=executor)
     failed = [m for m in found.machines if m.failed]
     assert [m.run for m in failed] == ["deadly.csv"]

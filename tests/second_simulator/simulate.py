@@ -71,9 +71,13 @@ def _pose_of(real: Robot, home: Array, joints: Array, full: dict[str, Array]) ->
 def truth(robot: Robot, columns: Columns, errors: Errors | None = None, effects: Effects | None = None) -> Array:
     """Noise-free sensor readings (n, 3), mm, for the rows of a plan or of a simulated run."""
     full = complete(effects)
-    _, centre, turn = platform_pose(robot, columns, errors, effects)
-    point = centre + turn @ robot.target_offset
-    return sensor_reading(disturbed_point(point, columns, full), columns, full)
+    return sensor_reading(_target(robot, columns, errors, full), columns, full)
+
+
+def _target(robot: Robot, columns: Columns, errors: Errors | None, full: Effects) -> Array:
+    """Where the measured point is (n, 3), mm, whatever the sensor makes of it."""
+    _, centre, turn = platform_pose(robot, columns, errors, full)
+    return disturbed_point(centre + turn @ robot.target_offset, columns, full)
 
 
 def simulate(
@@ -125,10 +129,11 @@ def fitted_directions(
             truth(robot, poses, base | {name: base.get(name, 0.0) + change}, beside) for change in (step, -step)
         )
         derivatives.append(((ahead - behind) / (2 * step))[row].ravel())
-    stands = complete(beside)["sensor_pose"]
+    full = complete(beside)
+    target = _target(robot, poses, base, full)
     for axis in np.eye(6) * ([STEP / SPAN_MM] * 3 + [STEP] * 3):
         ahead, behind = (
-            truth(robot, poses, base, {**(beside or {}), "sensor_pose": stands + change}) for change in (axis, -axis)
+            sensor_reading(target, poses, full | {"sensor_pose": full["sensor_pose"] + by}) for by in (axis, -axis)
         )
         derivatives.append(((ahead - behind) / (2 * axis.sum()))[row].ravel())
     jacobian = np.stack(derivatives, axis=1)

@@ -62,7 +62,7 @@ def given_way(robot: Robot, limbs: Limbs, carriages: Array, centre: Array, turn:
     The limb's line depends on where the carriage has gone: each round leaves about a thousandth of the way.
     """
     loaded = carriages
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS if limbs.drive.any() else 1):
         axes = limb_axes(robot, loaded, centre, turn)
         tension = limb_tension(axes)
         pull = -tension * np.sum(axes * limbs.rail, axis=-1)
