@@ -53,9 +53,7 @@ class Whitening:
     where there is none: those of several targets, read in turn, each follow their own. Left out, it is the next.
     """
 
-    def __init__(
-        self, rho: float, lag: Ints, back: Ints | None = None, in_common: InCommon | None = None
-    ) -> None:
+    def __init__(self, rho: float, lag: Ints, back: Ints | None = None, in_common: InCommon | None = None) -> None:
         self.rho, self.lag, self.back, self.in_common = rho, lag, back, in_common
         carried = np.sign(rho) ** lag * np.abs(rho) ** lag
         #: Rows that follow another, and those that they follow.

@@ -236,7 +236,7 @@ def _counted_with_the_one_before(data: Measurements, same: Sequence[int]) -> Ite
             one, before = data.layout.joints[k], data.layout.joints[j]
             yield (
                 f"{one} looks counted {how} {before}, as from the horizontal",
-                f"{'subtract' if sign > 0 else 'add'} {before}; in the file of an arm: follows = {-sign:g} of that joint",
+                f"{'subtract' if sign > 0 else 'add'} {before}; in an arm's file: follows = {-sign:g} of that joint",
                 replace(data, joints=joints, to_joints=ends),
             )
 
