@@ -312,3 +312,21 @@ if __name__ == "__main__":
             if kind != "right":
                 print(f"{kind}: {what}: {d.verdict} {d.effects} {d.indistinguishable} reserved {d.caveat}", flush=True)
             print(dict(tally), "CPU", round(time.process_time() - started), "s", flush=True)
+
+
+@pytest.mark.slow
+def test_a_loose_grip_is_seldom_blamed_on_the_joints(ur5: Serial) -> None:
+    """Catches "partly explained: joint_compliance" of a target that falls to the other side of its grip as it is
+    turned over, in 8 of 10 arms: no shape of joints describes that, so that any effect says more than shapes do, and
+    each pose is off by its own beside it. Seeds 0 to 9: 4."""
+    blamed = 0
+    for seed in range(10):
+        own, q, rng = OwnArm.made(seed), postures(ur5, 100, 0.9, seed), np.random.default_rng([seed, 8])
+        across = replace(own, tool=own.tool + [1.0, 0.0, 0.0]).places(q) - own.places(q)
+        places = own.places(q) + 0.15 * across * np.sign(across[:, 2:])
+        order = np.concatenate([rng.permutation(100) for _ in range(2)])
+        seen = places[order] + [20.0, -10.0, 15.0] + NOISE_MM * rng.normal(size=(200, 3))
+        columns = {"pose": order, "time_s": 4.0 * np.arange(200)} | dict(zip(ur5.layout.joints, q[order].T, strict=True))
+        run = sk.from_frame(columns | dict(zip(ur5.layout.coordinates, seen.T, strict=True)))
+        blamed += sk.diagnose(ur5, run).effects != ()
+    assert blamed <= 5

@@ -13,7 +13,7 @@ from ..data.columns import bare
 from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
-from ..evidence.thresholds import ABSURD, PLAUSIBLE, farthest_parameter, times_plausible
+from ..evidence.thresholds import ABSURD, COUNTS, PLAUSIBLE, farthest_parameter, times_plausible
 from ..fit.set_up import Mistake
 from .held_out import PRAISE, Elimination, HeldOutGain
 from .repeats import Repeats, Rounded, rounded
@@ -34,8 +34,6 @@ from .selection import NamedEffects
 from .sensor_pose import KNOWN_LEVEL, known_stand
 from .where import SlowDrift
 
-#: An error of the poses' own counts from this part of the noise on: below it the whole error grows by less than 5 %.
-_COUNTS = 0.3
 
 
 def checks_of(
@@ -69,7 +67,7 @@ def checks_of(
     out += [_as_drawn(final, used), *wrong]
     p = chance_of(found.missing)
     own = _own_errors(found.base)
-    off = own is not None and chance_of(own.evidence) <= level and own.part > _COUNTS
+    off = own is not None and chance_of(own.evidence) <= level and own.part > COUNTS
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
         "by the weighted mean of the Bayes factors of all effects and shapes",

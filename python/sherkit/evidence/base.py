@@ -227,9 +227,9 @@ class Base:
         """Sum of squares that these columns (N, k) would take."""
         return float(np.square(self._beyond(columns, HELD_EFFECT**0.5).T @ self.residual).sum())
 
-    def own_errors(self, declared: Floats | float = 0.0) -> OwnErrors | None:
-        """Whether each pose has an error of its own beyond what is ``declared`` (m,), variances in noises: None where
-        too few were repeated.
+    def own_errors(self, declared: Floats | None = None) -> OwnErrors | None:
+        """Whether each pose has an error of its own beyond what is ``declared`` (m,), variances in noises, or beyond
+        what the filter takes out already: None where too few were repeated.
 
         What lies between the visits of a pose is noise; where the means of poses vary by more, each has an error.
         """
@@ -237,7 +237,10 @@ class Base:
         _, pose, count = np.unique(self.family.run.view.repeated, return_inverse=True, return_counts=True)
         pose = pose.ravel()
         residual, in_common = self.residual.reshape(-1, m), self.family.run.white.in_common
-        residual = residual if in_common is None else in_common.back(residual)
+        if declared is None:
+            declared = np.zeros(m)
+        elif in_common is not None:
+            residual = in_common.back(residual)
         mean = np.stack([np.bincount(pose, residual[:, a]) / count for a in range(m)], axis=1)
         within = np.square(residual - mean[pose]).sum(axis=0)
         between = np.square(residual).sum(axis=0) - within

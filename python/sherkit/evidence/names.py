@@ -8,7 +8,7 @@ import numpy as np
 
 from .base import Base, log_bayes
 from .sets import MOST, EffectSet, Sets, ShapeDescription
-from .thresholds import ABSURD, ALARM, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, times_plausible
+from .thresholds import ABSURD, ALARM, COUNTS, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, times_plausible
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
@@ -74,8 +74,11 @@ def judged_names(sets: Sets) -> Names:
     if lead.value + beside.evidence - alone.evidence < 2.0 * NEEDED:
         alone = sets.described(sets.base, MOST, _STARTS)
     judged = Names(lead, (), {}, _ties(lead, found), beside, alone, sets.base)
-    # three or more with many numbers imitate anything
-    partly = not lead.explains or judged.shapes_say_more or len(lead.blocks) > 2
+    # three or more with many numbers imitate anything; what no shape follows is left, too, where poses are off by
+    # errors of their own
+    own = lead.base.own_errors()
+    off = own is not None and own.evidence > ALARM and own.part > COUNTS
+    partly = not lead.explains or judged.shapes_say_more or len(lead.blocks) > 2 or off
     told: dict[str, Told] = {}
     refused: dict[str, str] = {}
     kept: EffectSet | None = lead
@@ -119,9 +122,10 @@ def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDes
 
 def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: bool) -> str:
     """Why an effect of a set is not named; empty where it may be. ``partly`` where the set does not explain all."""
-    # where one or two explain all, what follows no cause may do a little better, but not clearly; but a bend of a
-    # joint, as of a rack in two pieces, is a cause of its own
-    bend = any(shape.shape == "kink" for shape in alone.shapes)
+    # where one or two explain all, what follows no cause may do a little better, but not clearly; but of a wave
+    # whose period was looked for a bend of the joint, as of a rack in two pieces, is as good a cause
+    wave = any(block.effect is not None and block.effect.is_periodic for block in lead.blocks if block.name == one.name)
+    bend = wave and any(shape.shape == "kink" for shape in alone.shapes)
     least = NEEDED if partly else TIED if bend else -SURE
     steps = [block for block in lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
