@@ -64,6 +64,16 @@ def test_each_machine_is_diagnosed_by_itself(found: Fleet, runs: list[str]) -> N
     assert found.machines[3].before > 2 * found.machines[3].after
 
 
+def test_a_run_with_a_mistake_of_its_set_up_is_no_odd_machine() -> None:
+    """Catches a run in inches of which only "rod_length_2 is 22.8 mm" stands out, beside a diagnosis that says inches."""
+    inches = machine(7).to_frame()
+    inches = inches.with_columns([inches[name] / 25.4 for name in ("x_mm", "y_mm", "z_mm")])
+    found = sk.fleet([machine(6), sk.from_frame(inches)], EXAMPLE)
+    assert found.machines[0].failed is None
+    assert "inches" in str(found.machines[1].failed)
+    assert "inches" in repr(found)
+
+
 def test_a_row_is_flat_and_the_same_from_a_diagnosis_and_a_fleet(found: Fleet, runs: list[str]) -> None:
     """Catches a table that cannot be made of its rows, errors without a unit, and a failed run that ends the table."""
     alone = sk.diagnose(EXAMPLE, runs[3])

@@ -273,6 +273,9 @@ def _machine(task: _FleetTask) -> FleetMember:
             return FleetMember(task.name, failed=str(error), remarks=_said(said))
         except (Exception, SystemExit) as error:  # an effect of the user's, memory: of this machine alone
             return FleetMember(task.name, failed=_unanswered(task.name, error), remarks=_said(said))
+    if mistaken := [check.fails for check in found.checks if check.name == "set_up" and check.holds is False]:
+        # what its numbers hold is the mistake, and no machine
+        return FleetMember(task.name, failed=f"{task.name}: {mistaken[0]}", remarks=_said(said))
     names = [p.name for p in found.fit.parameters]
     return FleetMember(
         **vars(found.summary),
