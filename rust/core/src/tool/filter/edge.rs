@@ -4,14 +4,17 @@
 //! tenth of a second the edge is compared with where the motion alone has it: that tells clearance, give and turn, and what
 //! is left is its pace.
 
-use super::start::{Edge, Then, ToolFilter};
-use super::state::{CLEARANCE, GIVES, L, N, State, TURN};
+use super::ToolFilter;
+use super::state::{CLEARANCE, GIVES, L, N, Row, State, TURN};
 use crate::numbers::math::sqrt;
+use crate::tool::poses::Posed;
 use nalgebra::{Vector2, Vector3};
 
-/// The pace is taken over this time, and remembered for the other, s.
+/// The pace is taken over this time, and remembered for the other, s; the guess at the start, (mm/s)², counts as so much, s.
 const OVER_S: f64 = 0.1;
 const KEPT_S: f64 = 5.0;
+const FIRST: f64 = 0.04;
+const GUESSED_S: f64 = 0.01;
 /// How long the robot's lateness is looked at, and over which time its sign is taken, s; how late one may be, s; what strays
 /// over that time before anything is known of them, mm²; the odds that one is late at all; deviations beyond which it is said.
 const LATE_S: f64 = 30.0;
@@ -27,6 +30,46 @@ const HARDENS: f64 = 0.1;
 /// Deviation of a force that nobody has read, mN.
 const UNREAD_MN: f64 = 100.0;
 
+/// What was learnt of the edge: mean square pace of a coordinate, (mm/s)², and how much is known of it, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Edge {
+    pub(super) mean: f64,
+    known_s: f64,
+    pub(super) since: Option<Then>,
+    /// Since when strays add up, to what, and the hole's motion aside then, mm/s; sums by which the robot's rows are late: of
+    /// strays by how that motion changed, of its squares, of squares of strays, mm, and of ones.
+    pub(super) strays: Option<(f64, Vector2<f64>, Vector2<f64>)>,
+    late: [f64; 4],
+}
+
+/// The edge a tenth of a second ago: where the tool was, what was known, the force and its noise, what the shaft alone gave
+/// way for it, whether it told a depth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Then {
+    at: Posed,
+    x: Row,
+    force: Vector2<f64>,
+    noise: f64,
+    gives: f64,
+    tells: bool,
+}
+
+impl Default for Edge {
+    fn default() -> Self {
+        Self {
+            mean: FIRST,
+            known_s: GUESSED_S,
+            since: None,
+            strays: None,
+            late: [0.0; 4],
+        }
+    }
+}
+
+fn quarter(v: &Vector2<f64>) -> Vector2<f64> {
+    Vector2::new(-v.y, v.x)
+}
+
 impl Edge {
     /// By how much the robot is late, s, and the square of its deviation, s²: it is late or it is not, one robot in four before
     /// anything was seen (Jeffreys, *Theory of Probability*, V), so that what the strays exclude is not doubted on.
@@ -36,8 +79,8 @@ impl Edge {
         let told = before * (n + 1.0) / (square + STRAYS_MM2);
         let variance = before / (1.0 + own * told);
         let mean = with * told / before * variance;
-        let odds =
-            ODDS * sqrt(variance / before) * libm::exp((0.5 * mean * mean / variance).min(50.0));
+        let evidence = libm::exp((0.5 * mean * mean / variance).min(50.0));
+        let odds = ODDS * sqrt(variance / before) * evidence;
         let is = odds / (1.0 + odds);
         (is * mean, is * (variance + (1.0 - is) * mean * mean))
     }
@@ -45,8 +88,11 @@ impl Edge {
     /// Strays over half a second beside how the motion of the hole aside changed in it: tremor is over by then.
     #[inline]
     fn strays(&mut self, strayed: &Vector2<f64>, sideways: &Vector2<f64>, time_s: f64) {
-        let (since_s, sum, before) = self.strays.unwrap_or((time_s, Vector2::zeros(), *sideways));
-        let sum = if since_s < time_s { sum + strayed } else { sum };
+        let Some((since_s, sum, before)) = self.strays else {
+            self.strays = Some((time_s, Vector2::zeros(), *sideways));
+            return;
+        };
+        let sum = sum + strayed;
         self.strays = Some((since_s, sum, before));
         if time_s - since_s < COMPARED_S {
             return;
@@ -54,15 +100,14 @@ impl Edge {
         self.strays = Some((time_s, Vector2::zeros(), *sideways));
         let faster = sideways - before;
         let keeps = (1.0 - (time_s - since_s) / LATE_S).max(0.0);
-        let more = [
-            sum.dot(&faster),
-            faster.norm_squared(),
-            0.5 * sum.norm_squared(),
-            1.0,
+        let [with, own, square, n] = self.late.map(|x| x * keeps);
+        let [more, squared] = [sum.dot(&faster), 0.5 * sum.norm_squared()];
+        self.late = [
+            with + more,
+            own + faster.norm_squared(),
+            square + squared,
+            n + 1.0,
         ];
-        for (of, more) in self.late.iter_mut().zip(more) {
-            *of = *of * keeps + more;
-        }
     }
 }
 
@@ -71,20 +116,21 @@ impl ToolFilter {
     #[inline]
     pub(super) fn edge(&mut self, noise: f64, gives: f64, tells: bool) {
         let s = &self.state;
-        let (x, size) = (&s.x, s.size);
-        let now = Then {
+        let (force, gives, x) = (s.way * s.size, gives - s.x[GIVES], s.x);
+        let at = Posed {
             time_s: s.time_s,
             pose: s.pose,
-            l: x[L],
-            turn: x[TURN],
-            size,
-            way: s.way,
+        };
+        let now = Then {
+            at,
+            x,
+            force,
             noise,
-            gives: gives - x[GIVES],
+            gives,
             tells,
         };
         if let Some(then) = self.edge.since {
-            if now.time_s - then.time_s < OVER_S {
+            if now.at.time_s - then.at.time_s < OVER_S {
                 return;
             }
             self.compare_edges(&then, &now);
@@ -96,42 +142,45 @@ impl ToolFilter {
     fn compare_edges(&mut self, then: &Then, now: &Then) {
         let tells = then.tells && now.tells;
         let (e, s) = (&mut self.edge, &mut self.state);
-        let (x, elapsed) = (s.x, now.time_s - then.time_s);
-        let quarter = |v: &Vector2<f64>| Vector2::new(-v.y, v.x);
+        let (x, elapsed) = (s.x, now.at.time_s - then.at.time_s);
         // the edge of then by what is known now, seen from where the tool is
-        let (before, axes) = (&then.pose.rotation, &now.pose.rotation);
+        let (was, is) = (&then.at.pose, &now.at.pose);
+        let (before, axes) = (&was.rotation, &is.rotation);
+        let sizes = [then, now].map(|t| sqrt(t.force.norm_squared()));
+        let ways = [then.force / sizes[0], now.force / sizes[1]];
         let seen = |v: &Vector3<f64>| Vector2::new(axes.column(0).dot(v), axes.column(1).dot(v));
-        let turned = then.way + quarter(&then.way) * (x[TURN] - then.turn);
+        let turned = ways[0] + quarter(&ways[0]) * (x[TURN] - then.x[TURN]);
         let way = before.column(0) * turned.x + before.column(1) * turned.y;
         let axis = before.column(2).into_owned();
-        let offs = [then, now].map(|t| x[CLEARANCE] + (t.gives + x[GIVES]) * t.size);
-        let hole = way * offs[0] - axis * then.l + then.pose.translation - now.pose.translation;
+        let gives = [then, now].map(|t| t.gives + x[GIVES]);
+        let offs = [0, 1].map(|i| x[CLEARANCE] + gives[i] * sizes[i]);
+        let hole = way * offs[0] - axis * then.x[L] + was.translation - is.translation;
         let (tilt, way) = (seen(&axis), seen(&way));
-        let there = seen(&hole) - tilt * (now.l + axes.column(2).dot(&hole));
-        let here = now.way * offs[1];
+        let there = seen(&hole) - tilt * (x[L] + axes.column(2).dot(&hole));
+        let here = ways[1] * offs[1];
         let strayed = here - there;
         // noise along a force moves its edge by what gives way, across it turns the edge about the middle of the hole
         let of = |a: f64, b: f64| then.noise * a * a + now.noise * b * b;
         let by_noise = [
-            of(then.gives + x[GIVES], now.gives + x[GIVES]),
-            of(offs[0] / then.size, offs[1] / now.size),
+            of(gives[0], gives[1]),
+            of(offs[0] / sizes[0], offs[1] / sizes[1]),
         ];
         let square = 0.5 * (strayed.norm_squared() - by_noise[0] - by_noise[1]);
         if !(square.is_finite() && s.surely_inside()) {
             return;
         }
         if tells {
-            e.strays(&strayed, &s.sideways, now.time_s);
+            e.strays(&strayed, &s.sideways, now.at.time_s);
         } else {
             e.strays = None;
         }
         // tissue hardens: what it gives for more force is not quite what it gave for less
-        let hard = HARDENS * x[GIVES] * (now.size - then.size);
-        for (on, noise) in [now.way, quarter(&now.way)].iter().zip(by_noise) {
+        let hard = HARDENS * x[GIVES] * (sizes[1] - sizes[0]);
+        for (on, noise) in [ways[1], quarter(&ways[1])].iter().zip(by_noise) {
             let mut h = [0.0; N];
             h[L] = -tilt.dot(on);
-            h[CLEARANCE] = on.dot(&(way - now.way));
-            h[GIVES] = on.dot(&(way * then.size - now.way * now.size));
+            h[CLEARANCE] = on.dot(&(way - ways[1]));
+            h[GIVES] = on.dot(&(way * sizes[0] - now.force));
             h[TURN] = on.dot(&quarter(&(way * offs[0] - here)));
             let seen = s.see(&h, e.mean * elapsed * elapsed + noise + hard * hard);
             let mut innovation = on.dot(&strayed);
@@ -142,13 +191,9 @@ impl ToolFilter {
                 s.take(&seen, innovation);
             }
         }
-        // where little force is felt its noise is all that moves the edge
-        if !tells {
-            return;
-        }
         e.known_s = (e.known_s + elapsed).min(KEPT_S);
-        e.mean += (square / (elapsed * elapsed) - e.mean) * (elapsed / e.known_s).min(1.0);
-        e.mean = e.mean.max(0.0);
+        let pace = square / (elapsed * elapsed);
+        e.mean = (e.mean + (pace - e.mean) * (elapsed / e.known_s).min(1.0)).max(0.0);
     }
 
     /// By how much the robot's rows are later than the gratings, s, where that is not by chance: a robot that is late has not
@@ -156,39 +201,38 @@ impl ToolFilter {
     #[must_use]
     pub fn late_s(&self) -> f64 {
         let (late, variance) = self.edge.late();
-        if late * late > BEYOND * BEYOND * variance {
-            late
-        } else {
-            0.0
-        }
+        let sure = late * late > BEYOND * BEYOND * variance;
+        if sure { late } else { 0.0 }
     }
 
     /// Variance of a component of the force of a state that was carried on from the last one, mN².
     pub(super) fn strayed(&self, s: &State) -> f64 {
-        let Some(felt) = &self.felt else {
+        let Some((at_s, felt)) = &self.felt else {
             return UNREAD_MN * UNREAD_MN;
         };
-        let (gives, waited) = (s.gives(&self.shaft), s.time_s - felt.time_s);
+        let (gives, waited) = (s.gives(&self.shaft), s.time_s - at_s);
         if !(gives > 0.0) {
             return 0.0;
         }
-        let moved = sqrt((s.aside - self.state.aside).norm_squared());
         // what is not read for long has no pace that was ever learnt
         let edge = self.edge.mean * waited * waited.min(OVER_S) * (1.0 + waited.min(2.0));
-        let stiff = 1.0 / gives;
-        let give = s.p[GIVES][GIVES] * (s.way * s.size - felt.force).norm_squared();
+        let give = s.p[GIVES][GIVES] * (s.way * s.size - felt.way * felt.size).norm_squared();
         // noise across a small force turns the edge about the middle of the hole
-        let clearance = s.x[CLEARANCE] * stiff;
-        let farther = if felt.force.norm_squared() > 0.0 {
-            felt.noise * clearance * clearance / felt.force.norm_squared()
-        } else {
-            0.0
-        };
-        let gone = (moved * stiff).min(clearance);
-        let mut variance = (edge + give) * stiff * stiff + farther.min(gone * gone);
+        let moved = sqrt((s.aside - self.state.aside).norm_squared());
+        let clear = s.x[CLEARANCE];
+        let gone = moved.min(clear) * moved.min(clear);
+        let turned = clear * clear * felt.noise / (felt.size * felt.size);
+        let mut variance = edge
+            + give
+            + if felt.size > 0.0 {
+                turned.min(gone)
+            } else {
+                0.0
+            };
         if !s.surely_inside() {
-            variance += s.size * s.size + (moved * stiff) * (moved * stiff);
+            // it may lean on nothing
+            variance += moved * moved + s.size * s.size * gives * gives;
         }
-        variance
+        variance / (gives * gives)
     }
 }

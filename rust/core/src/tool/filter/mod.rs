@@ -1,9 +1,12 @@
 //! Depth and tip from wavelengths and poses, with a deviation that is true: what a control loop runs on a calibrated tool.
 //!
-//! [`state`] carries the hole from pose to pose, [`moments`] says what the fibres feel, [`reading`] what that makes of force
-//! and depth, [`judging`] and [`slips`] which gratings not to believe, [`offsets`] how the moments of no force move, [`edge`]
-//! how the hole strays, [`along`] whether it goes with the shaft, [`tip`] what touches beside it, [`told`] where depth and tip are. Beside it stands the paper's own
-//! filter, [`super::paper`].
+//! **States**: depth, clearance of the hole, what it gives way, the gratings' turn, four moments of no force, the bench's zero.
+//! **Considered** beside them: three of the bench, in the same covariance ([`state`]); lag, crept references and a pace of the
+//! edge are doubts that the run itself tells ([`offsets`], [`edge`]). **Measured**: the depth by two moments ([`moments`],
+//! [`reading`]), the edge of the hole where the motion alone has it ([`edge`]), moments at rest ([`offsets`]), the tip's force
+//! by section III ([`tip`]): all by one Schmidt step. **Guards**: means of sections that accuse gratings ([`judging`],
+//! [`slips`]), and what only makes a sentence: a robot that is late, a hole that goes along ([`along`]). [`told`] says where
+//! depth and tip are. Beside it stands the paper's own filter, [`super::paper`].
 //!
 //! A reading belongs to its stamp. The state stands at the last stamp and goes on to the present by the pose alone, so that a
 //! late reading costs what any other does.
@@ -18,7 +21,6 @@ mod moments;
 mod offsets;
 mod reading;
 mod slips;
-mod start;
 mod state;
 mod tip;
 mod told;
@@ -26,18 +28,133 @@ mod told;
 pub use super::status::{Consistency, Counts, Look, Set, Status, Told};
 pub use super::trusted::{Doubt, Trusted};
 pub use moments::Shifts;
-pub use start::ToolFilter;
 
-use super::poses::Posed;
+use super::poses::{Posed, Poses};
+use super::rod::Shaft;
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
-use start::possible;
+use crate::{Error, Result};
+use nalgebra::{Vector2, Vector3};
+use state::{BENCH, N, State};
 
 /// A stamp further ahead of the present than this is a wild number and no clock, s; a step is no longer than the other.
 const AHEAD_S: f64 = 0.3;
 const LONGEST_S: f64 = 1e6;
+/// No robot stands further away than this, mm.
+const FARTHEST_MM: f64 = 1e6;
+/// What a hole gives way before that is felt, and its deviation, mm/mN: tissue is as soft as a fortieth of this per mN.
+const GIVES: [f64; 2] = [0.005, 0.01];
+
+/// The filter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToolFilter {
+    trusted: Trusted,
+    shaft: Shaft,
+    gratings: moments::Gratings,
+    poses: Poses,
+    state: State,
+    /// The last force that was read, and when.
+    felt: Option<(f64, reading::Said)>,
+    offsets: offsets::Offsets,
+    drift: reading::Drift,
+    along: along::Along,
+    edge: edge::Edge,
+    tip: tip::Tip,
+    watch: judging::Watch,
+    used_s: f64,
+    look: Look,
+    counts: Counts,
+    consistency: Consistency,
+}
 
 impl ToolFilter {
+    /// Starts at a depth (mm) with a variance (mm²), with the tool at a pose (tool to base frame), at a time (s).
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for numbers that mean nothing.
+    pub fn new(
+        t: &Trusted,
+        depth_mm: f64,
+        variance: f64,
+        pose: &Rigid,
+        time_s: f64,
+    ) -> Result<Self> {
+        t.check()?;
+        let known = depth_mm.abs() < FARTHEST_MM && time_s.is_finite() && possible(pose);
+        if !(known && variance >= 0.0 && variance.is_finite()) {
+            return Err(Error::Invalid {
+                what: "tool: the first depth, pose and time must be finite, its variance zero or more",
+            });
+        }
+        let (d, gratings) = (&t.doubt, moments::Gratings::new(t));
+        let [one, two] = gratings.per_nm.map(|v| v * d.reference_nm * d.reference_nm);
+        let variances = [
+            variance,
+            d.clearance_mm * d.clearance_mm,
+            GIVES[1] * GIVES[1],
+            d.turn_rad * d.turn_rad,
+            one,
+            one,
+            two,
+            two,
+            d.deeper_mm * d.deeper_mm,
+        ];
+        let (mut x, mut p) = ([0.0; N], [[0.0; N]; N]);
+        x[..3].copy_from_slice(&[depth_mm, t.clearance_mm, GIVES[0]]);
+        for (k, v) in variances.into_iter().enumerate() {
+            p[k][k] = v;
+        }
+        for i in 0..3 {
+            for j in 0..3 {
+                p[BENCH + i][BENCH + j] = d.depth[(i, j)];
+            }
+        }
+        // the bench's zero is learnt from a hole that stays, but no hole stays so well that it is known better than before
+        p[BENCH][BENCH] += d.deeper_mm * d.deeper_mm;
+        let start = Posed {
+            time_s,
+            pose: *pose,
+        };
+        Ok(Self {
+            trusted: *t,
+            shaft: t.rod.shaft(),
+            gratings,
+            poses: Poses::new(start),
+            state: State {
+                time_s,
+                pose: *pose,
+                x,
+                p,
+                lasting: 0.0,
+                aside: Vector2::zeros(),
+                size: 0.0,
+                way: Vector2::new(1.0, 0.0),
+                short: 0.0,
+                relief: [1.0; 2],
+                touched: false,
+                free: true,
+                hole: pose.translation - pose.rotation.column(2) * depth_mm,
+                beyond: 0.0,
+                speed: Vector3::zeros(),
+                speed2: 0.0,
+                slide: 0.0,
+                sideways: Vector2::zeros(),
+                slid: 0.0,
+            },
+            felt: None,
+            offsets: offsets::Offsets::default(),
+            drift: reading::Drift::new(time_s, t.per_second_mm2),
+            along: along::Along::default(),
+            edge: edge::Edge::default(),
+            tip: tip::Tip::default(),
+            watch: judging::Watch::new(gratings.noise),
+            used_s: f64::NEG_INFINITY,
+            look: Look::default(),
+            counts: Counts::default(),
+            consistency: Consistency::default(),
+        })
+    }
+
     /// Moves the tool to a pose at a time, and folds in a reading: its stamp on the clock of the steps (s) and nine
     /// wavelengths (nm; three fibres at each of the sections I, II, III). A stamp may lie up to 0.3 s back, and must be
     /// later than the one before. See [`Status`] for what may be refused.
@@ -73,7 +190,7 @@ impl ToolFilter {
         let Some(then) = then else {
             return Status::LATE;
         };
-        self.state.go(at, &then, self.drift.per_second);
+        self.state.go(at, &then, self.per_second_mm2());
         // a single wild stamp must not make all that follow late
         self.used_s = if stamp_s < now + AHEAD_S {
             stamp_s
@@ -136,4 +253,23 @@ impl ToolFilter {
     pub fn lags(&self) -> f64 {
         sqrt(self.offsets.lag)
     }
+
+    /// The share of its slides by which the shaft was seen to take the hole along; zero where it was not.
+    #[must_use]
+    pub fn goes_along(&self) -> f64 {
+        self.along.share()
+    }
+}
+
+/// Whether a robot can stand so; false for NaN.
+#[inline]
+fn possible(pose: &Rigid) -> bool {
+    let mut possible = true;
+    for x in pose.translation.as_slice() {
+        possible &= x.abs() < FARTHEST_MM;
+    }
+    for x in pose.rotation.as_slice() {
+        possible &= x.abs() < 2.0;
+    }
+    possible
 }

@@ -15,9 +15,17 @@ pub type Shifts = [[f64; FIBRES]; SECTIONS];
 /// Warmth of two sections differs by this, nm.
 const UNLIKE_NM: f64 = 1.5e-3;
 
+/// What is left out: gratings, and sections whose warmth is their own, as bits behind those.
+pub(super) const GRATINGS: usize = FIBRES * SECTIONS;
+
 /// The gratings of a set that are of a section, as three bits.
 pub(super) const fn of_section(set: Set, section: usize) -> Set {
     (set >> (FIBRES * section)) & 0b111
+}
+
+/// Whether all of a section is believed, and warm as the others are.
+pub(super) const fn tells(out: Set, section: usize) -> bool {
+    of_section(out, section) == 0 && out >> (GRATINGS + section) & 1 == 0
 }
 
 /// What the fibres say.
@@ -39,8 +47,6 @@ pub(super) struct Gratings {
     gains: [Matrix2x3<f64>; 2],
     pub(super) answers: [[Vector2<f64>; FIBRES]; 2],
     means: [Vector2<f64>; 2],
-    warmth: [[f64; FIBRES]; 2],
-    unlike: f64,
     /// Variance of a wavelength, nm², and of a component of a moment by a squared nanometre of each grating.
     pub(super) noise: f64,
     pub(super) per_nm: [f64; 2],
@@ -54,21 +60,16 @@ impl Gratings {
         });
         Self {
             gains: [0, 1].map(|i| {
-                let [a, b, c] = t.warmth[i];
-                let k = &own[i];
-                let share = (k.column(0) * a + k.column(1) * b + k.column(2) * c) / 3.0;
-                Matrix2x3::from_fn(|r, j| k[(r, j)] - share[r])
+                let share = own[i] * nalgebra::Vector3::from(t.warmth[i]) / 3.0;
+                Matrix2x3::from_fn(|r, j| own[i][(r, j)] - share[r])
             }),
             // the least shifts without a common part that make a moment of one
             answers: [0, 1].map(|i| {
                 let square = own[i] * own[i].transpose();
-                let inverse = square.try_inverse().unwrap_or_else(Matrix2::zeros);
-                let least = own[i].transpose() * inverse;
+                let least = own[i].transpose() * square.try_inverse().unwrap_or_default();
                 [0, 1, 2].map(|k| least.row(k).transpose() + t.means[i])
             }),
             means: t.means,
-            warmth: t.warmth,
-            unlike: t.doubt.unlike,
             noise: (t.calibration.noise_nm * t.calibration.noise_nm).max(1e-30),
             per_nm: own.map(|k| 0.5 * k.norm_squared()),
         }
@@ -86,18 +87,9 @@ impl Gratings {
         [0, 1].map(|i| m.m[i].norm_squared() / self.per_nm[i])
     }
 
-    /// What all gratings say but those of a set, less moments that nothing makes, turned about the shaft by a small angle;
-    /// the warmth is not that of sections (bits) that are warm by themselves.
+    /// What all gratings say but those left out, less moments that nothing makes, turned about the shaft by a small angle.
     #[inline]
-    pub(super) fn read(
-        &self,
-        shifts: &Shifts,
-        bad: Set,
-        warm: u8,
-        less: &[f64],
-        turn: f64,
-    ) -> Moments {
-        let turned = |v: Vector2<f64>| Vector2::new(v.x - turn * v.y, v.y + turn * v.x);
+    pub(super) fn read(&self, shifts: &Shifts, out: Set, less: &[f64], turn: f64) -> Moments {
         let mut made = Moments {
             j: self.per_nm.map(|v| Matrix2::identity() / (v * self.noise)),
             z: [Vector2::zeros(); 2],
@@ -110,20 +102,20 @@ impl Gratings {
             made.m[i] = k.column(0) * s[0] + k.column(1) * s[1] + k.column(2) * s[2];
             made.means_nm[i] -= self.means[i].dot(&made.m[i]);
         }
-        if bad.trailing_zeros() < 6 {
-            self.without(&mut made, shifts, bad, warm);
+        if out.trailing_zeros() < 6 {
+            self.without(&mut made, shifts, out);
         }
+        let r = Matrix2::new(1.0, -turn, turn, 1.0);
         for i in 0..2 {
             let o = Vector2::new(less[2 * i], less[2 * i + 1]);
-            if !made.whole[i] {
+            if made.whole[i] {
+                made.m[i] = r * (made.m[i] - o);
+                made.z[i] = made.j[i] * made.m[i];
+            } else {
                 // a precision that is not the same in all ways is turned as well
-                let r = Matrix2::new(1.0, -turn, turn, 1.0);
+                made.m[i] = r * (made.m[i] - o);
                 made.z[i] = r * (made.z[i] - made.j[i] * o);
                 made.j[i] = r * made.j[i] * r.transpose();
-            }
-            made.m[i] = turned(made.m[i] - o);
-            if made.whole[i] {
-                made.z[i] = made.j[i] * made.m[i];
             }
         }
         made
@@ -131,41 +123,33 @@ impl Gratings {
 
     /// Sections that lost a grating, by what is left of them and the warmth of whole sections, else of what is left of III.
     #[inline(never)]
-    fn without(&self, made: &mut Moments, shifts: &Shifts, bad: Set, warm: u8) {
-        let whole = |i: &usize| of_section(bad, *i) == 0 && warm & (1 << i) == 0;
-        let mut count = (0..SECTIONS).filter(whole).count() as f64;
-        let mut mean: f64 = (0..SECTIONS).filter(whole).map(|i| made.means_nm[i]).sum();
+    fn without(&self, made: &mut Moments, shifts: &Shifts, out: Set) {
+        let (mut warmth, mut count) = (0.0, 0.0_f64);
+        for i in (0..SECTIONS).filter(|i| tells(out, *i)) {
+            (warmth, count) = (warmth + made.means_nm[i], count + 1.0);
+        }
         if count == 0.0 {
-            for k in (0..FIBRES).filter(|k| of_section(bad, 2) & (1 << k) == 0) {
-                (mean, count) = (mean + shifts[2][k], count + 1.0);
+            for k in (0..FIBRES).filter(|k| of_section(out, 2) & (1 << k) == 0) {
+                (warmth, count) = (warmth + shifts[2][k], count + 1.0);
             }
         }
-        mean /= count.max(1.0);
-        let own = self.noise / (3.0 * count.max(1.0)) + (self.unlike * mean) * (self.unlike * mean);
-        let tie = if count > 0.0 {
-            self.noise / (own + UNLIKE_NM * UNLIKE_NM)
-        } else {
-            0.0
-        };
-        for i in (0..2).filter(|i| of_section(bad, *i) != 0) {
+        let some = count.max(1.0);
+        warmth /= some;
+        let tie = count / some * self.noise / (self.noise / (3.0 * some) + UNLIKE_NM * UNLIKE_NM);
+        for i in (0..2).filter(|i| of_section(out, *i) != 0) {
             let (mut square, mut sum) = (Matrix2::zeros(), Vector2::zeros());
-            let (mut with, mut total, mut n) = (Vector2::zeros(), tie * mean, tie);
-            for k in (0..FIBRES).filter(|k| of_section(bad, i) & (1 << k) == 0) {
-                let (s, y) = (&self.answers[i][k], shifts[i][k] - self.warmth[i][k] * mean);
+            let (mut with, mut total, mut n) = (Vector2::zeros(), tie * warmth, tie);
+            for k in (0..FIBRES).filter(|k| of_section(out, i) & (1 << k) == 0) {
+                let (s, y) = (&self.answers[i][k], shifts[i][k]);
                 square += s * s.transpose();
-                sum += s;
-                with += s * y;
-                total += y;
-                n += 1.0;
+                (sum, with) = (sum + s, with + s * y);
+                (total, n) = (total + y, n + 1.0);
             }
             let per = 1.0 / n.max(f64::MIN_POSITIVE);
             made.j[i] = (square - sum * sum.transpose() * per) / self.noise;
             made.z[i] = (with - sum * (total * per)) / self.noise;
-            made.whole[i] = false;
-            made.means_nm[i] = mean;
-            made.m[i] = made.j[i]
-                .try_inverse()
-                .map_or_else(Vector2::zeros, |v| v * made.z[i]);
+            (made.whole[i], made.means_nm[i]) = (false, warmth);
+            made.m[i] = made.j[i].try_inverse().unwrap_or_default() * made.z[i];
         }
     }
 }

@@ -4,8 +4,8 @@
 //! stand from where an earlier rest had them says how references creep. Fibres that lag show in the means of their sections:
 //! each lags by a share of its own. What lags is considered: all fibres alike put the force off, each by itself the depth.
 
+use super::ToolFilter;
 use super::moments::Moments;
-use super::start::{LEAST, ToolFilter};
 use super::state::{N, OFFSETS};
 use crate::numbers::math::sqrt;
 use crate::tool::sensing::FIBRES;
@@ -29,7 +29,6 @@ const KEEPS: f64 = 0.9;
 /// How long a bend is remembered, and over which time what it left is, s.
 const BENT_S: f64 = 20.0;
 const LAGS_S: f64 = 1.0;
-const WARMS_S: f64 = 0.25;
 /// Means of sections are smoothed over the one, and go from where they are over the other, s; for so long is remembered what
 /// they say, s.
 const SMOOTH_S: f64 = 0.25;
@@ -40,13 +39,44 @@ const SHOWS: f64 = 81.0;
 /// What they may lag before anything was seen of it, over the bend, squared; and the bend that this counts as, nm⁴ s.
 const BEFORE: f64 = 4e-5;
 const BEFORE_NM4_S: f64 = 0.005;
-/// How much of it a bend may leave, squared.
+/// How much of it a bend may leave, squared; how much of it, squared, one section lags unlike the other.
 const LEFT: f64 = 1.0 / 7.0;
-/// How much of it, squared, one section lags unlike the other.
 const UNLIKE: f64 = 1.0 / 32.0;
-/// The largest lag over the bend, squared; how far the warmth of two gratings differs, nm.
+/// The least and the largest lag over the bend, squared; how far the warmth of two gratings differs, nm.
+const LEAST: f64 = 4e-8;
 const MOST: f64 = 1e-2;
 pub(super) const APART_NM: f64 = 1e-3;
+
+/// Sums over a rest: of moments and of their squares over their variances, of section III, and how many.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Rest {
+    moments: [f64; 4],
+    squares: f64,
+    third: Vector2<f64>,
+    count: f64,
+}
+
+/// What was learnt of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Offsets {
+    now: Rest,
+    /// The last rest that was compared, and its time, s; squares of changes from one to the next, nm², and of the times in
+    /// which they came, s².
+    last: Option<(f64, [f64; 4])>,
+    moved: f64,
+    waited: f64,
+    /// How far a reference may have crept since the last rest, nm²; warmth then, nm.
+    pub(super) crept: f64,
+    warm: f64,
+    /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
+    pub(super) bent: [f64; 2],
+    pub(super) lag: f64,
+    /// Differences of means, of I and II and of III and both: smoothed, where they go from, nm, and since when they are known,
+    /// s. Their squares beyond noise over bends squared, nm⁴ s, and bends to the fourth.
+    means: [[f64; 3]; 2],
+    shows: f64,
+    by_bend: f64,
+}
 
 impl ToolFilter {
     /// What the means of sections say of a lag: each fibre lags by a share of its own, and so they do not add up to nothing.
@@ -55,10 +85,9 @@ impl ToolFilter {
         let [one, two, _] = m.means_nm;
         let [p, q] = self.gratings.bends(m);
         let white = self.gratings.noise.min(self.watch.jitter) / 3.0;
-        let o = &mut self.offsets;
+        let (o, mut shows) = (&mut self.offsets, 0.0);
         let apart = [Some(one - two), third.map(|x| x - 0.5 * (one + two))];
         let share = (elapsed_s / SMOOTH_S).min(1.0);
-        let mut shows = 0.0;
         for (k, noise) in [4.0, 3.0].into_iter().enumerate() {
             let Some(nm) = apart[k] else {
                 o.means[k] = [0.0; 3];
@@ -69,52 +98,48 @@ impl ToolFilter {
             *quick += (nm - *quick) * (elapsed_s / known_s.min(SMOOTH_S)).min(1.0);
             *warm += (nm - *warm) * (elapsed_s / *known_s).min(1.0);
             if *known_s > SMOOTH_S {
-                shows +=
-                    (*quick - *warm) * (*quick - *warm) - noise * white * share / (2.0 - share);
+                let left = *quick - *warm;
+                shows += left * left - noise * white * share / (2.0 - share);
             }
         }
         let (keeps, bend) = ((1.0 - elapsed_s / LAG_S).max(0.0), sqrt(p * q));
         o.shows = o.shows * keeps + shows * bend * elapsed_s;
         o.by_bend = o.by_bend * keeps + bend * bend * elapsed_s;
         let told = SHOWS * o.shows + BEFORE * BEFORE_NM4_S;
-        o.lag = (told / (o.by_bend + BEFORE_NM4_S)).clamp(LEAST, MOST);
+        o.lag = (told / (o.by_bend + BEFORE_NM4_S)).clamp(LEAST, MOST) - LEAST;
     }
 
-    /// Variance of a component of a section's moment by what its fibres lag unlike those of the other, (mN·mm)².
+    /// Variance of a component of a section's moment by what its fibres lag, (mN·mm)².
+    #[inline]
+    fn lagging_moment(&self, section: usize) -> f64 {
+        self.offsets.lag * self.offsets.bent[section] * self.gratings.per_nm[section]
+    }
+
+    /// By what they lag unlike those of the other section.
     #[inline]
     pub(super) fn lagging(&self, section: usize) -> f64 {
-        let o = &self.offsets;
-        UNLIKE * (o.lag - LEAST) * o.bent[section] * self.gratings.per_nm[section]
+        UNLIKE * self.lagging_moment(section)
     }
 
     /// Variance of a component of a force, mN², that counts moments so, by what all fibres lag alike.
     #[inline]
     pub(super) fn lagging_force(&self, by_moments: [f64; 2]) -> f64 {
-        let (o, per_nm) = (&self.offsets, self.gratings.per_nm);
-        let of = |i: usize| by_moments[i] * sqrt((o.lag - LEAST) * o.bent[i] * per_nm[i]);
+        let of = |i: usize| by_moments[i] * sqrt(self.lagging_moment(i));
         (of(0) + of(1)) * (of(0) + of(1))
     }
 
     /// A reading's bends and warmth: the moments of no force are known less by what these bring.
     #[inline]
     pub(super) fn unsettle(&mut self, m: &Moments, elapsed_s: f64) {
-        let (o, d, g) = (&mut self.offsets, &self.trusted.doubt, &self.gratings);
+        let (o, g) = (&mut self.offsets, &self.gratings);
         let bends = g.bends(m);
         let keeps = (1.0 - 2.0 * elapsed_s / BENT_S).max(0.0);
+        let warmer = (0.5 * (m.means_nm[0] + m.means_nm[1]) - o.warm) * self.trusted.doubt.warmth;
+        let waited = o.last.map_or(0.0, |(at, _)| self.state.time_s - at);
+        o.crept = o.moved * (waited * waited / o.waited.max(1e-9)).min(1.0);
         for i in 0..2 {
             o.bent[i] = (o.bent[i] * keeps).max(bends[i].min(64.0));
-        }
-        let [one, two, _] = m.means_nm;
-        let (told, before) = (0.5 * (one + two), o.warm.unwrap_or(0.5 * (one + two)));
-        let warm = before + (told - before) * (elapsed_s / WARMS_S).min(1.0);
-        o.warm = Some(warm);
-        let waited = o.at_s.map_or(0.0, |at| self.state.time_s - at);
-        let warmer = (warm - o.warm_at_rest) * d.warmth;
-        o.crept = 0.0;
-        for i in 0..2 {
-            let crept = o.moved[i] * (waited * waited / o.waited[i].max(1e-9)).min(1.0);
-            o.crept = o.crept.max(crept);
-            let most = (crept + warmer * warmer + LEFT * o.lag * o.bent[i]) * g.per_nm[i];
+            let most = (o.crept + warmer * warmer + LEFT * o.lag * o.bent[i]) * g.per_nm[i];
             for k in [OFFSETS + 2 * i, OFFSETS + 2 * i + 1] {
                 let own = &mut self.state.p[k][k];
                 *own += (most - *own).max(0.0) * (elapsed_s / LAGS_S).min(1.0);
@@ -127,68 +152,54 @@ impl ToolFilter {
     pub(super) fn rest(&mut self, m: &Moments, third: Option<&[f64; FIBRES]>) {
         let (s, o, g) = (&mut self.state, &mut self.offsets, &self.gratings);
         let variance = g.per_nm.map(|v| v * g.noise);
-        o.count += 1.0;
         for k in 0..4 {
             let felt = m.m[k / 2][k % 2] + s.x[OFFSETS + k];
-            let most = g.per_nm[k / 2]
-                * (RESTS_NM2 + RESTS_NOISE * (g.noise + o.lag.max(MAY_LAG) * o.bent[k / 2]));
-            if !(felt * felt < most) {
-                (o.sums, o.squares, o.count) = ([0.0; 4], 0.0, 0.0);
-                o.third = Vector2::zeros();
+            let most = RESTS_NM2 + RESTS_NOISE * (g.noise + o.lag.max(MAY_LAG) * o.bent[k / 2]);
+            if !(felt * felt < g.per_nm[k / 2] * most) {
+                o.now = Rest::default();
                 return;
             }
-            o.sums[k] += felt;
-            o.squares += felt * felt / variance[k / 2];
+            o.now.moments[k] += felt;
+            o.now.squares += felt * felt / variance[k / 2];
         }
-        o.third += third.map_or(Vector2::repeat(f64::NAN), |s| g.of_third(s));
-        if o.count < COMPARED {
+        o.now.third += third.map_or(Vector2::repeat(f64::NAN), |s| g.of_third(s));
+        o.now.count += 1.0;
+        if o.now.count < COMPARED {
             return;
         }
-        let third = o.third / COMPARED;
-        o.third = Vector2::zeros();
-        let told = o.sums.map(|sum| sum / COMPARED);
-        let mut within = o.squares / COMPARED;
+        let told = o.now.moments.map(|sum| sum / COMPARED);
+        let (third, mut within) = (o.now.third / COMPARED, o.now.squares / COMPARED);
+        o.now = Rest::default();
         for k in 0..4 {
             within -= told[k] * told[k] / variance[k / 2];
         }
-        (o.sums, o.squares, o.count) = ([0.0; 4], 0.0, 0.0);
         if within > 4.0 * STILL {
             return;
         }
         if third.x.is_finite() {
             (self.tip.zero, self.tip.bent) = (third, 0.0);
         }
-        let before = s.p[OFFSETS][OFFSETS];
         for k in 0..4 {
             let mut h = [0.0; N];
             h[OFFSETS + k] = 1.0;
             let seen = s.see(&h, NOISE * variance[k / 2]);
             s.take(&seen, told[k] - s.x[OFFSETS + k]);
         }
-        if before > 0.0 {
-            let left = (s.p[OFFSETS][OFFSETS] / before).min(1.0);
-            let warm = o.warm.unwrap_or(0.0);
-            o.warm_at_rest = warm + (o.warm_at_rest - warm) * left;
-        }
-        let waited = o.at_s.map(|at| s.time_s - at);
-        if waited.is_some_and(|w| w < APART_S) {
-            return;
-        }
-        if let Some(waited) = waited {
-            for i in 0..2 {
-                let change = |k: usize| (told[k] - o.rest[k]) * (told[k] - o.rest[k]);
-                let noise = BEYOND * BEYOND * 2.0 / COMPARED * g.noise;
-                let moved = 0.5 * (change(2 * i) + change(2 * i + 1)) / g.per_nm[i] - noise;
-                // what does not move adds up to no credit
-                o.moved[i] = (KEEPS * o.moved[i] + moved).max(0.0);
-                o.waited[i] = if o.moved[i] > 0.0 {
-                    KEEPS * o.waited[i] + waited * waited
-                } else {
-                    0.0
-                };
+        o.warm = 0.5 * (m.means_nm[0] + m.means_nm[1]);
+        if let Some((at_s, before)) = o.last {
+            let waited = s.time_s - at_s;
+            if waited < APART_S {
+                return;
             }
+            let mut moved = -BEYOND * BEYOND * 2.0 / COMPARED * g.noise;
+            for k in 0..4 {
+                moved += 0.25 * (told[k] - before[k]) * (told[k] - before[k]) / g.per_nm[k / 2];
+            }
+            // what does not move adds up to no credit
+            o.moved = (KEEPS * o.moved + moved).max(0.0);
+            let more = KEEPS * o.waited + waited * waited;
+            o.waited = if o.moved > 0.0 { more } else { 0.0 };
         }
-        o.rest = told;
-        o.at_s = Some(s.time_s);
+        o.last = Some((s.time_s, told));
     }
 }

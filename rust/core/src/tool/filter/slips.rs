@@ -17,6 +17,7 @@ const ALONE: f64 = 3.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Slips {
     n: f64,
+    /// Sums of both differences and of their squares, then of each fibre's `p`: itself, its square, and with the differences.
     d: [f64; 2],
     dd: f64,
     x: [[f64; 2]; FIBRES],
@@ -27,54 +28,36 @@ pub(super) struct Slips {
 impl Slips {
     /// Differences of means (of I and II, of III and both, nm), and `p` of each fibre in sections I and II.
     pub(super) fn add(&mut self, keeps: f64, d: [f64; 2], p: [[f64; FIBRES]; 2]) {
-        self.n = keeps * self.n + 1.0;
-        self.dd *= keeps;
-        for j in 0..2 {
-            self.d[j] = keeps * self.d[j] + d[j];
-            self.dd += d[j] * d[j];
-        }
+        let more = |sum: &mut f64, x: f64| *sum = keeps * *sum + x;
+        more(&mut self.n, 1.0);
+        more(&mut self.dd, d[0] * d[0] + d[1] * d[1]);
+        (0..2).for_each(|j| more(&mut self.d[j], d[j]));
         for k in 0..FIBRES {
             let x = [p[1][k] - p[0][k], 0.5 * (p[0][k] + p[1][k])];
-            self.xx[k] *= keeps;
-            self.xd[k] *= keeps;
-            for j in 0..2 {
-                self.x[k][j] = keeps * self.x[k][j] + x[j];
-                self.xx[k] += x[j] * x[j];
-                self.xd[k] += x[j] * d[j];
-            }
+            (0..2).for_each(|j| more(&mut self.x[k][j], x[j]));
+            more(&mut self.xx[k], x[0] * x[0] + x[1] * x[1]);
+            more(&mut self.xd[k], x[0] * d[0] + x[1] * d[1]);
         }
     }
 
     /// The fibre that slips, where one does and no other could: what it leaves of the differences is a small part of them,
     /// and of what any other leaves.
     pub(super) fn slipping(&self, noise: f64) -> Option<usize> {
-        if self.n < SLIPS {
-            return None;
-        }
         let spread = |a: [f64; 2], b: [f64; 2], ab: f64| ab - (a[0] * b[0] + a[1] * b[1]) / self.n;
         let all = spread(self.d, self.d, self.dd);
         let (mut best, mut least, mut next) = (None, f64::INFINITY, f64::INFINITY);
         for k in 0..FIBRES {
-            let (xx, xd) = (
-                spread(self.x[k], self.x[k], self.xx[k]),
-                spread(self.x[k], self.d, self.xd[k]),
-            );
-            let left = if xd > SLIPPED * xx && xx > 0.0 {
-                all - xd * xd / xx
-            } else {
-                all
-            };
+            let xx = spread(self.x[k], self.x[k], self.xx[k]);
+            let xd = spread(self.x[k], self.d, self.xd[k]);
+            let explains = xd > SLIPPED * xx && xx > 0.0;
+            let left = all - if explains { xd * xd / xx } else { 0.0 };
             if left < least {
                 (best, least, next) = (Some(k), left, least);
-            } else if left < next {
-                next = left;
+            } else {
+                next = next.min(left);
             }
         }
         let least = least.max(0.0) + 2.0 * noise * self.n;
-        if least < EXPLAINED * all && next > ALONE * least {
-            best
-        } else {
-            None
-        }
+        best.filter(|_| self.n >= SLIPS && least < EXPLAINED * all && next > ALONE * least)
     }
 }

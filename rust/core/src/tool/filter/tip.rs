@@ -1,7 +1,7 @@
 //! A second touch, near the tip: section III, which the hole does not bend, measures its force.
 
+use super::ToolFilter;
 use super::moments::{Moments, Shifts};
-use super::start::{Tip, ToolFilter};
 use super::state::L;
 use nalgebra::Vector2;
 
@@ -21,6 +21,20 @@ const PLAY: f64 = 1.0 / 36.0;
 const FELT: f64 = 16.0;
 const GONE: f64 = 6.0;
 
+/// Force at the tip, tool frame, mN, the variance of a component by noise, and of its zero, mN².
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Tip {
+    pub(super) force: Vector2<f64>,
+    variance: f64,
+    of_zero: f64,
+    /// The moment of section III at rest, mN·mm, and how far the hole has bent III since, as a fibre's shift squared, nm².
+    pub(super) zero: Vector2<f64>,
+    pub(super) bent: f64,
+    tells: bool,
+    /// Whether it is one.
+    pub(super) on: bool,
+}
+
 impl Tip {
     /// Takes it off moments at these distances, mm.
     #[inline]
@@ -36,24 +50,16 @@ impl Tip {
         left
     }
 
-    /// Variance of a component, mN²; and what of it lasts.
+    /// Variance of a component that lasts, mN²; and with its noise, where there is such a force.
     #[inline]
-    pub(super) fn unsure(&self) -> f64 {
-        self.variance * f64::from(u8::from(self.tells)) + self.lasting()
+    pub(super) fn lasting(&self) -> f64 {
+        let share = f64::from(u8::from(self.on)) * SHARE * SHARE * self.force.norm_squared();
+        f64::from(u8::from(self.tells)) * (self.of_zero + share)
     }
 
     #[inline]
-    pub(super) fn lasting(&self) -> f64 {
-        let share = if self.on {
-            SHARE * SHARE * self.force.norm_squared()
-        } else {
-            0.0
-        };
-        if self.tells {
-            self.of_zero + share
-        } else {
-            0.0
-        }
+    pub(super) fn unsure(&self) -> f64 {
+        f64::from(u8::from(self.on)) * (self.variance + self.lasting())
     }
 }
 
@@ -65,13 +71,13 @@ impl ToolFilter {
         let per = 0.5 * (g.per_nm[0] + g.per_nm[1]) / (THIRD_MM * THIRD_MM);
         let third = g.of_third(&shifts[2]);
         let told = (third - t.zero) / THIRD_MM;
-        let own = if self.state.x[L] > DEEP_MM {
-            0.0
-        } else {
-            third.norm_squared() / g.per_nm[0]
-        };
-        let [near, far] = self.offsets.bent;
-        t.bent = t.bent.max(own.min(64.0)).max(PLAY * near.max(far));
+        // what the hole's bends leave in its zero, since it stood near the tip
+        if !(self.state.x[L] > DEEP_MM) {
+            t.bent = t.bent.max((third.norm_squared() / g.per_nm[0]).min(64.0));
+        }
+        t.bent = t
+            .bent
+            .max(PLAY * self.offsets.bent[0].max(self.offsets.bent[1]));
         let tells = tells && told.norm_squared() < MOST_MN * MOST_MN;
         if !(tells && t.tells) {
             (t.force, t.variance) = (Vector2::zeros(), CHANGES);
@@ -79,7 +85,6 @@ impl ToolFilter {
         t.tells = tells;
         // its zero is known as well as the bench repeats a reference, and its gratings are as warm as each other
         let zero = self.trusted.doubt.reference_nm;
-        // and what the hole's bends have left in it, since it stood near the tip
         let lags = self.offsets.lag * t.bent;
         t.of_zero = per * (zero * zero + ZERO_NM2 + self.offsets.crept + lags);
         if tells {
@@ -89,6 +94,6 @@ impl ToolFilter {
             t.variance *= 1.0 - gain;
         }
         let least = if t.on { GONE } else { FELT };
-        t.on = t.force.norm_squared() > least * (t.variance + t.of_zero) && tells;
+        t.on = tells && t.force.norm_squared() > least * (t.variance + t.of_zero);
     }
 }
