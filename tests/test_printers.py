@@ -271,6 +271,24 @@ def test_a_twist_is_said_in_its_direction_and_size(tmp_path: Path) -> None:
     assert "retina" not in text
 
 
+def test_a_height_that_is_wild_is_left_out_and_nothing_else_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a crumb of 0.6 mm on the plate of a perfect machine that is "the scatter of the probe", and a printer.cfg
+    with other numbers beside "What to do: Nothing"."""
+    perfect = Machine.of(np.full(3, BELIEVED.radius), np.array(BELIEVED.angle), np.array(BELIEVED.arm), BELIEVED.top)
+    x, y, z = probed(perfect, BELIEVED, noise=0.01)
+    z[len(y) // 2, len(x) // 2 + 1] += 0.6
+    as_klipper(tmp_path, BELIEVED, (x, y, z))
+    config, new = tmp_path / "printer.cfg", tmp_path / "new.cfg"
+    assert command("printer", str(config), "-o", str(new)) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 of them is off at" in said
+    assert "and left out: look what lies there" in said
+    assert float(said.partition(" mm RMS over the plate")[0].split()[-1]) < 0.015
+    assert not new.exists()
+
+
 def test_a_turn_that_nobody_told_is_asked_for(tmp_path: Path) -> None:
     """Catches "nothing is wrong" where a bent plate was turned and two probings disagree."""
     trial = Trial.of("bent plate", 5, 1)

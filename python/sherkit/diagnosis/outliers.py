@@ -94,7 +94,7 @@ def gross_errors(fit: Fit, effects: Sequence[Effect] = (), *, keep: Sequence[int
     wrong, and none where there are too few rows to tell.
 
         fit = sk.identify("demo/robot.toml", "demo/whole.csv")
-        print(fit.data.line[sk.gross_errors(fit)])
+        print(fit.data.line[sk.diagnosis.gross_errors(fit)])
     """
     return _seen_from(fit, effects, keep)[1]
 

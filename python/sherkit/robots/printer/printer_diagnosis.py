@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from ...base.answer import AFTER, BEFORE, FILES, Answer, Bar, ToDo
+from ...base.figures import listed
 from ...diagnosis import Diagnosis, diagnose
 from ...fit.forms import known
 from ...fit.identify import Fit
@@ -177,7 +178,20 @@ class Examined:
         still = ""
         if len(robot.probings) > 1 and not turned:
             still = " All are taken with the plate lying the same way; if it was turned under one: --plate NAME=60."
-        return f"{len(data) - count} heights{lengths} ({names}){plate}.{still}"
+        return f"{len(data) - count} heights{lengths} ({names}){plate}.{self._left_out()}{still}"
+
+    def _left_out(self) -> str:
+        """Heights that nothing explains, and where."""
+        data, rows = self.plain.data, np.flatnonzero(self.plain.data.outlier & ~distances(self.plain.data))
+        if not len(rows):
+            return ""
+        at, off = self.plain.model.tips(data)[rows], self.plain.residuals[rows, 0]
+        each = listed([f"({round(x)}, {round(y)}) by {_mm(abs(z))}" for (x, y, *_), z in zip(at, off, strict=True)], 6)
+        many = len(rows) > 1
+        return (
+            f" {len(rows)} of them {'are' if many else 'is'} off at {each} and left out: look what lies there, "
+            f"and probe {'them' if many else 'it'} again."
+        )
 
     def _wrong(self) -> list[str]:
         out = []
@@ -336,6 +350,8 @@ def examine(found: ImportedPrinter, *, seed: int = 0, step: Callable[[str], None
     step("fitting what the firmware can hold")
     plain = plain_fit(found.robot, found.measurements)
     told = diagnose(plain, seed=seed, step=step)
+    if len(told.outliers):
+        plain = plain_fit(found.robot, found.measurements.mark_outliers(told.outliers))
     step("asking who could be behind it")
     asked = Examined(found, plain, told, ())
     if asked.after_mm < _FELT_MM:
