@@ -35,7 +35,6 @@ from .sensor_pose import KNOWN_LEVEL, known_stand
 from .where import SlowDrift
 
 
-
 def checks_of(
     final: FittedRun,
     found: NamedEffects,

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..base.types import Floats
 from .base import Base, log_bayes
 from .sets import MOST, EffectSet, Sets, ShapeDescription
 from .thresholds import ABSURD, ALARM, COUNTS, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, times_plausible
@@ -45,6 +46,8 @@ class Names:
     alone: ShapeDescription
     #: What is left without any effect.
     without: Base
+    #: By how much the lead says more where its effects are of one joint each.
+    of_one_joint: float = 0.0
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -59,7 +62,8 @@ class Names:
     @property
     def shapes_say_more(self) -> bool:
         """Whether shapes alone say clearly more than the effects with shapes do."""
-        return self.lead is not None and self.alone.evidence > self.lead.value + self.beside.evidence + SURE
+        value = -np.inf if self.lead is None else self.lead.value + self.of_one_joint
+        return self.lead is not None and self.alone.evidence > value + self.beside.evidence + SURE
 
 
 def judged_names(sets: Sets) -> Names:
@@ -73,7 +77,8 @@ def judged_names(sets: Sets) -> Names:
     # where effects say far more than shapes no other beginning of these changes that
     if lead.value + beside.evidence - alone.evidence < 2.0 * NEEDED:
         alone = sets.described(sets.base, MOST, _STARTS)
-    judged = Names(lead, (), {}, _ties(lead, found), beside, alone, sets.base)
+    fewer = sum(_of_one_joint(lead, k, sets.base) for k in range(len(lead.blocks))) if len(lead.blocks) == 1 else 0.0
+    judged = Names(lead, (), {}, _ties(lead, found), beside, alone, sets.base, fewer)
     # three or more with many numbers imitate anything; what no shape follows is left, too, where poses are off by
     # errors of their own
     own = lead.base.own_errors()
@@ -110,14 +115,40 @@ def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDes
         return Told(block.name, np.inf, np.inf, size)
     without = alone if less is None else sets.described(less.base, MOST, _STARTS)
     needed = lead.value + beside.evidence - (0.0 if less is None else less.value) - without.evidence
-    # its columns as the full fit has them
-    columns = lead.run.flat(lead.run.view.fitted(lead.run.view.whole)[:, :, fit.owns(block.effect)])
+    needed += _of_one_joint(lead, k, sets.base if less is None else less.base)
+    columns, _ = _columns(lead, k)
+    return Told(block.name, needed, _tells(without.base, columns), size)
+
+
+def _columns(lead: EffectSet, k: int) -> tuple[Floats, list[str]]:
+    """Columns (N, p) of an effect of a set as the full fit has them, of unit length, and the joint of each by its
+    number; empty where its parameter is of none."""
+    fit, effect = lead.run.of, lead.blocks[k].effect
+    assert effect is not None, "shapes are not named"
+    at = fit.owns(effect)
+    columns = lead.run.flat(lead.run.view.fitted(lead.run.view.whole)[:, :, at])
     length = np.linalg.norm(columns, axis=0)
-    columns = columns[:, length > 0] / length[length > 0]
-    base = without.base
+    joints = [p.name.rpartition("_")[2] for p in fit.fit.parameters[at]]
+    return columns[:, length > 0] / length[length > 0], [
+        joint if joint.isdigit() else "" for joint, some in zip(joints, length > 0, strict=True) if some
+    ]
+
+
+def _tells(base: Base, columns: Floats) -> float:
+    """The logarithm of the Bayes factor of columns (N, p) beside what a base has."""
     part = base.takes(columns) / max(base.rss, 1e-300)
-    tells = log_bayes(np.array([part]), np.array([columns.shape[1]]), base.free, len(base.residual))
-    return Told(block.name, needed, float(tells[0]), size)
+    return float(log_bayes(np.array([part]), np.array([columns.shape[1]]), base.free, len(base.residual))[0])
+
+
+def _of_one_joint(lead: EffectSet, k: int, base: Base) -> float:
+    """By how much an effect that any joint may have says more as that of one joint alone, which of them being as likely
+    as any other and as all together: shapes are of one joint, and pay for no other."""
+    columns, joints = _columns(lead, k)
+    every = dict.fromkeys(joints)
+    if "" in every or len(every) < 2:
+        return 0.0
+    each = [_tells(base, columns[:, [j == joint for j in joints]]) for joint in every]
+    return max(max(each) - float(np.log(2.0 * len(every))) - _tells(base, columns), 0.0)
 
 
 def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: bool) -> str:

@@ -5,23 +5,16 @@
 //! is left is its pace.
 
 use super::ToolFilter;
-use super::state::{CLEARANCE, GIVES, L, N, Row, State, TURN};
+use super::learnt::Then;
+use super::state::{CLEARANCE, GIVES, L, N, State, TURN};
 use crate::numbers::math::sqrt;
 use crate::tool::poses::Posed;
 use nalgebra::{Vector2, Vector3};
 
-/// The pace is taken over this time, and remembered for the other, s; the guess at the start, (mm/s)², counts as so much, s.
+/// The pace is taken over this time, and remembered for the other, s.
 const OVER_S: f64 = 0.1;
 const KEPT_S: f64 = 5.0;
-const FIRST: f64 = 0.04;
-const GUESSED_S: f64 = 0.01;
-/// How long the robot's lateness is looked at, and over which time its sign is taken, s; how late one may be, s; what strays
-/// over that time before anything is known of them, mm²; the odds that one is late at all; deviations beyond which it is said.
-const LATE_S: f64 = 30.0;
-const COMPARED_S: f64 = 0.5;
-const MAY_BE_S: f64 = 0.04;
-const STRAYS_MM2: f64 = 0.04;
-const ODDS: f64 = 1.0 / 3.0;
+/// Deviations of the robot's lateness beyond which it is said.
 const BEYOND: f64 = 2.5;
 /// A square of what is left over its variance above which a window says nothing of the hole.
 const FITS: f64 = 16.0;
@@ -30,85 +23,8 @@ const HARDENS: f64 = 0.1;
 /// Deviation of a force that nobody has read, mN.
 const UNREAD_MN: f64 = 100.0;
 
-/// What was learnt of the edge: mean square pace of a coordinate, (mm/s)², and how much is known of it, s.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Edge {
-    pub(super) mean: f64,
-    known_s: f64,
-    pub(super) since: Option<Then>,
-    /// Since when strays add up, to what, and the hole's motion aside then, mm/s; sums by which the robot's rows are late: of
-    /// strays by how that motion changed, of its squares, of squares of strays, mm, and of ones.
-    pub(super) strays: Option<(f64, Vector2<f64>, Vector2<f64>)>,
-    late: [f64; 4],
-}
-
-/// The edge a tenth of a second ago: where the tool was, what was known, the force and its noise, what the shaft alone gave
-/// way for it, whether it told a depth.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Then {
-    at: Posed,
-    x: Row,
-    force: Vector2<f64>,
-    noise: f64,
-    gives: f64,
-    tells: bool,
-}
-
-impl Default for Edge {
-    fn default() -> Self {
-        Self {
-            mean: FIRST,
-            known_s: GUESSED_S,
-            since: None,
-            strays: None,
-            late: [0.0; 4],
-        }
-    }
-}
-
 fn quarter(v: &Vector2<f64>) -> Vector2<f64> {
     Vector2::new(-v.y, v.x)
-}
-
-impl Edge {
-    /// By how much the robot is late, s, and the square of its deviation, s²: it is late or it is not, one robot in four before
-    /// anything was seen (Jeffreys, *Theory of Probability*, V), so that what the strays exclude is not doubted on.
-    pub(super) fn late(&self) -> (f64, f64) {
-        let [with, own, square, n] = self.late;
-        let before = MAY_BE_S * MAY_BE_S;
-        let told = before * (n + 1.0) / (square + STRAYS_MM2);
-        let variance = before / (1.0 + own * told);
-        let mean = with * told / before * variance;
-        let evidence = libm::exp((0.5 * mean * mean / variance).min(50.0));
-        let odds = ODDS * sqrt(variance / before) * evidence;
-        let is = odds / (1.0 + odds);
-        (is * mean, is * (variance + (1.0 - is) * mean * mean))
-    }
-
-    /// Strays over half a second beside how the motion of the hole aside changed in it: tremor is over by then.
-    #[inline]
-    fn strays(&mut self, strayed: &Vector2<f64>, sideways: &Vector2<f64>, time_s: f64) {
-        let Some((since_s, sum, before)) = self.strays else {
-            self.strays = Some((time_s, Vector2::zeros(), *sideways));
-            return;
-        };
-        let sum = sum + strayed;
-        self.strays = Some((since_s, sum, before));
-        if time_s - since_s < COMPARED_S {
-            return;
-        }
-        self.strays = Some((time_s, Vector2::zeros(), *sideways));
-        let faster = sideways - before;
-        let keeps = (1.0 - (time_s - since_s) / LATE_S).max(0.0);
-        let [with, own, square, n] = self.late.map(|x| x * keeps);
-        let [more, squared] = [sum.dot(&faster), 0.5 * sum.norm_squared()];
-        self.late = [
-            with + more,
-            own + faster.norm_squared(),
-            square + squared,
-            n + 1.0,
-        ];
-    }
 }
 
 impl ToolFilter {

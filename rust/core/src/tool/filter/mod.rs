@@ -17,6 +17,7 @@
 mod along;
 mod edge;
 mod judging;
+mod learnt;
 mod moments;
 mod offsets;
 mod reading;
@@ -54,13 +55,13 @@ pub struct ToolFilter {
     poses: Poses,
     state: State,
     /// The last force that was read, and when.
-    felt: Option<(f64, reading::Said)>,
-    offsets: offsets::Offsets,
-    drift: reading::Drift,
+    felt: Option<(f64, learnt::Said)>,
+    offsets: learnt::Offsets,
+    drift: learnt::Drift,
     along: along::Along,
-    edge: edge::Edge,
-    tip: tip::Tip,
-    watch: judging::Watch,
+    edge: learnt::Edge,
+    tip: learnt::Tip,
+    watch: learnt::Watch,
     used_s: f64,
     look: Look,
     counts: Counts,
@@ -142,12 +143,12 @@ impl ToolFilter {
                 slid: 0.0,
             },
             felt: None,
-            offsets: offsets::Offsets::default(),
-            drift: reading::Drift::new(time_s, t.per_second_mm2),
+            offsets: learnt::Offsets::default(),
+            drift: learnt::Drift::new(time_s, t.per_second_mm2),
             along: along::Along::default(),
-            edge: edge::Edge::default(),
-            tip: tip::Tip::default(),
-            watch: judging::Watch::new(gratings.noise),
+            edge: learnt::Edge::default(),
+            tip: learnt::Tip::default(),
+            watch: learnt::Watch::new(gratings.noise),
             used_s: f64::NEG_INFINITY,
             look: Look::default(),
             counts: Counts::default(),

@@ -5,6 +5,7 @@
 //! each lags by a share of its own. What lags is considered: all fibres alike put the force off, each by itself the depth.
 
 use super::ToolFilter;
+use super::learnt::Rest;
 use super::moments::Moments;
 use super::state::{N, OFFSETS};
 use crate::numbers::math::sqrt;
@@ -46,37 +47,6 @@ const UNLIKE: f64 = 1.0 / 32.0;
 const LEAST: f64 = 4e-8;
 const MOST: f64 = 1e-2;
 pub(super) const APART_NM: f64 = 1e-3;
-
-/// Sums over a rest: of moments and of their squares over their variances, of section III, and how many.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Rest {
-    moments: [f64; 4],
-    squares: f64,
-    third: Vector2<f64>,
-    count: f64,
-}
-
-/// What was learnt of them.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Offsets {
-    now: Rest,
-    /// The last rest that was compared, and its time, s; squares of changes from one to the next, nm², and of the times in
-    /// which they came, s².
-    last: Option<(f64, [f64; 4])>,
-    moved: f64,
-    waited: f64,
-    /// How far a reference may have crept since the last rest, nm²; warmth then, nm.
-    pub(super) crept: f64,
-    warm: f64,
-    /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
-    pub(super) bent: [f64; 2],
-    pub(super) lag: f64,
-    /// Differences of means, of I and II and of III and both: smoothed, where they go from, nm, and since when they are known,
-    /// s. Their squares beyond noise over bends squared, nm⁴ s, and bends to the fourth.
-    means: [[f64; 3]; 2],
-    shows: f64,
-    by_bend: f64,
-}
 
 impl ToolFilter {
     /// What the means of sections say of a lag: each fibre lags by a share of its own, and so they do not add up to nothing.

@@ -6,9 +6,10 @@
 //! and a section of which a grating is lost still counts.
 
 use super::ToolFilter;
+use super::learnt::Said;
 use super::moments::Moments;
 use super::offsets::APART_NM;
-use super::state::{BENCH, CLEARANCE, DEEPER, L, N, OFFSETS, Row, Seen, State};
+use super::state::{BENCH, CLEARANCE, DEEPER, L, N, OFFSETS, Row, State};
 use crate::numbers::math::sqrt;
 use crate::tool::status::Status;
 use nalgebra::{Matrix2, Vector2};
@@ -22,44 +23,6 @@ const VAGUE_MM: f64 = 5.0;
 const AGAIN: usize = 6;
 /// Readings over which an error that lasts is alike.
 const LASTS: f64 = 50.0;
-/// Innovations that pull one way: over this time, s; how far the logarithm of the hole's drift follows; the largest
-/// product that counts; the first drift and the fastest over the slowest.
-const OVER_S: f64 = 0.2;
-const FOLLOWS: f64 = 0.1;
-const MOST: f64 = 16.0;
-const FIRST: f64 = 4.0;
-const FASTEST: f64 = 256.0;
-
-/// What a reading says beside the expected state.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Said {
-    pub(super) size: f64,
-    pub(super) way: Vector2<f64>,
-    /// How much deeper than expected the hole stands where the reading was looked at again, what the bend takes from `l`
-    /// there, mm, and from the moments.
-    ahead: f64,
-    short: f64,
-    relief: [f64; 2],
-    /// Variance of the force's components by noise, mN²; the force by the moments of I and II and by the depth.
-    pub(super) noise: f64,
-    pub(super) by_moments: [f64; 2],
-    pub(super) by_depth: f64,
-    /// Variance of the depth by what lasts, mm².
-    lasting: f64,
-    /// Whether there is a force at all.
-    leans: bool,
-    /// How far the depth is from the expected one, mm, where the force tells it.
-    pub(super) off: Option<(f64, Seen)>,
-    /// Square of what the moments say across the force over its variance.
-    pub(super) misfit: f64,
-}
-
-impl Said {
-    /// Square of how far the depth is off over its variance; zero where it is not told.
-    pub(super) fn far(&self) -> f64 {
-        self.off.map_or(0.0, |(mm, seen)| mm * mm / seen.total)
-    }
-}
 
 /// By how much the hole stands deeper than where moments were looked at with a force, mm, least squares; how well that is told
 /// where the force is not known either, 1/mm²; what of it goes with the force, and with the moments.
@@ -81,47 +44,6 @@ fn deeper(
     let left = |i: usize| a[i].dot(&(m.z[i] - m.j[i] * f * c[i]));
     let by_moments = [0, 1].map(|i| (m.j[i] * turned * c[i] - ja[i]) / told);
     (-(left(0) + left(1)) / told, told, turned, by_moments)
-}
-
-/// Sums of innovations and of one over their variances; since when; what the last sum was over its deviation; the process
-/// noise to use, mm²/s.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Drift {
-    sum: f64,
-    weight: f64,
-    since_s: f64,
-    before: f64,
-    pub(super) per_second: f64,
-}
-
-impl Drift {
-    pub(super) fn new(since_s: f64, slowest: f64) -> Self {
-        let (sum, weight, before, per_second) = (0.0, 0.0, 0.0, FIRST * slowest);
-        Self {
-            sum,
-            weight,
-            since_s,
-            before,
-            per_second,
-        }
-    }
-
-    /// How fast the hole strays along the shaft: where the process noise is right, innovations are independent, and the sum
-    /// of those of one moment has nothing to do with that of the next (Mehra, *IEEE Trans. Automatic Control* 15, 1970).
-    #[inline]
-    fn add(&mut self, innovation: f64, variance: f64, time_s: f64, slowest: f64) {
-        self.sum += innovation / variance;
-        self.weight += 1.0 / variance;
-        let now = self.sum / sqrt(self.weight);
-        if time_s - self.since_s < OVER_S {
-            return;
-        }
-        let now = if now.is_finite() { now } else { 0.0 };
-        let alike = (now * self.before).clamp(-MOST, MOST);
-        let next = self.per_second * libm::exp(FOLLOWS * alike);
-        self.per_second = next.min(slowest * FASTEST).max(slowest);
-        (self.sum, self.weight, self.since_s, self.before) = (0.0, 0.0, time_s, now);
-    }
 }
 
 impl ToolFilter {

@@ -1,12 +1,10 @@
 //! A second touch, near the tip: section III, which the hole does not bend, measures its force.
 
 use super::ToolFilter;
-use super::moments::{Moments, Shifts};
+use super::moments::Shifts;
 use super::state::L;
 use nalgebra::Vector2;
 
-/// How far off its force is, over the force: nobody says where section III stands.
-const SHARE: f64 = 0.15;
 /// Where section III stands from the tip, mm, and from which depth of the hole on nothing else bends it, mm.
 const THIRD_MM: f64 = 5.0;
 pub(super) const DEEP_MM: f64 = 7.0;
@@ -20,48 +18,6 @@ const PLAY: f64 = 1.0 / 36.0;
 /// Squares of deviations from which on there is a force, and down to which.
 const FELT: f64 = 16.0;
 const GONE: f64 = 6.0;
-
-/// Force at the tip, tool frame, mN, the variance of a component by noise, and of its zero, mN².
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Tip {
-    pub(super) force: Vector2<f64>,
-    variance: f64,
-    of_zero: f64,
-    /// The moment of section III at rest, mN·mm, and how far the hole has bent III since, as a fibre's shift squared, nm².
-    pub(super) zero: Vector2<f64>,
-    pub(super) bent: f64,
-    tells: bool,
-    /// Whether it is one.
-    pub(super) on: bool,
-}
-
-impl Tip {
-    /// Takes it off moments at these distances, mm.
-    #[inline]
-    pub(super) fn off(&self, m: &Moments, distances_mm: [f64; 2]) -> Moments {
-        let mut left = *m;
-        if self.on {
-            for i in 0..2 {
-                let of_tip = self.force * distances_mm[i];
-                left.m[i] -= of_tip;
-                left.z[i] -= m.j[i] * of_tip;
-            }
-        }
-        left
-    }
-
-    /// Variance of a component that lasts, mN²; and with its noise, where there is such a force.
-    #[inline]
-    pub(super) fn lasting(&self) -> f64 {
-        let share = f64::from(u8::from(self.on)) * SHARE * SHARE * self.force.norm_squared();
-        f64::from(u8::from(self.tells)) * (self.of_zero + share)
-    }
-
-    #[inline]
-    pub(super) fn unsure(&self) -> f64 {
-        f64::from(u8::from(self.on)) * (self.variance + self.lasting())
-    }
-}
 
 impl ToolFilter {
     /// The tip's force, where section III tells it.
