@@ -322,7 +322,7 @@ def test_a_loose_grip_is_seldom_blamed_on_the_joints(ur5: Serial) -> None:
     blamed = 0
     for seed in range(10):
         own, q, rng = OwnArm.made(seed), postures(ur5, 100, 0.9, seed), np.random.default_rng([seed, 8])
-        across = replace(own, tool=own.tool + [1.0, 0.0, 0.0]).places(q) - own.places(q)
+        across = replace(own, tool=own.tool + np.eye(3)[0]).places(q) - own.places(q)
         places = own.places(q) + 0.15 * across * np.sign(across[:, 2:])
         order = np.concatenate([rng.permutation(100) for _ in range(2)])
         seen = places[order] + [20.0, -10.0, 15.0] + NOISE_MM * rng.normal(size=(200, 3))

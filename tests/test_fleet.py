@@ -65,7 +65,7 @@ def test_each_machine_is_diagnosed_by_itself(found: Fleet, runs: list[str]) -> N
 
 
 def test_a_run_with_a_mistake_of_its_set_up_is_no_odd_machine() -> None:
-    """Catches a run in inches of which only "rod_length_2 is 22.8 mm" stands out, beside a diagnosis that says inches."""
+    """Catches a run in inches of which only "rod_length_2 is 22.8 mm" stands out, where a diagnosis says inches."""
     inches = machine(7).to_frame()
     inches = inches.with_columns([inches[name] / 25.4 for name in ("x_mm", "y_mm", "z_mm")])
     found = sk.fleet([machine(6), sk.from_frame(inches)], EXAMPLE)
