@@ -88,7 +88,7 @@ def test_every_step_is_an_independent_refit(leaning: sk.Measurements) -> None:
     study.mark_outliers([3, 40])
     more = run(5, *planted(0, "rail_lean"))
     later = more.to_frame().with_columns(pl.col("time_s") + 1e4)
-    study.extend(sk.from_frame(later))
+    study.extend(later)
     lean, drift = sk.delta.CATALOGUE["rail_lean"], sk.delta.CATALOGUE["drift"]
     marked = leaning.mark_outliers(np.array([3, 40]))
     expected: list[tuple[tuple[sk.Effect, ...], sk.Measurements]] = [

@@ -271,8 +271,9 @@ class Study(Shown):
         return self._take(replace(state.step, action=action), state.step.fit)
 
     @validate_arguments
-    def extend(self, more: Measurements) -> StudyStep:
-        """Joins new measurements to the study and refits: :func:`joined`."""
+    def extend(self, more: RunLike) -> StudyStep:
+        """Joins new measurements, a file or a frame of them, to the study and refits: :func:`joined`."""
+        more = run_for(self.robot, more)
         step = self._change(self.model, joined(self.data, more), f"{len(more)} rows joined")
         wrong = gross_errors(self._with_all(), tuple(self.own.values()), keep=self._put_back)
         return self.history[-1] if self._leave_out(wrong) else step
