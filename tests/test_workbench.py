@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import pytest
 import sherkit as sk
 from changed_worlds import DeltaPair
 from sherkit import save_robot
+from sherkit.app.views import ordered
 from sherkit.app.workbench import Workbench
 from sherkit.cli.demo import EXAMPLE
 from sherkit.errors import SherkitError
@@ -220,3 +221,12 @@ def test_joined_runs_of_a_changed_machine_are_sent_to_compare(tmp_path: Path) ->
         assert found.verdict in ("partly explained", "unexplained"), found.headline
     finally:
         bench.close()
+
+
+def test_what_goes_with_another_is_offered_beside_it(bench: Workbench) -> None:
+    """Catches a second wave in the list of a model that has no first, unfolded and without a number."""
+    state = bench.page_state
+    second = replace(state.known["backlash"], name="second", goes_with="backlash")
+    state = replace(state, known={**state.known, "second": second})
+    assert "second" not in ordered(state, {})
+    assert "second" in ordered(replace(state, effects=("backlash",)), {})

@@ -112,9 +112,13 @@ def idle(found: Diagnosis) -> frozenset[str]:
 
 
 def ordered(page_state: PageState, would: Mapping[str, float]) -> list[str]:
-    """Effects in the model, then those that are named as missing, then by what each ``would`` leave."""
-    found = page_state.diagnosis
-    names = [name for name in page_state.known if name not in WITHIN]
+    """Effects in the model, then those that are named as missing, then by what each ``would`` leave; one that goes with
+    another, as a second wave does, only beside that."""
+    found, inside = page_state.diagnosis, page_state.effects
+    names = [
+        name for name, effect in page_state.known.items()
+        if name not in WITHIN and (not effect.goes_with or {name, effect.goes_with} & {*inside})
+    ]  # fmt: skip
 
     def order(name: str) -> tuple[int, float]:
         if name in page_state.effects:
