@@ -57,7 +57,10 @@ def in_repeats(before: Base, left: ShapeDescription, every: FittedRun) -> Repeat
     if free < _FEWEST:
         return None
     axes = list(run.of.axes)
-    apart = _apart(left.base.residual, len(axes), pose)
+    common = run.white.in_common
+    # what the filter made of one visit beside the others of its pose is made undone
+    undone = 1.0 if common is None else 1.0 / common.times
+    apart = undone * _apart(left.base.residual, len(axes), pose)
     # what was fitted takes its part of the freedom within poses as well
     free -= free * (left.base.basis.shape[1] - before.basis.shape[1]) / (len(pose) * len(axes))
     noise = run.sigma.copy()
@@ -69,7 +72,7 @@ def in_repeats(before: Base, left: ShapeDescription, every: FittedRun) -> Repeat
         columns = before.family.columns.of(shape.at)
         if _DIFFERS * np.square(columns).sum() < sum(np.square(_apart(c, len(axes), pose)).sum() for c in columns.T):
             taken = _apart(now.residual - then.residual, len(axes), pose)
-            held.append(_told(run.of, shape, np.sqrt(np.square(taken).mean(axis=0)) * run.sigma[axes]))
+            held.append(_told(run.of, shape, undone * np.sqrt(np.square(taken).mean(axis=0)) * run.sigma[axes]))
         now = then
     if not held:
         noise = _scatter(every, noise)

@@ -18,7 +18,8 @@ from .blocks import Block
 from .family import Family
 from .ripple import ripple_of
 from .run import Run, shared_by_targets
-from .whitening import Whitening, correlation_in_time, orthonormal
+from .thresholds import ALARM
+from .whitening import InCommon, Whitening, correlation_in_time, orthonormal
 
 #: Most blocks beside which the correlation is looked at.
 _MOST = 6
@@ -52,7 +53,7 @@ def _weighed(run: Run, effects: Sequence[Effect]) -> Base:
     while True:
         loud = loudness(now)
         rho = correlation_in_time(run.residual.reshape(len(run), run.axes), now.basis, run.white.back)
-        for white in [run.white, run.white.with_rho(rho)][: 2 if rho else 1]:
+        for white in [run.white, *([run.white.with_rho(rho)] if rho else []), *_by_pose(now)]:
             best = max(best, (_score(first, now, found, white, loud), white, loud, now), key=lambda one: one[0])
         i = int(np.argmax(now.each))
         if len(found) == _MOST or now.each[i] < 0:
@@ -62,13 +63,23 @@ def _weighed(run: Run, effects: Sequence[Effect]) -> Base:
     _, white, loud, now = best
     shared = shared_by_targets(now.residual.reshape(len(run), run.axes), run.of.data.series[run.rows])
     weighed = replace(run.weighed(loud, effects), shared=shared)
-    if white.rho == 0.0 and weighed.of is run.of:
+    if white is run.white and weighed.of is run.of:
         if shared == run.shared:
             return first
         family = Family(weighed, made=(family.columns, family.blocks))
     else:
         family = Family(replace(weighed, white=white))
     return Base.of(family, family.run)
+
+
+def _by_pose(base: Base) -> list[Whitening]:
+    """The filter that takes out errors which visits of a pose share, as large as they are beside a base; none where
+    there are none, or they are declared."""
+    run = base.family.run
+    own = base.own_errors() if run.white.in_common is None else None
+    if own is None or own.evidence < ALARM:
+        return []
+    return [run.white.with_common(InCommon.part(run.view.repeated, own.part**2 / (1.0 + own.part**2)))]
 
 
 def loudness(base: Base) -> Floats:
@@ -84,15 +95,17 @@ def _score(first: Base, now: Base, found: Sequence[Block], white: Whitening, lou
     ``found``."""
     run = first.family.run
     loud = loud / np.exp(np.log(loud).mean())
+    # what is declared to be in common is taken out already
+    beyond = white if run.white.in_common is None else white.in_time
 
     def left(basis: Floats) -> float:
-        flat = (white.in_time(run.residual.reshape(len(run), run.axes)) / loud).reshape(-1)
-        q = orthonormal(white.in_time(basis.reshape(len(run), run.axes, -1)) / loud[:, None])
+        flat = (beyond(run.residual.reshape(len(run), run.axes)) / loud).reshape(-1)
+        q = orthonormal(beyond(basis.reshape(len(run), run.axes, -1)) / loud[:, None])
         return float(np.square(flat - q @ (q.T @ flat)).sum())
 
     alone = left(first.basis)
     # the filter's determinant, on each axis; that of weights is one
-    out = run.axes * float(np.log(white.here).sum())
+    out = run.axes * white.log_determinant
     out -= 0.5 * first.free * np.log(max(alone, 1e-300))
     if found:
         rank, count = np.array([now.basis.shape[1] - first.basis.shape[1]]), len(first.residual)

@@ -21,8 +21,9 @@ class InCommon:
         squares = np.bincount(pose, size**2)
         along = size / np.sqrt(np.where(squares > 0, squares, 1.0))[pose]
         n = len(pose)
+        self._pose = pose
         self._poses = scipy.sparse.csr_array((along, (pose, np.arange(n))), shape=(len(squares), n))
-        self._whole, self._times = np.sqrt(1.0 + squares), times
+        self._whole, self.times = np.sqrt(1.0 + squares), times
 
     @classmethod
     def part(cls, pose: Ints, part: float) -> Self:
@@ -30,13 +31,18 @@ class InCommon:
         rows = np.unique(pose, return_inverse=True)[1].ravel()
         return cls(rows, np.full(len(rows), math.sqrt(part / (1.0 - part))), 1.0 / math.sqrt(1.0 - part))
 
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the filter's determinant."""
+        return len(self._pose) * math.log(self.times) - float(np.log(self._whole).sum())
+
     def __call__(self, values: Floats) -> Floats:
         """Values (n, …) without them: the filter is its own transpose."""
-        return self._along(values, 1.0 / self._whole) * self._times
+        return self._along(values, 1.0 / self._whole) * self.times
 
     def back(self, values: Floats) -> Floats:
         """Values (n, …) with them again."""
-        return self._along(values, self._whole) / self._times
+        return self._along(values, self._whole) / self.times
 
     def _along(self, values: Floats, times: Floats) -> Floats:
         flat = values.reshape(len(values), -1)
@@ -81,6 +87,15 @@ class Whitening:
     def with_rho(self, rho: float) -> Whitening:
         """The same rows with another correlation."""
         return Whitening(rho, self.lag, self.back, self.in_common)
+
+    def with_common(self, in_common: InCommon) -> Whitening:
+        """The same rows with errors in common that are taken out before."""
+        return Whitening(self.rho, self.lag, self.back, in_common)
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the filter's determinant."""
+        return float(np.log(self.here).sum()) + (0.0 if self.in_common is None else self.in_common.log_determinant)
 
     def __call__(self, values: Floats) -> Floats:
         """Values (n, …) filtered."""
