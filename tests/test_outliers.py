@@ -15,6 +15,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+import level_of_noise
 import sherkit as sk
 import worlds
 from consistency import named
@@ -126,6 +127,12 @@ def test_accidents_lie_together_as_seldom_as_is_said() -> None:
         rows = np.union1d(np.flatnonzero(poses), rng.choice(len(data), 4))
         found += gathered(data.mark_outliers(rows), rows, places_of(data), seed=k) is not None
     assert found <= 6
+
+
+def test_visits_whose_joints_differ_in_their_last_digits_lie_where_their_pose_does() -> None:
+    """Catches a stretch with no pose in it, and a division by their number: a run of heavy tails in which three poses
+    stand apart whose rows lie beside the mean of their visits by rounding."""
+    assert level_of_noise.heard(("delta", "t(3)", 500066)).verdict == "adequate"
 
 
 def test_what_lies_together_is_found_among_accidents() -> None:

@@ -109,9 +109,10 @@ def _in_place(every: Ints, pose: Ints, off: Bools, places: Mapping[str, Floats],
         return np.asarray(np.max([one.best(drawn) for one in ranks], axis=0))
 
     low, high = ranks[first].stretch(wrong)
-    values = places[names[first]]
-    here = np.flatnonzero(off & (values[every] >= low) & (values[every] <= high))
-    there = pose[(values[every] >= low) & (values[every] <= high)]
+    # of poses, by the means that were ranked: visits of one differ in their last digits
+    mean = np.bincount(pose, places[names[first]][every]) / count
+    inside = ((mean >= low) & (mean <= high))[pose]
+    here, there = np.flatnonzero(off & inside), pose[inside]
     return Gathered(
         names[first], low, high, every[here], len(np.unique(pose[here])), len(np.unique(there)),
         _chance(by_chance, float(scores[first])),
