@@ -153,6 +153,25 @@ def test_an_error_of_each_pose_is_no_structure(seed: int) -> None:
     assert max(found.noise.values()) < 7.0
 
 
+@pytest.mark.parametrize("noise_mm", [1e-9, 1e-11, 1e-13])
+def test_repeats_that_are_equal_but_for_rounding(noise_mm: float) -> None:
+    """Catches a division by zero where repeats agree to their last digits and poses are off."""
+    world, rng = worlds.clean(3), np.random.default_rng(1)
+    _, first, pose = np.unique(world.columns["pose"], return_index=True, return_inverse=True)
+    columns = dict(world.columns) | {q: world.columns[q][first][pose] for q in ("q1_mm", "q2_mm", "q3_mm")}
+    for axis in ("x_mm", "y_mm", "z_mm"):
+        off = 0.05 * rng.normal(size=len(first))[pose] + noise_mm * rng.normal(size=len(pose))
+        columns[axis] = world.columns[axis][first][pose] + off
+        columns[f"pose_sigma_{axis}"] = np.full(len(pose), 0.05)
+    for some in (columns, {name: values for name, values in columns.items() if "sigma" not in name}):
+        found = replace(world, columns=some).ask().diagnosis
+        assert found is not None
+        assert found.effects == ()
+    frame = pl.DataFrame(columns)
+    runs = [sk.from_frame(frame.filter(pl.Series(pose.ravel() % 2 == k))) for k in range(2)]
+    assert sk.verify(sk.calibrate(world.robot, runs[0], correction="none").calibration, runs[1]).verdict
+
+
 def test_a_wrong_deviation_of_one_axis_is_said() -> None:
     """Catches a deviation of x alone, twenty times too small beside axes that repeats tell, without a word."""
     world = worlds.clean(1)

@@ -34,7 +34,7 @@ from ..evidence.family import Family
 from ..evidence.made import Maker
 from ..evidence.shapes import blocks_of_effects
 from ..evidence.thresholds import ALARM, SURE, TIED
-from ..evidence.whitening import InCommon, Whitening, orthonormal
+from ..evidence.whitening import MOST_IN_COMMON, InCommon, Whitening, orthonormal
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, required_um
 from ..model.robot_file import run_for
@@ -206,10 +206,9 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     stand = stand_of(model, data, known.values, axes, used, known.corrected(data, axes))
     noise, noise_freedom, part = _noise(known, data, axes)
     in_common = InCommon.part(data.groups, part) if part else None
-    columns, residual = (
-        (one if in_common is None else in_common(np.where(used[(...,) + (None,) * (one.ndim - 2)], one, 0.0)))[used]
-        for one in (stand.columns, stand.residual)
-    )
+    both = np.concatenate([stand.columns, stand.residual[:, :, None]], axis=2)
+    both = (both if in_common is None else in_common(np.where(used[:, :, None], both, 0.0)))[used]
+    columns, residual = both[:, :-1], both[:, -1]
     basis = orthonormal(columns)
     freedom = int(used.sum()) - basis.shape[1]
     if freedom < 3:
@@ -310,7 +309,7 @@ def _noise(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[fl
         names = [data.layout.readings[a] for a in axes]
         shared = float(np.square(data.pose_sigma[:, list(axes)]).mean())
         freedom = sum(data.repeatability.degrees_of_freedom.get(name, 0) for name in names)
-        return float(np.hypot(own, np.sqrt(shared))), freedom, shared / (own**2 + shared)
+        return float(np.hypot(own, np.sqrt(shared))), freedom, min(shared / (own**2 + shared), MOST_IN_COMMON)
     part: Any = known.calibration.parts_made[0]
     scatter = np.diag(part.scatter) if part.scatter.size else np.zeros(1)
     if not scatter.any():

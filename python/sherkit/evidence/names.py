@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,7 +78,7 @@ def judged_names(sets: Sets) -> Names:
     # where effects say far more than shapes no other beginning of these changes that
     if lead.value + beside.evidence - alone.evidence < 2.0 * NEEDED:
         alone = sets.described(sets.base, MOST, _STARTS)
-    fewer = sum(_of_one_joint(lead, k, sets.base) for k in range(len(lead.blocks))) if len(lead.blocks) == 1 else 0.0
+    fewer = _of_one_joint(sets.base, *_columns(lead, 0)) if len(lead.blocks) == 1 else 0.0
     judged = Names(lead, (), {}, _ties(lead, found), beside, alone, sets.base, fewer)
     # three or more with many numbers imitate anything; what no shape follows is left, too, where poses are off by
     # errors of their own
@@ -115,8 +116,8 @@ def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDes
         return Told(block.name, np.inf, np.inf, size)
     without = alone if less is None else sets.described(less.base, MOST, _STARTS)
     needed = lead.value + beside.evidence - (0.0 if less is None else less.value) - without.evidence
-    needed += _of_one_joint(lead, k, sets.base if less is None else less.base)
-    columns, _ = _columns(lead, k)
+    columns, joints = _columns(lead, k)
+    needed += _of_one_joint(sets.base if less is None else less.base, columns, joints)
     return Told(block.name, needed, _tells(without.base, columns), size)
 
 
@@ -140,10 +141,9 @@ def _tells(base: Base, columns: Floats) -> float:
     return float(log_bayes(np.array([part]), np.array([columns.shape[1]]), base.free, len(base.residual))[0])
 
 
-def _of_one_joint(lead: EffectSet, k: int, base: Base) -> float:
-    """By how much an effect that any joint may have says more as that of one joint alone, which of them being as likely
-    as any other and as all together: shapes are of one joint, and pay for no other."""
-    columns, joints = _columns(lead, k)
+def _of_one_joint(base: Base, columns: Floats, joints: Sequence[str]) -> float:
+    """By how much an effect that any joint may have, as :func:`_columns` has it, says more as that of one joint alone,
+    which of them being as likely as any other and as all together: shapes are of one joint, and pay for no other."""
     every = dict.fromkeys(joints)
     if "" in every or len(every) < 2:
         return 0.0

@@ -12,6 +12,9 @@ import scipy
 from ..base import linalg
 from ..base.types import Floats, Ints
 
+#: Part of the noise that rows have in common at most: repeats that are equal but for rounding are no exact ones.
+MOST_IN_COMMON = 1.0 - 1e-9
+
 
 class InCommon:
     """What takes out errors that rows have in common, as of where a marker sits: ``pose`` (n,) says which rows,
@@ -27,8 +30,9 @@ class InCommon:
 
     @classmethod
     def part(cls, pose: Ints, part: float) -> Self:
-        """Of a part of the noise's variance, the same in all rows; every row keeps its own."""
-        rows = np.unique(pose, return_inverse=True)[1].ravel()
+        """Of a part of the noise's variance, the same in all rows; every row keeps its own. What repeats differ by is
+        never nothing."""
+        rows, part = np.unique(pose, return_inverse=True)[1].ravel(), min(part, MOST_IN_COMMON)
         return cls(rows, np.full(len(rows), math.sqrt(part / (1.0 - part))), 1.0 / math.sqrt(1.0 - part))
 
     @property
