@@ -134,7 +134,7 @@ def test_a_loop_ends_with_the_name_of_what_was_hidden(leaning: tuple[sk.Adaptive
     assert loop.accuracy_um is not None
     assert loop.accuracy_um <= 20
     places = loop.region.anywhere(50, np.random.default_rng(0))
-    missed = world.missed(loop.last.lead.fit, places.joints)
+    missed = world.missed(loop.last.lead.run.of.fit, places.joints)
     assert np.mean(1e3 * missed <= loop.accuracy_um) >= 0.9
     assert loop.diagnosis.verdict == "explained"
     assert loop.diagnosis.effects == ("rail_lean",)

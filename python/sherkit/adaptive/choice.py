@@ -23,8 +23,10 @@ from ..errors import FitError, SherkitError
 from ..evidence.blocks import Block
 from ..evidence.design import showing
 from ..evidence.family import Family
+from ..evidence.sets import EffectSet
+from ..evidence.thresholds import TIED
 from .known import run_at
-from .look import FAR, InterimAnalysis, Keys
+from .look import InterimAnalysis, called
 from .rule import RuleState
 from .task import PosesToDrive, Task
 
@@ -38,19 +40,20 @@ _MOST_RIVALS = 6
 _RIDGE = 1e-9
 
 
-def rivals(found: InterimAnalysis) -> list[Keys]:
-    """What is nearly as likely as the best, the best first; the best shape is always among them."""
-    shapes, lead = found.shapes, found.lead
-    first = lead.keys if lead is not None else found.effects[0][0] if found.effects else None
-    if first is None:
-        return [keys for keys, _ in shapes[:1]]
-    shape, value = found.shape_beside([first])
-    best = max(found.value(first), value)
-    mine = {name for name, _ in first}
+#: What would explain the readings: effects, or shapes of what is in no catalogue.
+Rival = tuple[Block, ...]
+
+
+def rivals(found: InterimAnalysis) -> list[Rival]:
+    """What is nearly as likely as the best, the best first; shapes are always among them."""
+    shapes, lead = found.names.alone, found.lead
+    if lead is None:
+        return [shapes.shapes] if shapes.shapes else []
+    best = max(lead.value, shapes.evidence)
     # the leader and something besides is no rival of it: what it leaves tells of that
-    near = [keys for keys, likely in found.effects
-            if keys != first and likely > best - FAR and not mine <= {name for name, _ in keys}]  # fmt: skip
-    return [first, *near[: _MOST_RIVALS - 1], *([shape] if value > best - 2.0 * FAR else [])]
+    near = [one.blocks for one in found.sets if one.value > best - TIED and not set(lead.names) <= set(one.names)]
+    beside = [shapes.shapes] if shapes.shapes and shapes.evidence > best - 2.0 * TIED else []
+    return [lead.blocks, *near[: _MOST_RIVALS - 1], *beside]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +93,12 @@ def choose(
 ) -> list[tuple[PosesToDrive, str]]:
     """So many places, shuffled, and why; ``pace_s`` is how much later each of them will be read."""
     against = rivals(found) if alarmed else []
-    telling = alarmed and (len(against) > 1 or found.log_evidence < FAR)
+    telling = alarmed and (len(against) > 1 or found.log_evidence < TIED)
     there = _There.of(found, pace_s * count, rng, shapes=telling)
     anywhere = int(rng.binomial(count, _ANYWHERE))
     if telling:
         picked = _telling(there, against, count - anywhere)
-        reason = (
-            "|".join(" & ".join(name for name, _ in keys) for keys in against[:2]) if len(against) > 1 else "confirm"
-        )
+        reason = "|".join(" & ".join(map(called, one)) for one in against[:2]) if len(against) > 1 else "confirm"
     else:
         picked = _showing(there, count - anywhere, against)
         reason = "confirm" if alarmed else "all"
@@ -120,28 +121,27 @@ def _now(found: InterimAnalysis, blocks: Sequence[Block], most: float) -> tuple[
     return columns, info
 
 
-def _showing(there: _There, count: int, only: Sequence[Keys]) -> list[int]:
+def _showing(there: _There, count: int, only: Sequence[Rival]) -> list[int]:
     """The places that show most of every effect, one after another."""
     found = there.found
-    every = [block for keys in only for block in found.of(keys)] or list(found.by_effect.values())
+    every = [block for one in only for block in one] or list(found.by_effect.values())
     known = {block.name for block in there.family.blocks}
     parts = [(_now(found, [one], _EXPECTED)[1], there.columns([one])) for one in every if one.name in known]
     return showing(there.own, _now(found, (), _EXPECTED)[1], parts, count)
 
 
-def _telling(there: _There, against: Sequence[Keys], count: int) -> list[int]:
+def _telling(there: _There, against: Sequence[Rival], count: int) -> list[int]:
     """The places at which what the rivals predict lies farthest apart."""
-    sets: list[Keys] = list(against)
-    if there.found.log_evidence < FAR or len(sets) < 2:
+    sets: list[Rival] = list(against)
+    if there.found.log_evidence < TIED or len(sets) < 2:
         sets.append(())
     return [int(k) for k in np.argsort(-_apart(there, sets))[:count]]
 
 
-def _apart(there: _There, sets: Sequence[Keys]) -> Floats:
+def _apart(there: _There, sets: Sequence[Rival]) -> Floats:
     """How far apart (n,) the predictions of these sets lie at each place, over their own errors."""
     residual, predicted, variances, noise = there.found.run.residual, [], [], np.inf
-    for keys in sets:
-        blocks = there.found.of(keys)
+    for blocks in sets:
         (columns, info), at_place = _now(there.found, blocks, _AT_MOST), there.columns(blocks)
         inverse = linalg.inv(info)
         at = inverse @ (columns.T @ residual)
@@ -157,20 +157,20 @@ def _apart(there: _There, sets: Sequence[Keys]) -> Floats:
     return gained
 
 
-def are_beyond(found: InterimAnalysis, tied: Sequence[Keys], budget: int, late_s: float, margin: float) -> bool:
+def are_beyond(found: InterimAnalysis, tied: Sequence[EffectSet], budget: int, late_s: float, margin: float) -> bool:
     """Whether the readings that are left, wherever and whenever they are taken, would tell none of those tied from the
     first of them, by a ``margin``."""
     if budget <= found.readings:
         return False
     rng = np.random.default_rng(found.readings)
     others = tied[1:_MOST_RIVALS]
-    ahead = np.array([found.value(tied[0]) - found.value(other) for other in others])
+    ahead = np.array([tied[0].value - other.value for other in others])
     far = np.zeros(len(others))
     for after_s in (0.0, late_s):
         there = _There.of(found, after_s, rng, shapes=False)
-        far = np.maximum(far, np.expm1([_apart(there, (tied[0], other)).max() for other in others]))
+        far = np.maximum(far, np.expm1([_apart(there, (tied[0].blocks, other.blocks)).max() for other in others]))
     # half of a squared distance is what a reading adds to the logarithm of their ratio
-    return bool((ahead + 0.5 * far * (budget - found.readings) < margin * FAR).all())
+    return bool((ahead + 0.5 * far * (budget - found.readings) < margin * TIED).all())
 
 
 def _information(columns: Floats, ridge: float) -> Floats:
@@ -267,9 +267,7 @@ class Batches:
         if state.confirmed:
             return max((span_s - driven) / self.task.batch, own), True
         if state.alarmed:
-            near = rivals(found)
-            effects = [keys for keys in near if not found.is_shape(keys)]
-            lives = any(name in found.known.in_time for keys in effects[:3] for name, _ in keys)
+            lives = any(block.name in found.known.in_time for one in rivals(found)[:3] for block in one)
             pace = max(span_s, 1800.0) / _MOMENTS
             return (pace, True) if lives and pace > own else (own, False)
         if found.readings >= _SPREAD_FROM and driven < span_s:

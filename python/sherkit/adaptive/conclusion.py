@@ -15,12 +15,12 @@ from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..diagnosis.result import Check
 from ..errors import FitError
-from ..evidence.thresholds import SURE
+from ..evidence.thresholds import SURE, TIED
 from ..fit.identify import identify
 from . import rule, told
 from .choice import are_beyond
 from .held import BatchLooks, accuracy_um
-from .look import FAR, InterimAnalysis
+from .look import InterimAnalysis, called
 from .told import mistaken
 from .vouching import louder_than_told, structure_of, told_of
 
@@ -88,8 +88,7 @@ def conclude(loop: BatchLooks) -> Conclusion:
         if tied:
             notes = _would_tell(found)
     if done and verdict == "unexplained":
-        looks_like = [name for name, _ in found.shapes[0][0] if name not in found.known.effects]
-        why = f"{why}: what is left looks like {' & '.join(looks_like)}" if looks_like else why
+        why = f"{why}: what is left looks like {called(found.shapes[0])}" if found.shapes else why
         why = "; ".join((why, *loop.against))
     if done and verdict != "adequate" and (mistakes := mistaken(found.known.model, found.data, found.fit.values)):
         # what a wrong column leaves is no physics, and looks like much of it
@@ -106,7 +105,7 @@ def conclude(loop: BatchLooks) -> Conclusion:
     if (verdict == "explained" and (done or state.done)) or (verdict == "adequate" and done):
         lead = found.lead if verdict == "explained" else None
         if lead is not None or verdict == "adequate":
-            accuracy = accuracy_um(loop, found, lead.names if lead else (), lead.fit if lead else found.fit)
+            accuracy = accuracy_um(loop, found, lead.names if lead else (), lead.run.of.fit if lead else found.fit)
         needed = loop.required_um
         if state.done and not spent and needed is not None and accuracy is not None and accuracy > needed:
             more = found.readings * (accuracy / needed) ** 2
@@ -124,10 +123,9 @@ def conclude(loop: BatchLooks) -> Conclusion:
         notes += _unsure(found)
         late = told.incomplete(loop.frame, loop.layout)
         notes += [f"{name} is not in every row: nothing was made to depend on it" for name in late]
-    best = [(" & ".join(name for name, _ in keys), value) for keys, value in found.leading]
     return Conclusion(
         verdict, done, why if done else "", effects if done or state.named else (), tied,
-        tuple(notes) if done else tuple(first), tuple(best), accuracy, make,
+        tuple(notes) if done else tuple(first), tuple(found.causes.items())[:3], accuracy, make,
     )  # fmt: skip
 
 
@@ -144,10 +142,9 @@ def _is_beyond(loop: BatchLooks, found: InterimAnalysis, state: rule.RuleState) 
     """Whether late in the budget effects are tied that nothing more would tell apart."""
     if not state.alarmed or found.readings < _EARLY:
         return False
-    ties = rule.ties(found)
     # early only what is as good as the same everywhere
     margin = 1.0 if found.readings >= _LATE * loop.budget else 0.05
-    return len(ties) > 1 and are_beyond(found, ties, loop.budget, _longer(loop), margin)
+    return len(found.ties) > 1 and are_beyond(found, found.ties, loop.budget, _longer(loop), margin)
 
 
 def _longer(loop: BatchLooks) -> float:
@@ -167,34 +164,25 @@ def _at_the_end(
         if found.readings >= rule.FEWEST and rule.effects_excluded(rule.outlook(found, loop.level)):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
-    ties = rule.ties(found)
-    shape = found.shape_beside(ties)[1]
     lead = found.lead
-    if lead is None or not ties:
-        return "unexplained", (), (), why
-    if shape > found.value(lead.keys) + SURE or lead.rest > FAR:
-        return "unexplained", (), (), why
-    names = tuple(" & ".join(sorted(name for name, _ in keys)) for keys in ties)
-    effects = tuple(sorted(name for name, _ in ties[0]))
-    settled = shape < found.value(ties[0]) - SURE and lead.rest < -np.log(loop.level)
-    if not settled and len(ties[0]) > 1:
-        # two effects imitate much that is in no catalogue: named is what stands in everything that is likely
-        likely = [keys for keys, value in found.sets if value > found.value(ties[0]) - FAR]
-        certain = set(effects).intersection(*({name for name, _ in keys} for keys in likely))
-        why = f"{why}; {' & '.join(effects)} would say much of it, and what is in no catalogue nearly as much"
-        return ("partly explained" if certain else "undecided"), tuple(sorted(certain)), (), why
-    if len(names) == 1:
-        return ("explained" if settled else "partly explained"), effects, (), why
+    if lead is None or found.ahead < -SURE or found.rest > TIED:
+        return ("partly explained" if found.names.named else "unexplained"), found.names.named, (), why
+    settled = found.names.explains and found.ahead > SURE and found.rest < -np.log(loop.level)
+    if not settled and len(lead.blocks) > 1:
+        # two effects imitate much that is in no catalogue: named is what shapes do not say in its place
+        everywhere = set(found.names.named).intersection(*(one.names for one in found.ties))
+        certain = tuple(one.name for one in found.names.told if one.name in everywhere and one.needed > TIED)
+        why = f"{why}; {' & '.join(lead.names)} would say much of it, and what is in no catalogue nearly as much"
+        return ("partly explained" if certain else "undecided"), certain, (), why
+    names = tuple(" & ".join(one.names) for one in found.ties)
     if len(names) > _MOST_TIED:
         return "undecided", (), (), f"{why}; {len(names)} effects or pairs explain as well: {listed(names)}"
-    return ("explained" if settled else "partly explained"), effects, (names,), why
+    return ("explained" if settled else "partly explained"), lead.names, (names,) if len(names) > 1 else (), why
 
 
 def _would_tell(found: InterimAnalysis) -> list[str]:
     """What would tell the leader from those tied with it: poses, or readings that these instruments do not take."""
-    fits = {one.names: one.fit for one in found.fitted}
-    names = [tuple(sorted(name for name, _ in keys)) for keys in rule.ties(found)]
-    first, *others = [fits[one] for one in names if one in fits] or [found.fit]
+    first, *others = [one.run.of.fit for one in found.ties] or [found.fit]
     left = np.where(found.data.used, first.residuals, np.nan)[:, : found.data.coordinates]
     proposed = next_poses(first, others, np.sqrt(np.nanmean(np.square(left), axis=0)))
     out = [proposed.advice] if proposed.advice else []

@@ -16,8 +16,8 @@ import numpy as np
 import scipy
 
 from ..base.figures import listed
-from ..evidence.thresholds import PLAUSIBLE, SCALES, SURE
-from .look import FAR, LEFT, FittedSet, InterimAnalysis, Keys
+from ..evidence.thresholds import PLAUSIBLE, SCALES, SURE, TIED
+from .look import LEFT, InterimAnalysis
 from .noise import ROUGH, ROUGH_WEIGHT, agreement_of
 
 # -- silence: which effects would have been seen by now, and from which size the others would -------------------------
@@ -46,7 +46,7 @@ class Unseen:
 def outlook(found: InterimAnalysis, level: float) -> tuple[Unseen, ...]:
     """For every effect of the catalogue that can be tried; an alarm is evidence of one over the ``level``."""
     # the noise of one reading, in its unit, as the best explanation leaves it
-    noise = float((found.fit if found.best is None else found.best.run.of.fit).scale)
+    noise = float((found.fit if found.lead is None else found.lead.run.of.fit).scale)
     return (*(_outlook(found, name, noise, level) for name in found.known.effects), _outlook_rough(found, noise, level))
 
 
@@ -111,7 +111,7 @@ def sentences(seen: tuple[Unseen, ...], unit: str, per_unit: float, untestable: 
 
 #: Readings before a verdict, readings after naming that confirm, and by how much the leader's Bayes factor must grow.
 FEWEST, _AFTER, _GROWN = 24, 12, LEFT
-#: Looks running at which what is left of every leader, or is told better by a shape, is FAR: then it is unknown.
+#: Looks running at which much is left beside the leader, or is told far better by shapes: then it is unknown.
 _LOOKS = 2
 
 
@@ -142,13 +142,12 @@ def after(state: RuleState, found: InterimAnalysis, *, spanned: bool, vouched: b
         quiet = quiet and effects_excluded(outlook(found, level))
         why = "nothing is missing that these rows would have shown" if quiet else ""
         return RuleState("adequate" if quiet else "undecided", quiet, why)
-    stands = lead is not None and _stands(found, lead)
     unknown = state.unknown + 1 if n >= FEWEST and _is_unknown(found) else 0
     if unknown >= _LOOKS:
         return RuleState(
             "unexplained", True, "no effect of the catalogue explains what is left", unknown=unknown, alarmed=True
         )
-    if lead is None or not stands:
+    if lead is None or not _stands(found):
         return RuleState(unknown=unknown, alarmed=True)
     if lead.names != state.named:
         return RuleState(named=lead.names, at=n, then=lead.log_bf, alarmed=True)
@@ -162,36 +161,15 @@ def after(state: RuleState, found: InterimAnalysis, *, spanned: bool, vouched: b
     )  # fmt: skip
 
 
-def ties(found: InterimAnalysis) -> list[Keys]:
-    """What cannot be told from the leader: sets of effects nearly as likely, itself first."""
-    if found.lead is None:
-        return []
-    own = found.value(found.lead.keys)
-    near = {keys: value for keys, value in found.effects if value > own - FAR}
-    return fewest(found.lead.keys, near)
-
-
-def fewest(lead: Keys, values: Mapping[Keys, float]) -> list[Keys]:
-    """The likeliest of each set of names, the ``lead`` first; one cause before two: of what holds another nothing is
-    said."""
-    near = {frozenset(name for name, _ in keys): keys for keys in sorted(values, key=lambda keys: values[keys])}
-    near[frozenset(name for name, _ in lead)] = lead
-    alone = [keys for names, keys in near.items() if not any(other < names for other in near)]
-    return sorted(alone, key=lambda keys: (keys != lead, -values.get(keys, np.inf)))
-
-
-def _stands(found: InterimAnalysis, lead: FittedSet) -> bool:
-    """Whether the leader is far ahead of all else and leaves nothing."""
-    own, mine = found.value(lead.keys), set(lead.names)
+def _stands(found: InterimAnalysis) -> bool:
+    """Whether the leader explains all, far ahead of all else."""
     # two effects imitate more than one does
-    margin = SURE if len(lead.keys) == 1 else FAR
-    if lead.rest >= LEFT or own - found.shape_beside([lead.keys])[1] < margin:
-        return False
-    return not any(own - value < FAR and not mine <= {name for name, _ in keys} for keys, value in found.effects)
+    margin = SURE if found.lead is not None and len(found.lead.blocks) == 1 else TIED
+    return found.names.explains and len(found.ties) == 1 and found.rest < LEFT and found.ahead >= margin
 
 
 def _is_unknown(found: InterimAnalysis) -> bool:
-    """Whether a shape tells far more than every effect, or every effect that leads leaves much."""
-    shape = found.shapes[0][1] if found.shapes else -np.inf
-    effect = found.effects[0][1] if found.effects else -np.inf
-    return bool(shape - effect > FAR or (found.fitted and all(one.rest > FAR for one in found.fitted)))
+    """Whether shapes tell far more than the effect that leads, or that leaves much."""
+    if found.lead is None:
+        return found.names.alone.evidence > TIED
+    return found.names.alone.evidence > found.lead.value + TIED or found.rest > TIED

@@ -178,6 +178,8 @@ class Base:
             # what is no more than the digits of a reading tells nothing
             if self.free > 0 and self.rss > family.run.rounding:
                 for (which, at, _), left, prior in zip(family.groups, self.left, family.priors, strict=True):
+                    # what the model holds of a column tells nothing once more, however large its prior is
+                    prior = np.where(np.einsum("bkk->bk", left) > family.least[which][:, None], prior, 0.0)
                     squares = left * prior[:, :, None] * prior[:, None, :]
                     out[which] = log_bayes_of(squares, self.right[at] * prior, self.rss, self.free)
             return out

@@ -169,13 +169,13 @@ class Sets:
                 base = Base.of(self.family, run)
             except (SherkitError, np.linalg.LinAlgError):
                 return None
-        bf = one.base.log_bf_of(base, run, ())
+        more = Block("effect", effect=effect)
+        bf = one.base.log_bf_of(base, run, (more,))
         value = one.value + bf + ONE_MORE
         # how large it may be is judged of the one that it goes with
         if value <= one.value + TIED:
             return None
-        blocks = (*one.blocks, Block("effect", effect=effect))
-        return EffectSet(blocks, run, base, one.log_bf + bf, value, one.plausible)
+        return EffectSet((*one.blocks, more), run, base, one.log_bf + bf, value, one.plausible)
 
     def described(self, base: Base, most: int, starts: int) -> ShapeDescription:
         """As :func:`described`, remembered."""

@@ -202,13 +202,9 @@ def _evidence(loop: Adaptive) -> Any:
     readings = [one.readings for one in looks]
     made.line(readings, [one.log_evidence / _TEN for one in looks], color=MUTED, line_dash="dashed",
               legend_label="anything is missing")  # fmt: skip
-    for k, (keys, _) in enumerate(looks[-1].leading):
-        names = frozenset(name for name, _ in keys)
-        values = [max((v for other, v in one.sets if frozenset(n for n, _ in other) == names), default=np.nan) / _TEN
-                  for one in looks]  # fmt: skip
-        made.line(
-            readings, values, color=COLOURS[k], line_width=2, legend_label=brief(" & ".join(sorted(names)), _CALLED)
-        )
+    for k, name in enumerate(list(looks[-1].causes)[:3]):
+        values = [one.causes.get(name, np.nan) / _TEN for one in looks]
+        made.line(readings, values, color=COLOURS[k], line_width=2, legend_label=brief(name, _CALLED))
         made.scatter(readings, values, color=COLOURS[k], size=6)
     legend(made, "below")
     return made
