@@ -269,13 +269,15 @@ class DrivenArm(World):
         return out
 
     def apart_at(self, calibration: Any, joints: Floats, now: Mapping[str, float]) -> Floats:
-        """Where the target is in the frame of the base."""
+        """Where the tracker sees the target: an arm's base is where its own first axis is, of which its drawing says
+        no more than a reading does."""
         warm, time_s = now["temperature_c"] - 20.0, now["time_s"]
         late, still, hidden = time_s > SPAN_S / 2, np.zeros_like(joints[0]), self.real.effects
         at = np.array([self.real.true_target(q, still, still, 0, warm, 0.0, late) for q in joints])
         at = at * (1.0 + hidden.warmth_per_c * warm) + np.asarray(hidden.rate_mm_h) * time_s / 3600.0
         at = at + np.asarray(hidden.step_mm) * late
-        return self.apart_mm(at, calibration.forward_batch(joints, frame="base").require())
+        seen = np.array([self.real.seen(point, late) for point in at])
+        return self.apart_mm(seen, calibration.forward_batch(joints, frame="sensor").require())
 
     def exact(self, columns: Mapping[str, Floats]) -> Floats:
         """As :class:`World` has it; rows that were read once are remembered."""

@@ -152,6 +152,8 @@ class Slip:
     name: str
     words: Words
     change: Callable[[Run, np.random.Generator], Run]
+    #: An honest run may look the same: it is said beside the verdict, and decides nothing.
+    undecidable: bool = False
 
     def words_for(self, run: Run) -> Words:
         names = {"0": run.readings[0], "1": run.readings[1], "-1": run.readings[-1]}
@@ -356,12 +358,13 @@ SLIPS = [
     Slip("values", "deviations in µm", (("sigma_{0}",), ("unit",)), _declared(1e3)),
     Slip("values", "deviations in metres", (("sigma_{0}",), ("unit",)), _declared(1e-3)),
     Slip("values", "one deviation in µm", (("sigma_{-1}",), ("unit",)), _declared(1e3, -1)),
-    Slip("order", "sorted by pose", (TIMES,), _sorted(_pose, even=True)),
+    Slip("order", "sorted by pose", (TIMES,), _sorted(_pose, even=True), undecidable=True),
     Slip("order", "sorted by a reading", (TIMES,), _sorted(_reading(0), even=False)),
     Slip("order", "sorted downwards", (TIMES,), _sorted(_reading(-1), even=True, back=True)),
-    Slip("order", "sorted by pose, drift", (TIMES,), _with_physics(_sorted(_pose, even=True), "drift")),
+    Slip("order", "sorted by pose, drift", (TIMES,), _with_physics(_sorted(_pose, even=True), "drift"),
+         undecidable=True),
     Slip("order", "sorted by a reading, lag", (TIMES,), _with_physics(_sorted(_reading(0), even=True), "lag")),
-    Slip("order", "sorted by pose, lag", (TIMES,), _with_physics(_sorted(_pose, even=True), "lag")),
+    Slip("order", "sorted by pose, lag", (TIMES,), _with_physics(_sorted(_pose, even=True), "lag"), undecidable=True),
     Slip("places", "a line along x", (("one line",),), _along(1.0, 0.0, 0.0)),
     Slip("places", "a line along y", (("one line",),), _along(0.0, 1.0, 0.0)),
     Slip("places", "a line upwards", (("one line",),), _along(0.05, 0.1, 1.0)),
@@ -390,6 +393,8 @@ def outcome(slip: Slip, run: Run, seed: int) -> tuple[str, str]:
     if leaked:
         return "crash", leaked[0]
     small = d.steps[-1].error.rms / np.sqrt(d.error.axes) <= 1.5 * wrong.noise
+    if slip.undecidable and answer.says(*slip.words_for(run)):
+        return "named", answer.short()
     if d.verdict == "explained" or (d.verdict == "adequate" and not small):
         return "lie", answer.short()
     if d.effects:

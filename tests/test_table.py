@@ -57,6 +57,16 @@ def test_a_large_table_is_looked_through_at_once() -> None:
     assert time.process_time() - began < 0.3
 
 
+def test_poses_that_are_read_several_times_on_the_spot_are_no_sorted_table() -> None:
+    """Catches an honest run by a clock of even steps of which "nothing can be said before that is put right": a table
+    that was sorted by its poses looks the same, and is said beside the verdict."""
+    slip = next(one for one in table_mistakes.SLIPS if one.name == "sorted by pose")
+    answer = slip.change(table_mistakes.delta(3), np.random.default_rng(0)).ask()
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.verdict == "adequate"
+    assert any("on the spot" in note for note in answer.diagnosis.notes)
+
+
 RULES = tuple(dict.fromkeys(slip.rule for slip in table_mistakes.SLIPS))
 
 

@@ -52,7 +52,7 @@ def rivals(found: InterimAnalysis) -> list[Rival]:
     best = max(lead.value, shapes.evidence)
     # the leader and something besides is no rival of it: what it leaves tells of that
     near = [one.blocks for one in found.sets if one.value > best - TIED and not set(lead.names) <= set(one.names)]
-    beside = [shapes.shapes] if shapes.shapes and shapes.evidence > best - 2.0 * TIED else []
+    beside = [shapes.shapes] if shapes.shapes and shapes.evidence > best - TIED else []
     return [lead.blocks, *near[: _MOST_RIVALS - 1], *beside]
 
 
@@ -150,10 +150,10 @@ def _apart(there: _There, sets: Sequence[Rival]) -> Floats:
         predicted.append(at_place @ at)
         variances.append(1.0 + np.einsum("nmp,pq,nmq->nm", at_place, inverse, at_place))
     gained = np.zeros(len(there.own))
-    for i in range(len(sets)):
-        for j in range(i):
-            apart = np.square(predicted[i] - predicted[j]) / ((variances[i] + variances[j]) * max(noise, 1e-300))
-            gained += np.log1p(apart.sum(axis=1))
+    # what tells the first from a rival, not rivals from each other
+    for k in range(1, len(sets)):
+        apart = np.square(predicted[k] - predicted[0]) / ((variances[k] + variances[0]) * max(noise, 1e-300))
+        gained += np.log1p(apart.sum(axis=1))
     return gained
 
 

@@ -20,6 +20,7 @@ from ..evidence.family import Family
 from ..evidence.names import Names, judged_names
 from ..evidence.run import Run
 from ..evidence.sets import EffectSet, Sets
+from ..evidence.thresholds import TIED
 from ..fit.identify import Fit
 from .known import FixedBefore
 from .noise import ROUGH, LoopNoise, expected, left_by, rough_of, run_of_rows
@@ -79,8 +80,10 @@ class InterimAnalysis:
 
     @property
     def ties(self) -> tuple[EffectSet, ...]:
-        """Sets that these rows cannot tell from the leader, itself first."""
-        return () if self.lead is None else (self.lead, *self.names.ties)
+        """Sets that these rows cannot tell from the leader, itself first: over a fixed reference what was expected of
+        each counts, too, and not only how near it comes."""
+        lead = self.lead
+        return () if lead is None else (lead, *(one for one in self.names.ties if one.value > lead.value - TIED))
 
     @property
     def shapes(self) -> tuple[Block, ...]:
@@ -89,9 +92,11 @@ class InterimAnalysis:
 
     @cached_property
     def ahead(self) -> float:
-        """By how much the leader says more than shapes in its place."""
-        value = 0.0 if self.lead is None else self.lead.value
-        return value + (0.0 if self.lead is None else self.names.beside.evidence) - self.names.alone.evidence
+        """By how much the leader says more than shapes in its place: those that describe what is left without it, or
+        the best one where nothing has to be described."""
+        alone, beside = self.names.alone, self.names.beside
+        of_shapes = alone.evidence if alone.shapes else float(self.base.shapes.max(initial=-np.inf))
+        return (0.0 if self.lead is None else self.lead.value + beside.evidence) - of_shapes
 
     @cached_property
     def causes(self) -> dict[str, float]:

@@ -10,7 +10,7 @@ import numpy as np
 from ..base import linalg
 from ..base.arguments import Level, Seed, validate_arguments
 from ..base.types import Floats, Ints
-from ..data.doubts import commanded, doubts
+from ..data.doubts import by_number, commanded, doubts
 from ..data.reader import RunLike
 from ..errors import EffectError, FitError
 from ..evidence.base import chance_of
@@ -163,6 +163,7 @@ def _diagnosed(
     notes[of_outliers:of_outliers] = sentences(of_all.fit, outliers, side=side, accidents=accidents)
     notes += [*found.notes, *waves_in_words(final.fit)]
     notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
+    notes += [doubt.sentence for doubt in by_number(final.fit.data)]
 
     step("fitting all rows")
     # what is left of a mistake of the set-up tells nothing of noise

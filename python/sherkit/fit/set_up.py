@@ -25,7 +25,7 @@ from .plausible import (
     plausible_sizes,
     thinned,
 )
-from .set_up_hypotheses import SetUpHypothesis, hypotheses, turned_frame
+from .set_up_hypotheses import SetUpHypothesis, hypotheses, set_up_anew, turned_frame
 
 # -- Readings that are the same in every row, and such as no row holds ----------------------------------------------
 
@@ -145,6 +145,8 @@ _TURNS = 4
 #: Rows by which set-ups are looked at first; so many that look best are fitted to their end.
 _AT_FIRST = 100
 _LOOKED_AT = 8
+#: A row is read from elsewhere that is off by so many times what most rows are, and such a part of those on its side.
+_WILD, _WHOLE = 20.0, 0.9
 #: Readings for each parameter, fewer of which fit anything.
 _READINGS = 3
 #: A set-up that leaves more than this part of the spread is not right, whatever the others leave.
@@ -241,7 +243,8 @@ def _wrong(
         return []
     now = plausible_fit(model, data, datum)
     if now is not None and _is_small(now, data):
-        return []
+        # of most rows; others may have been read from elsewhere
+        return _since(model, data, datum, now) if model.stands_anywhere and most == _MOST_MISTAKES else []
     stands = min((p for p in (now, free) if p is not None), key=lambda p: p.misfit, default=None)
     better = _much_better(model, data, datum, stands, now)
     unit, per_unit = data.layout.unit, data.layout.per_unit
@@ -274,7 +277,9 @@ def _much_better(
     first = [plausible_fit(one.model, thinned(one.data, _AT_FIRST), datum, rounds=1) for one in every]
     likely = sorted((found.misfit, k) for k, found in enumerate(first) if found is not None)[:_LOOKED_AT]
     fitted = [(every[k], plausible_fit(every[k].model, every[k].data, datum)) for _, k in likely]
-    if not model.stands_anywhere:
+    if model.stands_anywhere:
+        fitted += [_anew(model, data, datum)]
+    else:
         fitted += [_turned(model, data, datum, mirrored=mirrored) for mirrored in (False, True)]
     better = []
     for one, found in fitted:
@@ -379,6 +384,38 @@ def _turned(
     except NOT_COMPUTED:
         found = None
     return one or SetUpHypothesis("", "", model, data), found
+
+
+def _since(model: ModelWithEffects, data: Measurements, datum: Bools, now: Plausible) -> list[Mistake]:
+    """That the instrument was set up anew, where a fit that wild rows do not move leaves much of all rows on one side of
+    a moment, and of next to none beyond it, and that is all that is wrong with them."""
+    one, found = _anew(model, data, datum)
+    if found is None:
+        return []
+    moved = (one.data.readings != data.readings).any(axis=1)
+
+    def off(rows: Measurements, values: Floats) -> Floats:
+        return np.where(data.used, rows.readings - model.predict(rows, values), 0.0)
+
+    was, now_is = off(data, now.values), off(one.data, found.values)
+    far = (np.abs(was) > _WILD * np.where(np.isfinite(now.rms), now.rms, np.inf)).any(axis=1)
+    used = data.used.any(axis=1)
+    side = moved if far[moved & used].mean() > far[~moved & used].mean() else ~moved
+    rms = [float(np.sqrt(np.mean(each[side & used] ** 2))) for each in (was, now_is)]
+    if far[side & used].mean() < _WHOLE or far[~side & used].mean() > 1.0 - _WHOLE or rms[1] > _BETTER * rms[0]:
+        return []
+    unit, per_unit = data.layout.unit, data.layout.per_unit
+    left = f"{_plain(per_unit * rms[1])} {unit} RMS instead of {_plain(per_unit * rms[0])} there"
+    return [Mistake(f"{one.looks}: {left}; {one.advice}", per_unit * rms[0], per_unit * rms[1])]
+
+
+def _anew(model: ModelWithEffects, data: Measurements, datum: Bools) -> tuple[SetUpHypothesis, Plausible | None]:
+    """The rows before an instrument was set up anew, as they would have been seen since."""
+    try:
+        one = set_up_anew(model, data)
+    except NOT_COMPUTED:
+        one = None
+    return one or SetUpHypothesis("", "", model, data), one and plausible_fit(model, one.data, datum)
 
 
 def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:

@@ -46,6 +46,8 @@ _PLANE_DEG = 3.0
 #: A camera stands no farther aside than by so much of its picture, and is turned by no more than this.
 _CROPPED = 0.06
 _TURNED_DEG = 4.0
+#: Rows on either side of the one before which an instrument was set up anew.
+_A_SIDE = 8
 #: All subsets of so few columns are tried; of more, single ones and all together.
 _FEW = 3
 
@@ -375,6 +377,54 @@ def turned_frame(
         return None
     looks, advice, farther = what
     return SetUpHypothesis(looks, advice, model, replace(data, readings=np.where(data.taken, readings, 0.0)), farther)
+
+
+def set_up_anew(model: ModelWithEffects, data: Measurements) -> SetUpHypothesis | None:
+    """The readings as the instrument would have shown them that was set up anew at some row: those before it turned and
+    shifted to where the later ones have them, by the drawing. None where readings are not three lengths, or rows are
+    few. Raises as the model's ``predict``."""
+    names = data.layout.coordinates
+    whole = np.flatnonzero(data.used[:, : len(names)].all(axis=1))
+    rows = whole[np.argsort(data.order[whole], kind="stable")]
+    if data.set_up is not None or len(names) != 3 or {*map(unit_in, names)} != {"mm"} or len(rows) < 2 * _A_SIDE:
+        return None
+    predicted = model.predict(data, np.zeros(len(model.parameters)))[rows, :3]
+    seen = data.readings[rows, :3]
+    off = _left_by_turns(seen, predicted) + _left_by_turns(seen[::-1], predicted[::-1])[::-1]
+    off = off[_A_SIDE:-_A_SIDE]
+    cut = _A_SIDE + int(np.argmin(off))
+    (turn, middle, there), (turned, centre, stood) = (
+        _registered(seen[some], predicted[some], mirrored=False) for some in (slice(cut), slice(cut, None))
+    )
+    by = turned.T @ turn
+    moved = (there - stood) @ turned + centre
+    before = np.flatnonzero(data.order < data.order[rows[cut]])
+    readings = data.readings.copy()
+    readings[before, :3] = np.where(data.taken[before, :3], (readings[before, :3] - middle) @ by.T + moved, 0.0)
+    degrees = float(np.rad2deg(np.linalg.norm(scipy.spatial.transform.Rotation.from_matrix(by).as_rotvec())))
+    return SetUpHypothesis(
+        f"the instrument looks set up anew before {data.counted} {data.line[rows[cut]]} (turned by {degrees:.3g}°, "
+        f"what is read moved by {np.linalg.norm(moved - middle):.3g} mm)",
+        "give the rows before and since two words in a column 'setup', or each a file",
+        model, replace(data, readings=readings), _TURNED,
+    )  # fmt: skip
+
+
+def _left_by_turns(measured: Floats, predicted: Floats) -> Floats:
+    """Sums of squares (n + 1,) that the first points, so many of them, leave where they are turned and shifted onto the
+    predicted ones (Kabsch)."""
+    one, other = measured - measured.mean(axis=0), predicted - predicted.mean(axis=0)
+
+    def summed(values: Floats) -> Floats:
+        return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+
+    count = np.maximum(np.arange(len(one) + 1), 1)
+    a, b = summed(one), summed(other)
+    squares = summed((one**2).sum(axis=1) + (other**2).sum(axis=1)) - ((a**2).sum(axis=1) + (b**2).sum(axis=1)) / count
+    cross = summed(one[:, :, None] * other[:, None, :]) - a[:, :, None] * b[:, None, :] / count[:, None, None]
+    values = np.linalg.svd(cross, compute_uv=False)
+    values[:, 2] *= np.sign(np.linalg.det(cross))
+    return np.asarray(squares - 2.0 * values.sum(axis=1))
 
 
 def _turned_space(names: Sequence[str], turn: Floats, mirrored: bool) -> tuple[str, str, float]:

@@ -10,9 +10,9 @@ from ..rows import Measurements
 from .alike import alike, piled
 from .doubt import DataWarning
 from .repeats import averaged, commanded, copied, declared
-from .values import angles, frozen, lost, on_a_line, one_value, order_lost, temperature, time_in_milliseconds
+from .values import angles, by_number, frozen, lost, on_a_line, one_value, order_lost, temperature, time_in_milliseconds
 
-__all__ = ["RULES", "DataWarning", "angles", "commanded", "copied", "doubts"]
+__all__ = ["RULES", "DataWarning", "angles", "by_number", "commanded", "copied", "doubts"]
 
 #: What is asked of every table.
 RULES: tuple[Callable[[Measurements], Iterator[DataWarning]], ...] = (
@@ -20,7 +20,7 @@ RULES: tuple[Callable[[Measurements], Iterator[DataWarning]], ...] = (
 )  # fmt: skip
 
 #: And of one that a person looks at.
-_BY_HAND = (lost, one_value)
+_BY_HAND = (lost, one_value, by_number)
 
 
 def doubts(data: Measurements, *, by_hand: bool = False) -> tuple[DataWarning, ...]:

@@ -55,24 +55,42 @@ def time_in_milliseconds(data: Measurements) -> Iterator[DataWarning]:
 
 
 def order_lost(data: Measurements) -> Iterator[DataWarning]:
-    """Times that rise at even steps over rows that were sorted: by a reading, down to its noise, or by the pose's
-    number with all repeats side by side. When what was read first is lost with them, and so are directions."""
-    if data.time_s is None or len(data) < max(FEWEST, _SMALL_STEPS) or not (data.joints != data.joints[:1]).any():
-        return  # where nothing moves there is but the order in time
-    order = np.flatnonzero(~data.outlier)
-    steps = np.diff(data.time_s[order])
-    usual = float(np.median(steps))
-    if usual <= 0 or steps.min() < 0:
-        return
-    by = _sorted_reading(data, order)
-    if not by and np.abs(steps - usual).max() <= _EVEN * usual and _by_number(data, order):
-        by = f"the number of the pose ({c.POSE})"
-    if by:
+    """Times that rise over rows that were sorted by a reading, down to its noise: when what was read first is lost
+    with them, and so are directions."""
+    order = _in_order(data)
+    if by := "" if order is None else _sorted_reading(data, order):
         yield DataWarning(
             f"{TIME} rises with {by} in every row: the table was sorted, it seems, and times were written anew; what "
             "depends on time, order or direction of motion then looks like anything else; give each row the time at "
             "which it was read, or leave the column out"
         )
+
+
+def by_number(data: Measurements) -> Iterator[DataWarning]:
+    """Times that rise at even steps with the pose's number, all repeats side by side: poses that were read several
+    times on the spot, or a table that was sorted, which no row tells."""
+    order = _in_order(data)
+    if order is None or data.pose is None or data.time_s is None:
+        return
+    steps, numbers = np.diff(data.time_s[order]), np.diff(data.pose[order])
+    usual = float(np.median(steps))
+    even = usual > 0 and np.abs(steps - usual).max() <= _EVEN * usual
+    if even and (numbers >= 0).all() and (numbers == 0).sum() >= (numbers > 0).sum() > _FEWEST:
+        yield DataWarning(
+            f"{TIME} rises at even steps with the number of the pose ({c.POSE}): all is well where each pose was read "
+            "several times on the spot; where the table was sorted and times were written anew, what depends on time, "
+            "order or direction of motion counts as noise: give each row the time at which it was read"
+        )
+
+
+def _in_order(data: Measurements) -> Ints | None:
+    """Rows that count, where their times rise; None where they do not, and where nothing moves: there is but the order
+    in time."""
+    if data.time_s is None or len(data) < max(FEWEST, _SMALL_STEPS) or not (data.joints != data.joints[:1]).any():
+        return None
+    order = np.flatnonzero(~data.outlier)
+    steps = np.diff(data.time_s[order])
+    return order if len(steps) and steps.min() >= 0 and np.median(steps) > 0 else None
 
 
 def _sorted_reading(data: Measurements, order: Ints) -> str:
@@ -92,15 +110,6 @@ def _sorted_reading(data: Measurements, order: Ints) -> str:
         if int(((np.abs(steps) < noise) & (steps != 0)).sum()) >= _SMALL_STEPS:
             return name
     return ""
-
-
-def _by_number(data: Measurements, order: Ints) -> bool:
-    """Whether poses stand one behind another by their number, most of them read more than once."""
-    if data.pose is None:
-        return False
-    number = data.pose[order]
-    steps = np.diff(number)
-    return bool((steps >= 0).all() and (steps == 0).sum() >= (steps > 0).sum() > _FEWEST)
 
 
 # -- Poses that cannot tell what a model asks of them ---------------------------------------------------------------
