@@ -301,8 +301,8 @@ class Examined:
         elif not self.suspects and not turned:
             out.append(
                 "A plate bent like a bowl or a saddle looks just like wrong numbers. If prints are not to size "
-                f"although the first layer is even, turn the plate by {TURN_DEG:g}°, probe again under another name, and run "
-                f"this with --plate NAME={TURN_DEG:g}."
+                f"although the first layer is even, turn the plate by {TURN_DEG:g}°, probe again under another name, "
+                f"and run this with --plate NAME={TURN_DEG:g}."
             )
         return out or ["Nothing."]
 

@@ -259,12 +259,8 @@ class VirtualSerial:
         velocity = rng.normal(size=read.shape) * np.ptp(read, axis=0) / 10.0 if hidden.late_s else np.zeros_like(read)
         warmth = 20.0 + _WARMS_C * _behind(part, 0.0)
         stand = 20.0 + _WARMS_C * _behind(part, hidden.stand_lag_s / max(time[-1], 1.0))
-        targets, none = range(1, len(robot.targets_mm) + 1), np.nan
-        reads = [(t, none, none) for t in targets if robot.has_tracker]
-        reads += [(t, c + 1, none) for t in targets for c in range(len(robot.centres_mm))]
-        reads += [(t, none, p + 1) for t in targets for p in range(len(robot.planes))]
-        each = np.repeat(np.arange(n), len(reads))
-        target, *ends = np.tile(np.array(reads, dtype=float), (n, 1)).T
+        each = np.repeat(np.arange(n), len(robot.reads))
+        target, *ends = np.tile(robot.reads, (n, 1)).T
         is_place = np.isnan(ends[0]) & np.isnan(ends[1])
         known = np.column_stack(
             [*(v[each] for v in (time, warmth, came, velocity)), target, payload[each], stand[each]]
@@ -279,7 +275,7 @@ class VirtualSerial:
         if hidden.late_s:
             columns |= dict(zip(layout.velocities, velocity.T, strict=True))
         columns = {name: values[each] for name, values in columns.items()}
-        if len(targets) > 1:
+        if robot.more_targets_mm:
             columns[TARGET] = target.astype(int)
         if not is_place.all():
             noise = self.noise_mm if self.distance_noise_mm is None else self.distance_noise_mm
