@@ -406,20 +406,13 @@ class Accurate(WhereMeasured):
         """By effect what the poses could not show at each place: at which setting it is worst there, and its
         covariance (n, d, d). In the frame of the base what the sensor's pose took of it is missed too."""
         out: dict[str, tuple[list[BiasBound], Floats]] = {}
-        model, functions, counted = part.model(self.robot), part.functions(x), self.counted(part, frame)
+        known, functions = part.model(self.robot).known_effects, part.functions(x)
         for one in part.unobserved_effects:
-            effect = model.known_effects[one.effect]
             # lost motion is asked for from both sides
-            sides = (1.0, -1.0) if "direction" in effect.needs else (0.0,)
+            sides = (1.0, -1.0) if "direction" in known[one.effect].needs else (0.0,)
             spread = np.zeros((len(x), len(self.coordinates), len(self.coordinates)))
             for side in sides:
-                known = np.tile([*now, *(side for _ in part.now[2:])], (len(x), 1))
-                by_values, by, by_joints = by_effect(
-                    model, part.values, effect, one.setting, part.readings, joints, known
-                )
-                moves = by if self.moves(effect, frame) else np.zeros_like(by)
-                missed = one.missed(np.where(counted, by_values, 0.0), moves, functions)
-                spread += one.beyond(self.carried(joints, by_joints, missed)) / len(sides)
+                spread += one.beyond(self.missed(part, one, functions, joints, frame, now, side)) / len(sides)
             if one.effect not in out:
                 out[one.effect] = ([one] * len(x), spread)
                 continue
@@ -427,6 +420,22 @@ class Accurate(WhereMeasured):
             for k in np.flatnonzero(np.trace(spread - most, axis1=1, axis2=2) > 0):
                 which[k], most[k] = one, spread[k]
         return out
+
+    def missed(
+        self, part: IdentifiedModel, one: BiasBound, functions: Floats, joints: Floats, frame: str,
+        now: Sequence[float], side: float = 0.0,
+    ) -> Floats:  # fmt: skip
+        """What places (n, d, k) of a frame miss by an effect, per unit of its parameters, where ``joints`` (n, j) lead,
+        all reached from one ``side``; ``functions`` (n, c) are those of a correction there."""
+        model = part.model(self.robot)
+        effect, known = (
+            model.known_effects[one.effect],
+            np.tile([*now, *(side for _ in part.now[2:])], (len(joints), 1)),
+        )
+        by_values, by, by_joints = by_effect(model, part.values, effect, one.setting, part.readings, joints, known)
+        moves = by if self.moves(effect, frame) else np.zeros_like(by)
+        missed = one.missed(np.where(self.counted(part, frame), by_values, 0.0), moves, functions)
+        return self.carried(joints, by_joints, missed)
 
     def moves(self, effect: Effect, frame: str) -> bool:
         """Whether an effect moves places in a frame: the instrument's do not in that of the base, where there are

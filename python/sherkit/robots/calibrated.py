@@ -39,16 +39,6 @@ from .unobserved_effects import Search
 FORMAT = 5
 
 
-def write(path: Path, settings: Mapping[str, Any], robot: Robot, parts: Mapping[str, dict[str, Any]]) -> None:
-    """Writes the tables of a calibration: what it is made by, its robot, what was identified."""
-    tables = {
-        "calibration": {"format": FORMAT, "made_by": f"sherkit {_core.__version__}", **settings},
-        "robot": robot.to_tables(),
-        **parts,
-    }
-    write_whole(path, tomli_w.dumps(tables))
-
-
 @contextmanager
 def reading(path: Path, tables: dict[str, Any]) -> Iterator[Table]:
     """The tables of a file to read from; whatever is wrong with them is a :class:`CalibrationError` that names it."""
@@ -182,8 +172,10 @@ class Calibration(Shown, Moving):
     def save(self, path: str | Path) -> None:
         """Writes TOML that :meth:`load` reads back without loss."""
         parts = {name: getattr(self, name) for name in self.parts}
-        written = {name: p.to_table(self.robot, self.coordinates) for name, p in parts.items() if p is not None}
-        write(Path(path), {"frame": self.frame, **self._settings()}, self.robot, written)
+        made_by = {"format": FORMAT, "made_by": f"sherkit {_core.__version__}", "frame": self.frame}
+        tables = {"calibration": made_by | self._settings(), "robot": self.robot.to_tables()}
+        tables |= {name: p.to_table(self.robot, self.coordinates) for name, p in parts.items() if p is not None}
+        write_whole(Path(path), tomli_w.dumps(tables))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:

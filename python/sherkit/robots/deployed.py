@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from abc import ABC, abstractmethod
+from abc import ABC
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -57,10 +57,10 @@ class Deployed(Saved, ABC):
     def __post_init__(self) -> None:
         _ = self.core  # refuses numbers that do not fit together
 
-    @property
-    @abstractmethod
+    @cached_property
     def core(self) -> Any:
         """The compiled model: the same code that a control loop runs."""
+        return self._made_in(self.frame)
 
     # -- frames ------------------------------------------------------------------------------------------------------
 
@@ -88,8 +88,12 @@ class Deployed(Saved, ABC):
 
     @cached_property
     def _core_elsewhere(self) -> Any:
-        """The compiled model with places in the other frame, where there is one."""
-        raise CalibrationError(self.no_other)
+        """The compiled model with places in the other frame."""
+        return self._made_in(BASE if self.frame == SENSOR else SENSOR)
+
+    def _made_in(self, frame: str) -> Any:
+        """The compiled model with places in one of :attr:`frames`."""
+        raise CalibrationError(f"{self.no_other} ({frame})")
 
     @cached_property
     def sensor_frame(self) -> tuple[Floats, Floats]:
@@ -230,11 +234,9 @@ class Deployed(Saved, ABC):
         )
         self.__dict__["_near"] = [(-np.inf, np.inf)] * len(x)
 
-    def _one(
-        self, joints: ArrayLike, frame: str | None, temperature_c: float | None, direction: ArrayLike | None
-    ) -> tuple[Floats, Floats]:
+    def _one(self, joints: ArrayLike, frame: str | None, *now: Any) -> tuple[Floats, Floats]:
         q = vector(joints, "joint readings", self._joints)
-        made: tuple[Floats, Floats] = self.core_in(frame).forward(q, self._now(temperature_c, direction))
+        made: tuple[Floats, Floats] = self.core_in(frame).forward(q, self._now(*now))
         return made
 
     def _rows(

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..base.types import Bools, Floats
 from ..errors import SherkitError
 from ..fit.error import radius_95
 from ..model.batch import vector
 from .accuracy import Accurate
 from .deployed import BASE, SENSOR
-from .identified_model import IdentifiedModel, by_effect
 
 #: What the place is called from which moves begin.
 MIDDLE = "middle of the run"
@@ -62,13 +60,16 @@ class Moving(Accurate):
         x = self.forward_batch(joints, temperature_c=temperature_c).require("end of the move")
         part: Any = self.part_at(x[0])
         now = self._now(temperature_c)
-        counted = self.counted(part, where)
-        columns = np.where(counted, self.by_values(part, joints, now), 0.0)
+        columns = np.where(self.counted(part, where), self.by_values(part, joints, now), 0.0)
         way = (columns[1] - columns[0])[None]
         left = self.left_at(part, x) * self.grown(part, self.beyond_poses(x, joints))[:, None, None]
         known = way @ part.covariance @ way.transpose(0, 2, 1) + left.sum(axis=0)
-        unseen = self._unseen_on(part, x, joints, where, counted, now[:2])
-        return self.reach_mm * float(radius_95(known + unseen)[0])
+        # of the effect that could do most to the way; what was shown at the poses is left at both ends, and counted
+        functions = part.functions(x)
+        missed = ((one, self.missed(part, one, functions, joints, where, now[:2])) for one in part.unobserved_effects)
+        unseen = (one.beyond((ends[1] - ends[0])[None]) for one, ends in missed)
+        worst = max(unseen, key=lambda spread: float(np.trace(spread[0])), default=np.zeros_like(known))
+        return self.reach_mm * float(radius_95(known + worst)[0])
 
     def beside_base(self) -> list[BesideBase]:
         """For a robot whose places are those of its base, and whose instrument stood elsewhere, at each of
@@ -86,23 +87,3 @@ class Moving(Accurate):
                     sizes[1] = self.move_accuracy(middle, there, frame=SENSOR)
             out.append(BesideBase(name, *sizes))
         return out
-
-    def _unseen_on(
-        self, part: IdentifiedModel, x: Floats, joints: Floats, frame: str, counted: Bools, now: list[float]
-    ) -> Floats:
-        """Covariance (1, d, d) of what the effect that could do most to the way between two places does to it."""
-        size, model, functions = len(self.coordinates), part.model(self.robot), part.functions(x)
-        worst = np.zeros((1, size, size))
-        known = np.tile([*now, *(0.0 for _ in part.now[2:])], (2, 1))
-        for one in part.unobserved_effects:
-            effect = model.known_effects[one.effect]
-            by_values, by, by_joints = by_effect(model, part.values, effect, one.setting, part.readings, joints, known)
-            moves = by if self.moves(effect, frame) else np.zeros_like(by)
-            missed = one.missed(np.where(counted, by_values, 0.0), moves, functions)
-            carried = self.carried(joints, by_joints, missed)
-            way = (carried[1] - carried[0])[None]
-            # what was shown at the poses is left at both ends, and counted there
-            spread = one.beyond(way)
-            if np.trace(spread[0]) > np.trace(worst[0]):
-                worst = spread
-        return worst

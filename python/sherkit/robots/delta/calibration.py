@@ -18,6 +18,7 @@ import numpy as np
 import sherkit._core as _core
 
 from ...base.types import Bools, Floats, Ints
+from ...data.declared import Key, key
 from ...data.in_time import DRAWN_C
 from ...data.toml import Table
 from ...errors import CalibrationError, FitError
@@ -177,28 +178,27 @@ class DeltaPart(IdentifiedModel):
             return np.zeros((len(coordinates), 0))
         return self.correction.functions(self.at_base(coordinates))
 
-    def _own_table(self, unit: str) -> dict[str, Any]:
-        own: dict[str, Any] = {
-            f"uncorrected_covariance_{unit}2": self.uncorrected_covariance.tolist(),
-            "sensor_turn": self.sensor_turn.tolist(),
-            "sensor_origin_mm": self.sensor_origin_mm.tolist(),
+    @classmethod
+    def own_keys(cls, unit: str, size: int) -> dict[str, Key]:
+        """Where the correction has faded, and how the sensors see the base."""
+        return {
+            f"uncorrected_covariance_{unit}2": key(Table.covariance, size).of("uncorrected_covariance"),
+            "sensor_turn": key(Table.array, 3, 3),
+            "sensor_origin_mm": key(Table.array, 3),
         }
-        return own if self.correction is None else own | {"correction": self.correction.to_table()}
+
+    def _own_tables(self) -> dict[str, Any]:
+        return {} if self.correction is None else {"correction": self.correction.to_table()}
 
     @classmethod
-    def _own_fields(cls, table: Table, unit: str, size: int) -> dict[str, Any]:
-        correction = None
-        if table.has("correction"):
-            with table.table("correction") as c:
-                correction = Correction.from_table(c)
-        uncorrected = table.covariance(f"uncorrected_covariance_{unit}2", size)
-        turn, origin = table.array("sensor_turn", 3, 3), table.array("sensor_origin_mm", 3)
+    def _own_from(cls, table: Table) -> dict[str, Any]:
+        turn = table.array("sensor_turn", 3, 3)
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
             raise table.fail("sensor_turn", "a rotation (3 x 3)")
-        return {
-            "uncorrected_covariance": uncorrected, "correction": correction, "sensor_turn": turn,
-            "sensor_origin_mm": origin,
-        }  # fmt: skip
+        if not table.has("correction"):
+            return {"correction": None}
+        with table.table("correction") as c:
+            return {"correction": Correction.from_table(c)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -290,15 +290,6 @@ class DeltaCalibration(Calibration):
     def _core_part(self, part: DeltaPart) -> tuple[_core.DeltaModel, Floats, _core.Bernstein | None]:
         model = part.model(self.robot)
         return model.core, model.full(part.values), part.correction.core if part.correction else None
-
-    @cached_property
-    def core(self) -> _core.Calibrated:
-        """The compiled model: the same code that a control loop runs."""
-        return self._made_in(SENSOR)
-
-    @cached_property
-    def _core_elsewhere(self) -> _core.Calibrated:
-        return self._made_in(BASE)
 
     def _made_in(self, frame: str) -> _core.Calibrated:
         local = region = None
