@@ -13,8 +13,8 @@ import sherkit as sk
 from field_worlds import field
 from second_simulator.serial import SecondArm
 from sherkit.model.kinds import known_kinds
+from sherkit.robots.calibrated import MIDDLE
 from sherkit.robots.delta import VirtualDelta, paper_local
-from sherkit.robots.moves import MIDDLE
 from sherkit.robots.poses_hull import beyond, outermost
 from sherkit.robots.serial import SerialCalibration
 from sherkit.robots.unobserved_effects import Search

@@ -19,10 +19,9 @@ from ..data.columns import TEMPERATURE, TIME, bare, unit_in
 from ..fit.error import radius_95
 from ..model.batch import Batch, matrix
 from ..model.effect import Effect
-from .deployed import BASE, SENSOR
+from .deployed import BASE, SENSOR, Deployed
 from .identified_model import BiasBound, IdentifiedModel, at_rest, by_effect
 from .unobserved_effects import AccuracyQuery, Counted
-from .where_measured import WhereMeasured
 
 # -- What is promised of a place ----------------------------------------------------------------------------------
 
@@ -195,7 +194,7 @@ class Planes:
 
 
 @dataclass(frozen=True, eq=False)
-class Accurate(WhereMeasured):
+class Accurate(Deployed):
     """A deployed robot of which it is known how far off it may be."""
 
     @abstractmethod

@@ -14,11 +14,10 @@ import sherkit._core as _core
 from ...base.types import Floats
 from ...model.batch import Batch
 from ..accuracy import Planes
-from ..calibrated import Calibration
+from ..calibrated import MIDDLE, Calibration
 from ..calibration_run import CalibrationRun
 from ..deployed import BASE, SENSOR
 from ..identified_model import IdentifiedModel, at_rest
-from ..moves import MIDDLE
 from .robot import POSITION, Serial
 
 
