@@ -76,14 +76,11 @@ class DeltaCorrected(Corrected):
         chosen, paper = self.choice.correction, self.paper
         return {
             "correction": None if chosen is None else {"orders": list(chosen.orders)},
-            "paper_protocol": None
-            if paper is None
-            else {
-                "orders": paper.orders,
-                "test_um": paper.test_um,
+            "paper_protocol": paper and {
+                "orders": paper.orders, "test_um": paper.test_um,
                 "other_planes_um": {f"{z:g}": v for z, v in paper.other_planes_um.items()},
             },
-        }
+        }  # fmt: skip
 
     def cells(self) -> Cells | None:
         """Table III: order, error on the test part and on the other planes, by the paper's protocol."""
@@ -91,24 +88,9 @@ class DeltaCorrected(Corrected):
         if p is None:
             return None
         planes = sorted(p.other_planes_um, reverse=True)
-        lines = []
-        for axis in "xyz":
-            errors = [(p.test_um[axis], p.test_std_um[axis])]
-            errors += [(p.other_planes_um[z][axis], p.other_planes_std_um[z][axis]) for z in planes]
-            lines.append((axis, str(p.orders[axis]), *(f"{rms:.1f} ± {std:.1f}" for rms, std in errors)))
+        errors = [(p.test_um, p.test_std_um), *((p.other_planes_um[z], p.other_planes_std_um[z]) for z in planes)]
+        lines = ((a, str(p.orders[a]), *(f"{rms[a]:.1f} ± {std[a]:.1f}" for rms, std in errors)) for a in "xyz")
         return Cells(("order", f"test, z = {round(p.plane_mm)}", *(f"z = {round(z)}" for z in planes)), tuple(lines))
-
-
-def corrected(fit: Fit, way: str, seed: int) -> DeltaCorrected:
-    """Chooses a correction: ``auto`` by blocked cross-validation, ``paper`` with the order that the paper's protocol
-    finds on the middle plane, in x and y alone, fitted to all planes.
-
-    Raises :class:`~sherkit.errors.FitError` where the rows do not determine one.
-    """
-    if way == "paper":
-        n = max(paper_protocol(fit, seed=seed).orders.values())
-        return DeltaCorrected(fit, choose_correction(fit, orders=(n,), heights=1, seed=seed, keep_none=False), seed)
-    return DeltaCorrected(fit, choose_correction(fit, seed=seed), seed)
 
 
 # -- The calibration ----------------------------------------------------------------------------------------------
@@ -274,8 +256,15 @@ class DeltaCalibration(Calibration):
 
     @classmethod
     def correct(cls, fit: Fit, way: str = "auto", seed: int = 0) -> DeltaCorrected:
-        """A Bernstein polynomial. Raises :class:`~sherkit.errors.FitError` where the rows do not determine one."""
-        return corrected(fit, way, seed)
+        """A Bernstein polynomial: ``auto`` by blocked cross-validation, ``paper`` with the order that the paper's
+        protocol finds on the middle plane, in x and y alone, fitted to all planes. Raises
+        :class:`~sherkit.errors.FitError` where the rows do not determine one."""
+        if way == "paper":
+            n = max(paper_protocol(fit, seed=seed).orders.values())
+            choice = choose_correction(fit, orders=(n,), heights=1, seed=seed, keep_none=False)
+        else:
+            choice = choose_correction(fit, seed=seed)
+        return DeltaCorrected(fit, choice, seed)
 
     # -- the model ---------------------------------------------------------------------------------------
 
@@ -352,12 +341,7 @@ class DeltaCalibration(Calibration):
         """The highest, middle and lowest plane of the workspace, or of what was measured."""
         robot = self.robot
         corners = np.array(list(product(*zip(self.whole.low, self.whole.high, strict=True))))
-        seen = self.whole.at_base(corners)
-        low, high = seen.min(axis=0), seen.max(axis=0)
-        if robot.workspace_radius_mm:
-            low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
-        if robot.workspace_z_mm:
-            low[2], high[2] = robot.workspace_z_mm
+        low, high = robot.box(self.whole.at_base(corners))
         made = Planes.horizontal(low, high, per_side, ".3g")
         from_axis = np.hypot(made.grid[:, 0], made.grid[:, 1])
         made = replace(made, grid=np.ascontiguousarray(self.whole.at_sensor(made.grid)))
