@@ -140,8 +140,7 @@ class PredictedAccuracies:
         """Where to measure, and what it would bring; nothing where that is next to nothing."""
         if not len(one.places) or one.left > _HELPS:
             return ""
-        names = ", ".join(bare(name) for name in self.coordinates)
-        unit = unit_in(self.coordinates[0])
+        names, unit = ", ".join(map(bare, self.coordinates)), unit_in(self.coordinates[0])
         digits = _DIGITS.get(unit, 3)
         at = "; ".join(", ".join(f"{v:.{digits}f}" for v in place) for place in one.places)
         return f"To narrow it, measure also at {names} = {at} {unit}: that would leave {100 * one.left:.0f} % of it."
@@ -284,18 +283,15 @@ class Accurate(Deployed):
     def repeatability(self, coordinates: ArrayLike) -> float:
         """Radius, mm, about the mean of many visits to ``coordinates`` (k,) that holds 95 of 100 readings there, the
         instrument's noise with them; NaN where neither repeats nor declared deviations tell it."""
-        scatter = self.part_at(self._place(coordinates)).noise_covariance
-        known = scatter is not None and bool(scatter.any())
-        return self.reach_mm * float(radius_95(scatter[None])[0]) if scatter is not None and known else float("nan")
+        scatter = self.part_at(self._place(coordinates)).scatter
+        return self.reach_mm * float(radius_95(scatter[None])[0]) if scatter.any() else float("nan")
 
     def accuracy_batch(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
         direction: ArrayLike | None = None,
     ) -> Batch:  # fmt: skip
         """:meth:`accuracy` at every one of ``coordinates`` (n, k): values (n,), mm; those out of reach are marked."""
-        made = self.predicted_accuracies(
-            coordinates, frame=frame, temperature_c=temperature_c, direction=direction
-        )  # fmt: skip
+        made = self.predicted_accuracies(coordinates, frame=frame, temperature_c=temperature_c, direction=direction)
         return Batch(made.total_mm, made.reached, made.why)
 
     def predicted_accuracy(
@@ -453,12 +449,9 @@ class Accurate(Deployed):
         x, joints = x[within], np.ascontiguousarray(inverse.values[within])
         sides = rng.choice([-1.0, 1.0], joints.shape)
         now = np.column_stack([np.tile(part.now[:2], (len(x), 1)), sides])
+        spreads = [self.spread(x, joints, frame=frame) + part.scatter for frame in self.frames]
         counted = tuple(
-            Counted(
-                self.spread(x, joints, frame=frame) + part.scatter,
-                self.counted(part, frame),
-                partial(self.moves, frame=frame),
-            )
-            for frame in self.frames
+            Counted(spread, self.counted(part, frame), partial(self.moves, frame=frame))
+            for spread, frame in zip(spreads, self.frames, strict=True)
         )
         return AccuracyQuery(x, joints, now, counted, self.carried)

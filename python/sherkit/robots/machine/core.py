@@ -37,19 +37,15 @@ _FEW_JOINTS = 3
 @dataclass(frozen=True, eq=False)
 class RowCovariates:
     """What effects look at besides joints and point: ``time_s`` (n,), ``temperature_c`` (n,) and that of the stands
-    ``stand_c`` (n,), ``direction`` (n, k) and ``velocity`` (n, k), NaN where they are not known; and the settings
-    ``wave``, one turn over the period of each joint, ``time_origin_s`` and the moments of the slips."""
+    ``stand_c`` (n,), ``direction`` (n, k) and ``velocity`` (n, k), NaN where they are not known; and the ``chain``, for
+    its settings."""
 
     time_s: Floats
     temperature_c: Floats
     stand_c: Floats
     direction: Floats
     velocity: Floats
-    wave: tuple[float, ...]
-    time_origin_s: float
-    slip_time_s: float
-    joint_slip_time_s: float
-    sensor_slip_time_s: float
+    chain: MachineCore
 
 
 #: What an effect adds (n, axes, p) for each of its parameters at one: where it acts (n, axes), joints or readings.
@@ -160,7 +156,7 @@ def generic_effects(
         ]  # fmt: skip
     out += [
         Generic("drift", "body", by_reading("rate", seen, [f"{u}/h" for u in read]),
-                _each(lambda _, at: ((at.time_s - at.time_origin_s) / 3600.0)[:, None]), (TIME,)),
+                _each(lambda _, at: ((at.time_s - at.chain.time_origin_s) / 3600.0)[:, None]), (TIME,)),
         Generic("slip", "body", by_reading("step", seen), _each(_late("slip_time_s")), (TIME,), TIME),
         Generic("thermal_shift", "sensor", by_reading("shift", [0.2 * s for s in seen], [f"{u}/°C" for u in read]),
                 _each(lambda _, at: (at.stand_c - DRAWN_C)[:, None]), (TEMPERATURE,), "lag_s"),
@@ -247,14 +243,14 @@ def _wave_of(turns: Mapping[int, float]) -> Formula:
 
 
 def _cyclic(which: Sequence[int], times: float = 1.0) -> Formula:
-    return lambda q, at: _wave(q, {k: times * at.wave[k] for k in which})
+    return lambda q, at: _wave(q, {k: times * at.chain.wave[k] for k in which})
 
 
 def _late(setting: str) -> Callable[[NDArray[Any], RowCovariates], Floats]:
     """One from the moment on that a setting names, (n, 1)."""
 
     def late(_: NDArray[Any], at: RowCovariates) -> Floats:
-        return np.where(np.isnan(at.time_s), np.nan, (at.time_s >= getattr(at, setting)).astype(float))[:, None]
+        return np.where(np.isnan(at.time_s), np.nan, (at.time_s >= getattr(at.chain, setting)).astype(float))[:, None]
 
     return late
 
@@ -344,9 +340,8 @@ class MachineCore(NumpyChain):
         joints, _, columns, push = block
         k = joints.shape[1]
         columns = np.full((len(joints), 3 + 2 * k), np.nan) if columns is None else columns
-        moments = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         moved = columns[:, 2 : 2 + k], columns[:, 2 + k : 2 + 2 * k]
-        known = RowCovariates(columns[:, 0], columns[:, 1], columns[:, -1], *moved, self.wave, *moments)
+        known = RowCovariates(columns[:, 0], columns[:, 1], columns[:, -1], *moved, self)
         return joints, known, np.zeros((len(joints), 3)) if push is None else push
 
     def _link(self, link: str, x: NDArray[Any], values: Floats, known: RowCovariates) -> NDArray[Any]:

@@ -13,7 +13,6 @@ from ...fit.forms import known
 from ...report.page import Made, Section, html_sentences, html_table, write_page
 from .model import distances
 from .printer_diagnosis import Examined
-from .robot import Printer
 
 _SIZE, _GAP, _TOP = 300, 40, 40
 #: Blue and orange, which colour-blind people tell apart too.
@@ -43,12 +42,17 @@ def drawing(examined: Examined) -> str:
     before, after = -plain.nominal_residuals[rows, 0], -plain.residuals[rows, 0]
     before = before - before.mean()
     most = max(float(np.abs(before).max(initial=0.0)), 1e-6)
-    named = {"the plate as it reads now": before, "with the best numbers": after}
-    panels = [_plate(title, at, high, most) for title, high in named.items()]
-    panels += [draw(examined.found.robot, _lean(examined)) for draw in (_above, _side)]
-    left = range(_GAP, _GAP + len(panels) * (_SIZE + _GAP) + 1, _SIZE + _GAP)
-    body = "".join(f'<g transform="translate({x},{_TOP})">{one}</g>' for x, one in zip(left, panels, strict=False))
-    width = left[-1]
+    lean = _lean(examined)
+    panels = [
+        _plate("the plate as it reads now", at, before, most),
+        _plate("with the best numbers", at, after, most),
+        _above(examined, lean),
+        _side(examined, lean),
+    ]
+    width = _GAP + len(panels) * (_SIZE + _GAP)
+    body = "".join(
+        f'<g transform="translate({_GAP + k * (_SIZE + _GAP)},{_TOP})">{one}</g>' for k, one in enumerate(panels)
+    )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {_SIZE + _TOP + 60}" font-family="sans-serif" '
         f'font-size="14"><rect width="100%" height="100%" fill="#fafafa"/>{body}</svg>'
@@ -76,35 +80,38 @@ def _plate(title: str, at: Floats, high: Floats, most: float) -> str:
     return _titled(title, parts, f"{1e3 * rms:.0f} µm RMS", f"orange high, blue low, to ± {1e3 * most:.0f} µm")
 
 
-def _above(robot: Printer, lean: Floats) -> str:
-    turn, radius = np.deg2rad(robot.towers.angle_deg), robot.towers.radius_mm
+def _above(examined: Examined, lean: Floats) -> str:
+    robot = examined.found.robot
+    turn = np.deg2rad(robot.towers.angle_deg)
+    radius = robot.towers.radius_mm
     reach, plate = 1.5 * radius, robot.workspace_radius_mm or 0.8 * radius
     parts = [f'<circle cx="150" cy="150" r="{plate / reach * 150:.1f}" fill="#eee" stroke="#999"/>']
     for k, (name, t) in enumerate(zip(_NAMES, turn, strict=True)):
         x, y = radius * np.cos(t), radius * np.sin(t)
         # leans are drawn twenty times as large as they are
         dx, dy = 20.0 * (lean[k, 0] * np.array([np.cos(t), np.sin(t)]) + lean[k, 1] * np.array([-np.sin(t), np.cos(t)]))
-        parts += [
-            f'<circle cx="{_px(x, reach):.1f}" cy="{_px(-y, reach):.1f}" r="7" fill="#444"/>',
+        parts.append(f'<circle cx="{_px(x, reach):.1f}" cy="{_px(-y, reach):.1f}" r="7" fill="#444"/>')
+        parts.append(
             f'<line x1="{_px(x, reach):.1f}" y1="{_px(-y, reach):.1f}" x2="{_px(x + dx, reach):.1f}" '
-            f'y2="{_px(-y - dy, reach):.1f}" stroke="rgb(213,94,0)" stroke-width="3"/>',
-            f'<text x="{_px(1.25 * x, reach) - 5:.1f}" y="{_px(-1.25 * y, reach) + 5:.1f}">{name}</text>',
-        ]
+            f'y2="{_px(-y - dy, reach):.1f}" stroke="rgb(213,94,0)" stroke-width="3"/>'
+        )
+        parts.append(f'<text x="{_px(1.25 * x, reach) - 5:.1f}" y="{_px(-1.25 * y, reach) + 5:.1f}">{name}</text>')
     return _titled("from above, front below", parts, "orange: leans of the towers,", "20 times as large")
 
 
-def _side(robot: Printer, lean: Floats) -> str:
+def _side(examined: Examined, lean: Floats) -> str:
+    robot = examined.found.robot
     turn, radius, top = np.deg2rad(robot.towers.angle_deg), robot.towers.radius_mm, float(robot.towers.top_mm.max())
     scale = 260.0 / max(top, 3.0 * radius)
     parts = ['<line x1="20" x2="280" y1="280" y2="280" stroke="#999"/>']
     for k, (name, t) in enumerate(zip(_NAMES, turn, strict=True)):
         x = radius * np.cos(t)
         away = 20.0 * (lean[k, 0] * np.cos(t) - lean[k, 1] * np.sin(t))
-        parts += [
+        parts.append(
             f'<line x1="{150 + scale * x:.1f}" y1="280" x2="{150 + scale * (x + away):.1f}" '
-            f'y2="{280 - scale * top:.1f}" stroke="#444" stroke-width="4"/>',
-            f'<text x="{145 + scale * x:.1f}" y="{272 - scale * top:.1f}">{name}</text>',
-        ]
+            f'y2="{280 - scale * top:.1f}" stroke="#444" stroke-width="4"/>'
+        )
+        parts.append(f'<text x="{145 + scale * x:.1f}" y="{272 - scale * top:.1f}">{name}</text>')
     return _titled("from the front", parts, "leans 20 times as large")
 
 

@@ -15,7 +15,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, zip_longest
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -165,19 +165,14 @@ def _rows(path: Path) -> list[dict[str, str]]:
                 raise RobotError(f"{path}: is empty; expected a table with a row for each joint")
             rows_below = (line for _, line in head.lines if not line.lstrip().startswith("#"))
             text = rows_below if head.called else chain([head.names], rows_below)
-            reader = csv.DictReader(
-                text, head.called or None, restval="", skipinitialspace=True, delimiter=head.separator
-            )  # fmt: skip
-            names = [name.strip() for name in reader.fieldnames or ()]
-            rows = []
-            for k, row in enumerate(reader, 1):
-                if None in row:
-                    raise RobotError(f"{path}: row {k} has more cells than there are columns; a comma for a point?")
-                rows.append({name: row[own] or "" for name, own in zip(names, reader.fieldnames or (), strict=True)})
+            cells = [row for row in csv.reader(text, skipinitialspace=True, delimiter=head.separator) if row]
     except OSError as error:
         raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise RobotError(f"{path}: is no CSV table: {error}") from None
+    names = [name.strip() for name in head.called or cells.pop(0)]
+    if wide := [k for k, row in enumerate(cells, 1) if len(row) > len(names)]:
+        raise RobotError(f"{path}: row {wide[0]} has more cells than there are columns; a comma for a point?")
     for name in names:
         if name not in _KNOWN:
             raise RobotError(
@@ -187,7 +182,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
         raise RobotError(f"{path}: column '{twice[0]}' is there twice")
     if lacking := [name for name in _NEEDED if name not in names]:
         raise RobotError(f"{path}: column {listed(lacking)} is missing")
-    return rows
+    return [dict(zip_longest(names, row, fillvalue="")) for row in cells]
 
 
 # -- URDF: the chain between two links, with what is fixed folded in and what hangs on each weighed ---------------

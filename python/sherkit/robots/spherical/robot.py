@@ -8,7 +8,7 @@ geometry is the user's. Frame: origin at the remote centre of motion, z along th
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -102,15 +102,8 @@ class CameraView(Saved):
 
     def to_table(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
-        return {
-            "size_px": list(self.size_px),
-            "focal_px": list(self.focal_px),
-            "centre_px": list(self.centre_px),
-            "distortion": list(self.distortion),
-            "rotation_rad": list(self.rotation_rad),
-            "translation_mm": list(self.translation_mm),
-            **({} if self.marker_sigma_px is None else {"marker_sigma_px": self.marker_sigma_px}),
-        }
+        told = {one.name: getattr(self, one.name) for one in fields(self)}
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in told.items() if v is not None}
 
 
 # -- Where to put the one camera that looks at a spherical robot ----------------------------------------------------
@@ -194,6 +187,12 @@ SPHERICAL_ANGLES = Layout(SPHERICAL_JOINTS, ("phi_rad", "gamma_rad"), "mrad", 1e
 
 ASSEMBLY_MODES = ("outer", "inner")
 WORKING_MODES = ("open", "crossed", "ahead", "behind")
+
+
+def axes_at(angles_rad: Floats) -> Floats:
+    """Unit vectors (n, 3) of the base frame that point to φ, γ (n, 2)."""
+    phi, gamma = angles_rad.T
+    return np.column_stack([np.sin(gamma) * np.cos(phi), np.sin(gamma) * np.sin(phi), np.cos(gamma)])
 
 
 @dataclass(frozen=True)
@@ -286,8 +285,8 @@ class Spherical(Declared, Stating, Saved, Shown):
         """Lowest and highest joint reading, rad, to which a motor may go; None where the file names none."""
         if self.joint_limits_deg is None:
             return None
-        low, high = self.joint_limits_deg
-        return (float(np.deg2rad(low)), float(np.deg2rad(high)))
+        low, high = np.deg2rad(self.joint_limits_deg).tolist()
+        return (low, high)
 
     @property
     def middle(self) -> Pair:
@@ -337,9 +336,7 @@ class Spherical(Declared, Stating, Saved, Shown):
 
     def point(self, angles_rad: ArrayLike) -> Floats:
         """Points (n, 3) of the sphere at φ, γ (n, 2), mm, base frame."""
-        phi, gamma = matrix(angles_rad, "phi and gamma", 2).T
-        axis = np.column_stack([np.sin(gamma) * np.cos(phi), np.sin(gamma) * np.sin(phi), np.cos(gamma)])
-        return self.radius_mm * axis
+        return self.radius_mm * axes_at(matrix(angles_rad, "phi and gamma", 2))
 
     @property
     def seen(self) -> CameraView:

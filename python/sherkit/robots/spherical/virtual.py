@@ -21,7 +21,7 @@ from ...data import Measurements
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.kinds import Option, walked
-from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, CameraView, Spherical
+from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, CameraView, Spherical, axes_at
 
 #: What the paper identified on its robot, less what the drawing says (Table I): rad and mm.
 PAPER_ERRORS = {"alpha": 0.7634 - 0.7854, "beta": 0.8037 - 0.7854, "radius": 22.1}
@@ -114,7 +114,7 @@ class VirtualSpherical:
             raise OutOfReach(
                 f"the virtual robot's limbs do not meet at row {row} of these joint readings", 0, float("nan")
             )
-        return self.robot.point(angles) / self.robot.radius_mm
+        return axes_at(angles)
 
     def markers(self, joints_rad: ArrayLike) -> Floats:
         """Places of the marker (n, 3), mm, base frame."""
