@@ -19,10 +19,11 @@ from driven_worlds import UNKNOWN
 from second_simulator.effects import EFFECTS, draw_pose
 from second_simulator.geometry import FITTED_SIZES, NOMINAL_CONFIG, Robot, draw_geometric_errors
 from second_simulator.plans import make_plan
+from second_simulator.serial import SecondArm
 from second_simulator.simulate import scaled_effect, truth
 from second_simulator.spherical import spherical_plan
 from sherkit.model.kinds import robot_from_tables
-from sherkit.robots.serial import VirtualSerial, postures
+from sherkit.robots.serial import postures
 from test_arm_counted import arm_in
 from test_serial import NOISE_MM, PLAIN, hidden_at
 from test_spherical_discovery import NOISE_PX, PLANS, ROBOT, real_robot
@@ -149,7 +150,7 @@ class ArmPair:
         with TemporaryDirectory() as folder:
             self.robot = arm_in(Path(folder))
         rng = np.random.default_rng([seed, 22])
-        before = VirtualSerial.simulated(self.robot, seed, 1.0, PLAIN)
+        before = SecondArm.simulated(self.robot, seed, 1.0, PLAIN)
         where = [postures(self.robot, n, 0.8, seed + k) for k, n in enumerate(poses)]
         before, stand = replace(before, stand=draw_pose(rng)), draw_pose(rng)
         after = before
@@ -167,7 +168,7 @@ class ArmPair:
         ]
 
     @staticmethod
-    def _left(before: VirtualSerial, after: VirtualSerial, where: Any, seed: int) -> float:
+    def _left(before: SecondArm, after: SecondArm, where: Any, seed: int) -> float:
         """The root mean square that the tracker's stand leaves of a change of the readings."""
         exact = [replace(one, noise_mm=0.0).measure(where, seed=seed).readings[:, :3] for one in (before, after)]
         return float(np.sqrt(np.mean(np.square(unstationed(exact[0], exact[1] - exact[0])))))
@@ -185,7 +186,7 @@ ARM_MECHANICAL = ("joint_scale", "joint_coupling", "joint_compliance", "backlash
                   "encoder_cyclic", "sensor_scale", "sensor_linearity")  # fmt: skip
 
 
-def _with(arm: VirtualSerial, name: str, by: float) -> VirtualSerial:
+def _with(arm: SecondArm, name: str, by: float) -> SecondArm:
     """An arm of which one number of its geometry is another (rad or mm)."""
     what, *axis, last = name.split("_")
     field = {"offset": "offset", "shift": "shift_mm", "tilt": "tilt_rad", "tool": "tool_mm"}[what]

@@ -23,10 +23,10 @@ import sherkit as sk
 from second_simulator.effects import draw_pose
 from second_simulator.geometry import NOMINAL_CONFIG, Robot, draw_geometric_errors
 from second_simulator.plans import grid, make_plan
+from second_simulator.serial import SecondArm
 from second_simulator.simulate import fitted_directions, scaled_effect, truth
 from second_simulator.spherical import GEOMETRY, SPHERICAL_EFFECTS, spherical_plan
 from sherkit.model.kinds import robot_from_tables
-from sherkit.robots.serial import VirtualSerial
 from test_arm_counted import arm_in
 from test_serial import NOISE_MM, PLAIN, hidden_at, left_by_geometry, model_of, postures
 from test_spherical_discovery import NOISE_PX, PLANS, ROBOT, real_robot
@@ -224,7 +224,7 @@ class DrivenArm(World):
             self.robot = arm_in(Path(folder))
         self.joints = self.robot.layout.joints
         stand = draw_pose(np.random.default_rng([seed, 8]))
-        self.real = replace(VirtualSerial.simulated(self.robot, seed, 1.0, PLAIN), stand=stand)
+        self.real = replace(SecondArm.simulated(self.robot, seed, 1.0, PLAIN), stand=stand)
         self._known: list[Floats] = []
         plan, plain = self._plan(seed), self.real
         for name in hidden:
@@ -245,7 +245,7 @@ class DrivenArm(World):
         time_s = np.linspace(0.0, SPAN_S, len(poses))
         return dict(zip(self.joints, poses.T, strict=True)) | {"time_s": time_s} | self.room(time_s)
 
-    def _left(self, plan: Mapping[str, Floats], plain: VirtualSerial, planted: VirtualSerial) -> Floats:
+    def _left(self, plan: Mapping[str, Floats], plain: SecondArm, planted: SecondArm) -> Floats:
         """What the geometry leaves (n·m,) of that by which two arms differ; all, of what it takes whole."""
         seen = np.array(self._seen_by(plain, plan))
         rows = {"pose": np.arange(len(seen)), "repeat": np.ones(len(seen))} | dict(plan)
@@ -253,7 +253,7 @@ class DrivenArm(World):
         data = model.as_declared(sk.from_frame(rows | dict(zip(self.readings, seen.T, strict=True))))
         return left_by_geometry(model, data, np.array(self._seen_by(planted, plan)) - seen)
 
-    def _seen_by(self, real: VirtualSerial, columns: Mapping[str, Floats], first: int = 0) -> list[Floats]:
+    def _seen_by(self, real: SecondArm, columns: Mapping[str, Floats], first: int = 0) -> list[Floats]:
         """What is seen of an arm at these rows, from the ``first`` on."""
         read = np.column_stack([columns[name] for name in self.joints])
         step = np.sign(np.diff(read, axis=0, prepend=read[:1] - 0.1))

@@ -36,12 +36,13 @@ from second_simulator import (
     scaled_effect,
     simulate,
 )
+from second_simulator.serial import SecondArm
 from second_simulator.spherical import GEOMETRY, SPHERICAL_EFFECTS, draw_spherical_effect, spherical_plan
 from sherkit.model.kinds import kind_of, model_of
 from sherkit.model.robot_file import run_for
 from sherkit.model.sensor_pose import HELD, POSE, KnownPose, SensorPose
 from sherkit.robots.machine import load_machine
-from sherkit.robots.serial import VirtualSerial, postures
+from sherkit.robots.serial import postures
 from strategies import EXAMPLE
 from test_arm_counted import arm_in
 from test_machine import HIDDEN as OF_MACHINES
@@ -198,7 +199,7 @@ class Arm(Standing):
         super().__init__(number)
         with TemporaryDirectory() as folder:
             self.robot = arm_in(Path(folder))
-        made = VirtualSerial.simulated(self.robot, number, 1.0, PLAIN)
+        made = SecondArm.simulated(self.robot, number, 1.0, PLAIN)
         offset = np.array(made.offset)
         offset[0] = self.rng.uniform(-np.pi, np.pi)
         self.real = replace(made, noise_mm=0.0, stand=draw_pose(self.rng), offset=offset)

@@ -21,9 +21,10 @@ from scipy import stats
 
 import sherkit as sk
 from consistency import named
+from second_simulator.serial import SecondArm
 from sherkit.base.types import Floats
 from sherkit.model.kinds import model_of
-from sherkit.robots.serial import Serial, VirtualSerial, postures
+from sherkit.robots.serial import Serial, postures
 from sherkit.robots.serial.imported import import_dh
 from test_serial import EFFECTS, NOISE_MM, PLAIN, UR5, hidden_at, payloads, simulated
 
@@ -172,7 +173,7 @@ def enough_alone(arm: Serial, hidden: dict[str, Any], seed: int) -> set[str]:
 
     In linear approximation, without noise. What was planted comes from the virtual arm.
     """
-    virtual = replace(VirtualSerial.simulated(arm, seed, 1.0, PLAIN), noise_mm=0.0)
+    virtual = replace(SecondArm.simulated(arm, seed, 1.0, PLAIN), noise_mm=0.0)
     poses = postures(arm, ROWS, 0.9, seed)
     hung = payloads(ROWS, seed)
     with_it = virtual.with_hidden(**hidden).measure(poses, seed=seed + 5, payload_kg=hung)

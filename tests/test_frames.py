@@ -25,6 +25,7 @@ import sherkit as sk
 from accuracy_coverage import MIDDLE_RAD
 from running import slow
 from second_simulator import NOMINAL_CONFIG, Robot, draw_pose, make_plan, simulate, truth
+from second_simulator.serial import SecondArm
 from sherkit.errors import CalibrationError
 from sherkit.fit.error import radius_95
 from sherkit.fit.identify import hold_out
@@ -34,7 +35,7 @@ from sherkit.model.sensor_pose import POSE, slip_of
 from sherkit.robots.calibrated import calibration_class
 from sherkit.robots.calibration_run import CalibrationRun
 from sherkit.robots.identified_model import IdentifiedModel
-from sherkit.robots.serial import SerialCalibration, VirtualSerial, postures
+from sherkit.robots.serial import SerialCalibration, postures
 from test_arm_counted import arm_in
 from test_calibration import made, seen
 from worlds import SPHERICAL, World, real_spherical
@@ -256,7 +257,7 @@ def arm_held(seed: int) -> dict[str, float]:
         if what in drawn:
             axis = ["xyz".index(one) for one in where if one in "xyz"]
             drawn[what][(*(int(one) - 1 for one in where if one.isdigit()), *axis)] = p.size * rng.normal()
-    real = VirtualSerial(robot, drawn["offset"], drawn["shift"], drawn["tilt"], drawn["tool"], draw_pose(rng))
+    real = SecondArm(robot, drawn["offset"], drawn["shift"], drawn["tilt"], drawn["tool"], draw_pose(rng))
     still = np.zeros(k)
 
     def really(joints: Floats, frame: str) -> Floats:

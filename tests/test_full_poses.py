@@ -15,9 +15,10 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from running import slow
+from second_simulator.serial import SecondArm
 from sherkit.cli import main
 from sherkit.errors import MeasurementError, SherkitWarning
-from sherkit.robots.serial import KIND, Hidden, Serial, VirtualSerial, points_of_poses, postures
+from sherkit.robots.serial import KIND, Hidden, Serial, points_of_poses, postures
 
 Floats = NDArray[np.float64]
 #: The instrument: noise of a place, mm, and of a turn, rad, the same at a lever of 100 mm.
@@ -33,7 +34,7 @@ def arm() -> Serial:
 def measured(robot: Serial, seed: int, rows: int = 45, **hidden: Any) -> pl.DataFrame:
     """Places and turns of the tool of a virtual arm, read by an instrument that stands anywhere."""
     rng = np.random.default_rng(seed)
-    plain = VirtualSerial.simulated(
+    plain = SecondArm.simulated(
         robot, seed, 1.0, {"noise_um": 0.0, "yield_mrad": 0.0, "play_mrad": 0.0, "ring_mrad": 0.0}
     )
     virtual = replace(plain, effects=Hidden(**hidden), noise_mm=0.0)

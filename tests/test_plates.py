@@ -10,9 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+from second_simulator.serial import SecondArm
 from sherkit.errors import RobotError, ShapeError
 from sherkit.model.kinds import known_kinds, model_of
-from sherkit.robots.serial import Serial, VirtualSerial, postures
+from sherkit.robots.serial import Serial, postures
 from sherkit.robots.serial.identified import as_identified
 
 PLAIN = {"noise_um": 20.0, "yield_mrad": 0.0, "play_mrad": 0.0, "ring_mrad": 0.0}
@@ -27,9 +28,9 @@ def arm(group: str) -> Serial:
     return replace(example, target_mm=(10.0, 0.0, 120.0), group=group, more_targets_mm=more, more_groups=(group,) * 2)
 
 
-def virtual(robot: Serial, errors: float = 1.0) -> VirtualSerial:
+def virtual(robot: Serial, errors: float = 1.0) -> SecondArm:
     """Off by so many plausible sizes, its nests on a plate that is turned and shifted."""
-    made = VirtualSerial.simulated(robot, 4, errors, PLAIN)
+    made = SecondArm.simulated(robot, 4, errors, PLAIN)
     apart = robot.targets - robot.targets[0]
     off = SHIFTED + apart @ (Rotation.from_rotvec(TURNED).as_matrix() - np.eye(3)).T
     return replace(made, tool_mm=off)

@@ -1,10 +1,10 @@
 """Serial arms: files, imports, kinematics, identification and diagnosis. What is hidden comes from
-``robots/serial/virtual.py``, which shares no formula with the core."""
+``second_simulator/serial.py``, which shares no formula with the core."""
 
 from __future__ import annotations
 
 import tomllib
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from second_simulator import draw_pose
+from second_simulator.serial import SecondArm
 from sherkit.base.types import Floats
 from sherkit.cli import main
 from sherkit.errors import ExperimentError, OutOfReach, RobotError, ShapeError
@@ -21,7 +22,7 @@ from sherkit.lab.experiment import load_experiment
 from sherkit.model.kinds import kind_of, known_kinds, model_of, robot_from_tables
 from sherkit.model.robot_file import run_for
 from sherkit.model.sensor_pose import SensorPose
-from sherkit.robots.serial import KIND, Hidden, Joint, Serial, VirtualSerial, postures
+from sherkit.robots.serial import KIND, Hidden, Joint, Plane, Serial, VirtualSerial, postures
 from sherkit.robots.serial.frames import of_rpy, rpy_of
 from sherkit.robots.serial.imported import import_dh, import_urdf
 
@@ -228,12 +229,12 @@ def test_two_arms_have_their_own_columns(tmp_path: Path, ur5: Serial) -> None:
     """Catches a run that is taken for another arm's, and a robot file that loses a digit."""
     for arm in (ur5, gantry(), KIND.example):
         assert robot_from_tables(tomllib.loads(as_toml(arm, tmp_path)), "again") == arm
-        data = VirtualSerial(arm).measure(postures(arm, 20))
+        data = SecondArm(arm).measure(postures(arm, 20))
         data.save(tmp_path / "run.csv")
         assert sk.read_measurements(tmp_path / "run.csv").layout == arm.layout
         assert kind_of(arm).layout == arm.layout
     with pytest.raises(sk.errors.FitError, match="is no run of a serial robot"):
-        sk.identify(ur5, VirtualSerial(gantry()).measure(postures(gantry(), 20)))
+        sk.identify(ur5, SecondArm(gantry()).measure(postures(gantry(), 20)))
 
 
 def as_toml(arm: Serial, folder: Path) -> str:
@@ -245,7 +246,7 @@ def as_toml(arm: Serial, folder: Path) -> str:
 # -- what is identified --------------------------------------------------------------------------------------------
 
 
-def everything(arm: Serial, rng: np.random.Generator) -> tuple[VirtualSerial, dict[str, float]]:
+def everything(arm: Serial, rng: np.random.Generator) -> tuple[SecondArm, dict[str, float]]:
     """An arm in which every error and every effect is at work, and their values by name."""
     k = len(arm.joints)
     slide = np.array([100.0 if joint.slides else 1.0 for joint in arm.joints])
@@ -292,7 +293,7 @@ def everything(arm: Serial, rng: np.random.Generator) -> tuple[VirtualSerial, di
         names |= {f"thermal_shift.shift_{axis}": hidden["stand_mm_per_c"][a]}
         names |= {f"sensor_slip.{n}_{axis}": hidden["knock"][i + a] for n, i in (("turn", 0), ("shift", 3))}
         names |= {f"sensor_linearity.cubic_{axis}": hidden["bend_mm"][a]}
-    return VirtualSerial(arm, offset, shift, tilt, tool, stand, Hidden(**hidden)), names
+    return SecondArm(arm, offset, shift, tilt, tool, stand, Hidden(**hidden)), names
 
 
 @pytest.mark.parametrize("arm", [KIND.example, palletiser(), gantry()], ids=["six axes", "parallelogram", "gantry"])
@@ -320,11 +321,25 @@ def test_every_error_and_effect_is_that_of_the_second_simulator(arm: Serial) -> 
         np.testing.assert_allclose(columns[:, :, k] * 2 * step[k], change, rtol=1e-4, atol=1e-8, err_msg=p.name)
 
 
+@pytest.mark.parametrize("arm", [KIND.example, palletiser(), gantry()], ids=["six axes", "parallelogram", "gantry"])
+def test_the_virtual_arm_does_what_the_second_one_does(arm: Serial) -> None:
+    """Catches a virtual arm that hides something else than is asked for: another joint, sign, unit, target or plane."""
+    planes = (Plane((0.0, 0.0, -5.0), (0.1, 0.2, 1.0)),)
+    arm = replace(arm, more_targets_mm=((10.0, 20.0, 30.0),), centres_mm=((500.0, 0.0, 0.0),), planes=planes)
+    second = replace(everything(arm, np.random.default_rng(3))[0], centres_mm=0.3, planes=0.01, noise_mm=0.1)
+    second = second.with_hidden(bar_mm=0.3, stand_lag_s=30.0)
+    virtual = VirtualSerial(**{one.name: getattr(second, one.name) for one in fields(second)})
+    joints = postures(arm, 12)
+    runs = [one.measure(joints, repeats=2, seed=5, payload_kg=2.0) for one in (virtual, second)]
+    np.testing.assert_allclose(runs[0].readings, runs[1].readings, atol=1e-7)
+    np.testing.assert_allclose(virtual.noise_free(joints), second.noise_free(joints), atol=1e-7)
+
+
 def test_what_is_told_apart_is_free_and_the_rest_is_named(ur5: Serial) -> None:
     """Catches a default that is not of full rank or leaves something out, and redundant directions that are not those
     of the drawing: 4 for each of 6 joints and 3 for the target, the tracker among them. It
     stands nearly along the axes of the base, so that a turn about one has one name."""
-    data = VirtualSerial.simulated(ur5, 1, 1.0, PLAIN).measure(postures(ur5, 120, 0.9, 1), seed=7)
+    data = SecondArm.simulated(ur5, 1, 1.0, PLAIN).measure(postures(ur5, 120, 0.9, 1), seed=7)
     plain = sk.identify(ur5, data)
     assert plain.rank == len(plain.values) == 27
     assert plain.condition_number < 100
@@ -341,7 +356,7 @@ def test_what_is_told_apart_is_free_and_the_rest_is_named(ur5: Serial) -> None:
 def simulated(arm: Serial, seed: int, rows: int, **hidden: Any) -> sk.Measurements:
     """A run of an arm with geometric errors of plausible size before a tracker that stands anywhere, and what else is
     hidden in it; at half of the poses a payload hangs."""
-    virtual = replace(VirtualSerial.simulated(arm, seed, 1.0, PLAIN), stand=draw_pose(np.random.default_rng([seed, 8])))
+    virtual = replace(SecondArm.simulated(arm, seed, 1.0, PLAIN), stand=draw_pose(np.random.default_rng([seed, 8])))
     virtual = virtual.with_hidden(**hidden)
     return virtual.measure(postures(arm, rows, 0.9, seed), seed=seed + 5, payload_kg=payloads(rows, seed))
 
@@ -354,7 +369,7 @@ def payloads(rows: int, seed: int) -> Floats:
 def test_a_tracker_may_stand_anywhere(ur5: Serial) -> None:
     """Catches a fit that is lost where the tracker is turned by more than a right angle, or where rows are wrong."""
     for seed in (7, 10, 13):
-        virtual = VirtualSerial.simulated(ur5, seed, 1.0, PLAIN)
+        virtual = SecondArm.simulated(ur5, seed, 1.0, PLAIN)
         turn = Rotation.random(random_state=seed).as_rotvec()
         virtual = replace(virtual, stand=np.r_[turn, 2000.0 * np.random.default_rng(seed).normal(size=3)])
         data = virtual.measure(postures(ur5, 80, 0.9, seed), seed=seed)
@@ -399,7 +414,7 @@ def hidden_at(arm: Serial, name: str, ratio: float, seed: int) -> dict[str, Any]
         if field == "knock":
             made[field] *= [1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0]
     stand = draw_pose(np.random.default_rng([seed, 8]))
-    virtual = replace(VirtualSerial.simulated(arm, seed, 1.0, PLAIN), noise_mm=0.0, stand=stand)
+    virtual = replace(SecondArm.simulated(arm, seed, 1.0, PLAIN), noise_mm=0.0, stand=stand)
     poses = postures(arm, 200, 0.9, seed)
     small = {field: value if field == "per_turn" else 1e-4 * value for field, value in made.items()}
     hung = payloads(200, seed)
@@ -429,7 +444,7 @@ def test_what_hangs_is_told_to_the_loop(ur5: Serial) -> None:
     """Catches a payload that is lost between the run and the calibrated arm."""
     data = simulated(ur5, 3, 120, sags=1e-4)
     made = sk.calibrate(ur5, data, effects=["payload_compliance"]).calibration
-    virtual = VirtualSerial.simulated(ur5, 3, 1.0, PLAIN).with_hidden(sags=1e-4)
+    virtual = SecondArm.simulated(ur5, 3, 1.0, PLAIN).with_hidden(sags=1e-4)
     q, still = postures(ur5, 1, 0.8, seed=5)[0], np.zeros(6)
     sunk = made.forward(q, payload_kg=5.0) - made.forward(q)
     expected = virtual.true_target(q, still, still, payload_kg=5.0) - virtual.true_target(q, still, still)
@@ -491,7 +506,7 @@ def test_the_story_of_an_arm(
     calibration = sk.load_calibration("calibrated.toml")
     truth = tomllib.loads(Path("truth.toml").read_text())
     hidden = Hidden(**truth.pop("effects"))
-    virtual = VirtualSerial(robot, **truth, effects=hidden)
+    virtual = SecondArm(robot, **truth, effects=hidden)
     frame = Rotation.from_rotvec(calibration.whole.values[:3])
     errors: dict[str, list[float]] = {"drawn": [], "calibrated": []}
     for joints in postures(robot, 30, 0.9, seed=77):
@@ -514,7 +529,7 @@ def test_more_parameters_than_rows_support_are_said(ur5: Serial) -> None:
     rough = {**PLAIN, "noise_um": 4000.0}
     fitted: dict[bool, list[float]] = {False: [], True: []}
     for seed in range(6):
-        virtual = VirtualSerial.simulated(ur5, seed, 1.0, rough)
+        virtual = SecondArm.simulated(ur5, seed, 1.0, rough)
         data = virtual.measure(postures(ur5, 34, 0.5, seed), seed=seed)
         new = replace(virtual, noise_mm=0.0).measure(postures(ur5, 100, 0.9, seed + 50), seed=1)
         for priors in (False, True):

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from running import slow
+from second_simulator.serial import SecondArm
 from sherkit.errors import FitError, MeasurementError, RobotError
 from sherkit.model.kinds import model_of, robot_from_tables
-from sherkit.robots.serial import KIND, Hidden, Joint, Plane, Serial, VirtualSerial, postures
+from sherkit.robots.serial import KIND, Hidden, Joint, Plane, Serial, postures
 
 PLAIN = {"noise_um": 50.0, "yield_mrad": 0.0, "play_mrad": 0.0, "ring_mrad": 0.0}
 
@@ -47,7 +48,7 @@ def along_the_plane(drawn: Any, real: Any) -> list[float]:
 
 def run_of(robot: Serial, seed: int, rows: int, *, bars: float = 0.01, **hidden: Any) -> sk.Measurements:
     """A run of an arm with geometric errors of plausible size."""
-    virtual = VirtualSerial.simulated(robot, seed, 1.0, PLAIN).with_hidden(**hidden)
+    virtual = SecondArm.simulated(robot, seed, 1.0, PLAIN).with_hidden(**hidden)
     poses = postures(robot, rows, 0.9, seed)
     return replace(virtual, distance_noise_mm=bars).measure(poses, repeats=2, seed=seed + 5)
 
@@ -69,7 +70,7 @@ def test_every_reading_is_that_of_the_second_simulator(
     offset = 1e-3 * rng.normal(size=6)
     effects = Hidden(rate_mm_h=(0.5, 0.2, -0.3), bar_mm=0.4 if centres else 0.0)
     leant = 0.02 * rng.normal(size=(planes, 4))
-    virtual = VirtualSerial(robot, offset, tool_mm=tools, centres_mm=fixed, planes=leant, effects=effects)
+    virtual = SecondArm(robot, offset, tool_mm=tools, centres_mm=fixed, planes=leant, effects=effects)
     data = virtual.measure(postures(robot, 12), seed=1)
     data.save(tmp_path / "run.csv")
     data = sk.read_measurements(tmp_path / "run.csv")
@@ -113,14 +114,14 @@ def test_distances_alone_calibrate_an_arm() -> None:
     assert sk.diagnose(robot, data).headline == "explained: joint_compliance"
     result = sk.calibrate(robot, data, effects=["joint_compliance"])
     made, fit = result.calibration, result.whole.fit
-    virtual = VirtualSerial.simulated(robot, 3, 1.0, PLAIN).with_hidden(gives=1e-3)
+    virtual = SecondArm.simulated(robot, 3, 1.0, PLAIN).with_hidden(gives=1e-3)
     known = dict(zip((p.name for p in fit.parameters), fit.values.tolist(), strict=True))
     centres = np.array(robot.centres_mm) + [[known.get(f"centre_{k}_{a}", 0.0) for a in "xyz"] for k in (1, 2, 3)]
     still = np.zeros(6)
     for joints in postures(robot, 20, 0.8, seed=8):
         real = virtual.true_target(joints, still, still)
         told = np.linalg.norm(made.forward(joints) - centres, axis=1)
-        shown = [virtual.distance(real, k)[0] for k in range(3)]
+        shown = [virtual.distance(real, k) for k in range(3)]
         np.testing.assert_allclose(told, shown, atol=0.06)
 
 
@@ -179,7 +180,7 @@ def test_joints_that_turn_ripple_beside_one_that_slides() -> None:
     )
     robot = Serial(joints, target_mm=(40.0, 0.0, -30.0))
     lines = np.array([[3e-4, 1e-4], [-2e-4, 2e-4], [0.0, 0.0], [0.0, 3e-4]])
-    virtual = VirtualSerial.simulated(robot, 3, 1.0, PLAIN).with_hidden(lines=lines, per_turn=40.0)
+    virtual = SecondArm.simulated(robot, 3, 1.0, PLAIN).with_hidden(lines=lines, per_turn=40.0)
     found = sk.diagnose(robot, virtual.measure(postures(robot, 160, 0.9, 3), repeats=2, seed=4))
     assert found.effects == ("encoder_cyclic",)
     period = model_of(robot).known_effects["encoder_cyclic"]
@@ -190,7 +191,7 @@ def test_joints_that_turn_ripple_beside_one_that_slides() -> None:
 def test_a_mixed_run_weighs_each_reading_by_its_own_noise() -> None:
     """Catches a bar of 10 µm that counts as much as a tracker of 50, and repeats of two targets that are one noise."""
     robot = arm(2, 1)
-    virtual = replace(VirtualSerial.simulated(robot, 2, 1.0, PLAIN), distance_noise_mm=0.01)
+    virtual = replace(SecondArm.simulated(robot, 2, 1.0, PLAIN), distance_noise_mm=0.01)
     fit = sk.identify(robot, virtual.measure(postures(robot, 40, 0.9, 2), repeats=2, seed=4))
     sigma = fit.data.repeatability.sigma
     assert sigma["distance_mm"] == pytest.approx(0.01, rel=0.25)
@@ -209,7 +210,7 @@ def test_what_targets_of_a_pose_share_is_no_evidence_for_each(repeats: int, seed
     Taken for readings of their own, three of these five runs were unexplained; at 1 % for each, none is.
     """
     robot, rng = arm(3, 0), np.random.default_rng(1000 + seed)
-    virtual = VirtualSerial.simulated(robot, seed, 1.0, PLAIN | {"noise_um": 0.0})
+    virtual = SecondArm.simulated(robot, seed, 1.0, PLAIN | {"noise_um": 0.0})
     frame = virtual.measure(postures(robot, 60, 0.8, seed=seed), repeats=repeats, seed=seed).to_frame()
     shared = np.repeat(rng.normal(0.0, 0.02, (len(frame) // 3, 3)), 3, axis=0)
     error = shared + rng.normal(0.0, 0.005, shared.shape)
@@ -268,7 +269,7 @@ def test_planes_that_are_touched_calibrate_an_arm() -> None:
     places within the planes' own frame are right to what the probe repeats."""
     robot = arm(1, 0, planes=3, tracker=False)
     data = run_of(robot, 3, 150)
-    virtual = VirtualSerial.simulated(robot, 3, 1.0, PLAIN)
+    virtual = SecondArm.simulated(robot, 3, 1.0, PLAIN)
     fit = sk.identify(robot, data)
     assert fit.scale == pytest.approx(1.0, rel=0.15)
     made = sk.calibrate(robot, data).calibration

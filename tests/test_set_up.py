@@ -19,13 +19,14 @@ from planar_arm import KIND, PlanarArm, VirtualPlanarArm
 from planar_arm.pose_sets import fan
 from running import slow
 from second_machines import apart
+from second_simulator.serial import SecondArm
 from sherkit.base.types import Floats
 from sherkit.data import Measurements
 from sherkit.errors import FitError
 from sherkit.fit import Mistake, set_up_mistakes
 from sherkit.model import kinds
 from sherkit.model.kinds import model_of
-from sherkit.robots.serial import VirtualSerial, postures
+from sherkit.robots.serial import postures
 from sherkit.robots.serial.imported import import_dh
 from sherkit.robots.spherical import CameraView
 from test_arm_counted import TARGET_MM
@@ -150,7 +151,7 @@ def test_a_table_of_the_other_convention_is_said(read: str, tmp_path: Path) -> N
     (tmp_path / "ur5.csv").write_text(UR5)
     meant = {"standard": "modified", "modified": "standard"}[read]
     right, wrong = (replace(import_dh(tmp_path / "ur5.csv", how), target_mm=TARGET_MM) for how in (meant, read))
-    arm = VirtualSerial.simulated(right, 1, 1.0, PLAIN)
+    arm = SecondArm.simulated(right, 1, 1.0, PLAIN)
     data = arm.measure(postures(right, 80, 0.9, 1), repeats=2, order="shuffled", seed=1)
     fit = sk.identify(wrong, data)
     said = set_up_mistakes(fit.model, fit.data, fit.values)
@@ -163,7 +164,7 @@ def test_a_joint_counted_from_the_horizontal_is_said(sign: float, tmp_path: Path
     16 of 16 arms; and a cure that does not cure."""
     (tmp_path / "ur5.csv").write_text(UR5)
     robot = replace(import_dh(tmp_path / "ur5.csv"), target_mm=TARGET_MM)
-    arm = VirtualSerial.simulated(robot, 1, 1.0, PLAIN)
+    arm = SecondArm.simulated(robot, 1, 1.0, PLAIN)
     frame = arm.measure(postures(robot, 60, 0.9, 1), repeats=2, order="shuffled", seed=1).to_frame()
     second, third = (robot.layout.joints[k] for k in (1, 2))
     data = sk.from_frame(frame.with_columns(pl.col(third) + sign * pl.col(second)))

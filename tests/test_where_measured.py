@@ -11,11 +11,12 @@ from scipy.optimize import linprog
 
 import sherkit as sk
 from field_worlds import field
+from second_simulator.serial import SecondArm
 from sherkit.model.kinds import known_kinds
+from sherkit.robots.calibrated import MIDDLE
 from sherkit.robots.delta import VirtualDelta, paper_local
-from sherkit.robots.moves import MIDDLE
 from sherkit.robots.poses_hull import beyond, outermost
-from sherkit.robots.serial import SerialCalibration, VirtualSerial
+from sherkit.robots.serial import SerialCalibration
 from sherkit.robots.unobserved_effects import Search
 from strategies import EXAMPLE
 
@@ -23,10 +24,10 @@ PLAIN = {"noise_um": 50.0, "yield_mrad": 0.0, "play_mrad": 0.0, "ring_mrad": 0.0
 
 
 @pytest.fixture(scope="module")
-def arm() -> tuple[VirtualSerial, SerialCalibration]:
+def arm() -> tuple[SecondArm, SerialCalibration]:
     """An arm off by what is plausible, calibrated from 150 poses of a part of its joints."""
     robot = known_kinds()["serial"].example
-    virtual = VirtualSerial.simulated(robot, 2, 1.0, PLAIN)
+    virtual = SecondArm.simulated(robot, 2, 1.0, PLAIN)
     middle, half = robot.home, 0.15 * np.ptp(robot.ranges, axis=0).clip(max=2.0)
     poses = middle + half * np.random.default_rng(3).uniform(-1, 1, (150, len(middle)))
     made = sk.calibrate(robot, virtual.measure(poses, repeats=2, seed=3)).calibration
@@ -62,7 +63,7 @@ def test_a_joint_that_never_moved_ends_where_it_stood() -> None:
     assert beyond(poses, np.array([[0.0, 0.0, 0.5]]))[0] > 1.0
 
 
-def test_an_arm_is_not_measured_where_its_joints_are_others(arm: tuple[VirtualSerial, SerialCalibration]) -> None:
+def test_an_arm_is_not_measured_where_its_joints_are_others(arm: tuple[SecondArm, SerialCalibration]) -> None:
     """Catches a promise that knows places alone: far from the poses in its joints the radius grows, and says so."""
     _, made = arm
     own = made.whole.poses[:5]
@@ -79,7 +80,7 @@ def test_an_arm_is_not_measured_where_its_joints_are_others(arm: tuple[VirtualSe
     assert not made.measured(made.forward(other[0]))
 
 
-def test_places_of_an_arm_are_where_it_was_measured(arm: tuple[VirtualSerial, SerialCalibration]) -> None:
+def test_places_of_an_arm_are_where_it_was_measured(arm: tuple[SecondArm, SerialCalibration]) -> None:
     """Catches a middle of the run at which no joints like those of the run lead, and accuracy in the tracker's frame
     that is that of the base: there where the base lies counts, here it does not."""
     _, made = arm
@@ -90,7 +91,7 @@ def test_places_of_an_arm_are_where_it_was_measured(arm: tuple[VirtualSerial, Se
     assert np.isnan(beside[MIDDLE].move_mm)
 
 
-def test_moves_are_as_accurate_as_is_said(arm: tuple[VirtualSerial, SerialCalibration]) -> None:
+def test_moves_are_as_accurate_as_is_said(arm: tuple[SecondArm, SerialCalibration]) -> None:
     """Catches an accuracy of moves in which what both ends share still counts, or that forgets what it leaves at both:
     of 15 moves as the tracker would see them without noise at least 13 are within, and half are not within a tenth
     (fixed seeds)."""
@@ -107,7 +108,7 @@ def test_moves_are_as_accurate_as_is_said(arm: tuple[VirtualSerial, SerialCalibr
     assert np.median(np.array(off) / said) > 0.1
 
 
-def test_poses_are_kept_in_the_file(arm: tuple[VirtualSerial, SerialCalibration], tmp_path: Path) -> None:
+def test_poses_are_kept_in_the_file(arm: tuple[SecondArm, SerialCalibration], tmp_path: Path) -> None:
     """Catches a calibration that forgets where it was measured once it is saved."""
     _, made = arm
     made.save(tmp_path / "c.toml")

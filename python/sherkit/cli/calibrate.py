@@ -23,11 +23,10 @@ from ..model.effect import effects_by_name, load_effects
 from ..model.kinds import catalogue_of, model_of, required_um
 from ..model.robot_file import run_for
 from ..model.thermometers import thermometers_of
-from ..robots.calibrated import Calibration, calibration_class
+from ..robots.calibrated import BesideBase, Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
 from ..robots.delta import paper
 from ..robots.machine import robot_at
-from ..robots.moves import BesideBase
 from ..study import Study
 from . import output
 from .file_kinds import CALIBRATION, TOOL

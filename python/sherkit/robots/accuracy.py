@@ -19,10 +19,9 @@ from ..data.columns import TEMPERATURE, TIME, bare, unit_in
 from ..fit.error import radius_95
 from ..model.batch import Batch, matrix
 from ..model.effect import Effect
-from .deployed import BASE, SENSOR
+from .deployed import BASE, SENSOR, Deployed
 from .identified_model import BiasBound, IdentifiedModel, at_rest, by_effect
 from .unobserved_effects import AccuracyQuery, Counted
-from .where_measured import WhereMeasured
 
 # -- What is promised of a place ----------------------------------------------------------------------------------
 
@@ -141,8 +140,7 @@ class PredictedAccuracies:
         """Where to measure, and what it would bring; nothing where that is next to nothing."""
         if not len(one.places) or one.left > _HELPS:
             return ""
-        names = ", ".join(bare(name) for name in self.coordinates)
-        unit = unit_in(self.coordinates[0])
+        names, unit = ", ".join(map(bare, self.coordinates)), unit_in(self.coordinates[0])
         digits = _DIGITS.get(unit, 3)
         at = "; ".join(", ".join(f"{v:.{digits}f}" for v in place) for place in one.places)
         return f"To narrow it, measure also at {names} = {at} {unit}: that would leave {100 * one.left:.0f} % of it."
@@ -195,7 +193,7 @@ class Planes:
 
 
 @dataclass(frozen=True, eq=False)
-class Accurate(WhereMeasured):
+class Accurate(Deployed):
     """A deployed robot of which it is known how far off it may be."""
 
     @abstractmethod
@@ -285,18 +283,15 @@ class Accurate(WhereMeasured):
     def repeatability(self, coordinates: ArrayLike) -> float:
         """Radius, mm, about the mean of many visits to ``coordinates`` (k,) that holds 95 of 100 readings there, the
         instrument's noise with them; NaN where neither repeats nor declared deviations tell it."""
-        scatter = self.part_at(self._place(coordinates)).noise_covariance
-        known = scatter is not None and bool(scatter.any())
-        return self.reach_mm * float(radius_95(scatter[None])[0]) if scatter is not None and known else float("nan")
+        scatter = self.part_at(self._place(coordinates)).scatter
+        return self.reach_mm * float(radius_95(scatter[None])[0]) if scatter.any() else float("nan")
 
     def accuracy_batch(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
         direction: ArrayLike | None = None,
     ) -> Batch:  # fmt: skip
         """:meth:`accuracy` at every one of ``coordinates`` (n, k): values (n,), mm; those out of reach are marked."""
-        made = self.predicted_accuracies(
-            coordinates, frame=frame, temperature_c=temperature_c, direction=direction
-        )  # fmt: skip
+        made = self.predicted_accuracies(coordinates, frame=frame, temperature_c=temperature_c, direction=direction)
         return Batch(made.total_mm, made.reached, made.why)
 
     def predicted_accuracy(
@@ -406,20 +401,13 @@ class Accurate(WhereMeasured):
         """By effect what the poses could not show at each place: at which setting it is worst there, and its
         covariance (n, d, d). In the frame of the base what the sensor's pose took of it is missed too."""
         out: dict[str, tuple[list[BiasBound], Floats]] = {}
-        model, functions, counted = part.model(self.robot), part.functions(x), self.counted(part, frame)
+        known, functions = part.model(self.robot).known_effects, part.functions(x)
         for one in part.unobserved_effects:
-            effect = model.known_effects[one.effect]
             # lost motion is asked for from both sides
-            sides = (1.0, -1.0) if "direction" in effect.needs else (0.0,)
+            sides = (1.0, -1.0) if "direction" in known[one.effect].needs else (0.0,)
             spread = np.zeros((len(x), len(self.coordinates), len(self.coordinates)))
             for side in sides:
-                known = np.tile([*now, *(side for _ in part.now[2:])], (len(x), 1))
-                by_values, by, by_joints = by_effect(
-                    model, part.values, effect, one.setting, part.readings, joints, known
-                )
-                moves = by if self.moves(effect, frame) else np.zeros_like(by)
-                missed = one.missed(np.where(counted, by_values, 0.0), moves, functions)
-                spread += one.beyond(self.carried(joints, by_joints, missed)) / len(sides)
+                spread += one.beyond(self.missed(part, one, functions, joints, frame, now, side)) / len(sides)
             if one.effect not in out:
                 out[one.effect] = ([one] * len(x), spread)
                 continue
@@ -427,6 +415,22 @@ class Accurate(WhereMeasured):
             for k in np.flatnonzero(np.trace(spread - most, axis1=1, axis2=2) > 0):
                 which[k], most[k] = one, spread[k]
         return out
+
+    def missed(
+        self, part: IdentifiedModel, one: BiasBound, functions: Floats, joints: Floats, frame: str,
+        now: Sequence[float], side: float = 0.0,
+    ) -> Floats:  # fmt: skip
+        """What places (n, d, k) of a frame miss by an effect, per unit of its parameters, where ``joints`` (n, j) lead,
+        all reached from one ``side``; ``functions`` (n, c) are those of a correction there."""
+        model = part.model(self.robot)
+        effect, known = (
+            model.known_effects[one.effect],
+            np.tile([*now, *(side for _ in part.now[2:])], (len(joints), 1)),
+        )
+        by_values, by, by_joints = by_effect(model, part.values, effect, one.setting, part.readings, joints, known)
+        moves = by if self.moves(effect, frame) else np.zeros_like(by)
+        missed = one.missed(np.where(self.counted(part, frame), by_values, 0.0), moves, functions)
+        return self.carried(joints, by_joints, missed)
 
     def moves(self, effect: Effect, frame: str) -> bool:
         """Whether an effect moves places in a frame: the instrument's do not in that of the base, where there are
@@ -445,12 +449,9 @@ class Accurate(WhereMeasured):
         x, joints = x[within], np.ascontiguousarray(inverse.values[within])
         sides = rng.choice([-1.0, 1.0], joints.shape)
         now = np.column_stack([np.tile(part.now[:2], (len(x), 1)), sides])
+        spreads = [self.spread(x, joints, frame=frame) + part.scatter for frame in self.frames]
         counted = tuple(
-            Counted(
-                self.spread(x, joints, frame=frame) + part.scatter,
-                self.counted(part, frame),
-                partial(self.moves, frame=frame),
-            )
-            for frame in self.frames
+            Counted(spread, self.counted(part, frame), partial(self.moves, frame=frame))
+            for spread, frame in zip(spreads, self.frames, strict=True)
         )
         return AccuracyQuery(x, joints, now, counted, self.carried)

@@ -13,6 +13,8 @@ from .calibrated import Calibration
 #: The type of the C library by the kind of robot that a row is of (rust/core/src/flat/mod.rs): its second number.
 _TYPES = {1.0: "sherkit_delta", 2.0: "sherkit_spherical", 3.0: "sherkit_serial"}
 _IN_A_LINE = 6
+#: C has none for what is infinite.
+_NO_LITERAL = "#include <math.h>\n"
 
 
 def calibration_header(calibration: Calibration, source: str = "calibrated.toml", name: str = "robot") -> str:
@@ -28,29 +30,25 @@ def calibration_header(calibration: Calibration, source: str = "calibrated.toml"
             f"{source}: a {calibration.robot.kind} robot runs in Python alone; the C library has deltas, spherical "
             "robots, serial arms and the flexible tool"
         )
-    guard = f"{name.upper()}_H"
-    includes = ["#include <math.h>"] if not all(map(math.isfinite, row)) else []
-    lines = [
-        f"/* The calibrated {calibration.robot.kind} robot of {comment(source)}, written by `sherkit export c`. "
-        "Lengths mm, angles rad. */",
-        f"#ifndef {guard}",
-        f"#define {guard}",
-        "",
-        *includes,
-        '#include "sherkit.h"',
-        "",
-        c_array(f"{name}_numbers", row),
-        "",
-        "/* Loads the calibration. Its numbers are not copied: they stand above for as long as the program runs. */",
-        f"static inline sherkit_result {name}_init({kind} *robot)",
-        "{",
-        f"    return {kind}_init(robot, {name}_numbers, sizeof {name}_numbers / sizeof *{name}_numbers);",
-        "}",
-        "",
-        "#endif",
-        "",
-    ]
-    return "\n".join(lines)
+    guard, infinite = f"{name.upper()}_H", not all(map(math.isfinite, row))
+    return f"""\
+/* The calibrated {calibration.robot.kind} robot of {comment(source)}, written by `sherkit export c`. \
+Lengths mm, angles rad. */
+#ifndef {guard}
+#define {guard}
+
+{_NO_LITERAL if infinite else ""}#include "sherkit.h"
+
+{c_array(f"{name}_numbers", row)}
+
+/* Loads the calibration. Its numbers are not copied: they stand above for as long as the program runs. */
+static inline sherkit_result {name}_init({kind} *robot)
+{{
+    return {kind}_init(robot, {name}_numbers, sizeof {name}_numbers / sizeof *{name}_numbers);
+}}
+
+#endif
+"""
 
 
 def c_array(name: str, numbers: Floats) -> str:

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
+import numpy as np
 import tomli_w
+from numpy.typing import ArrayLike
 
 import sherkit._core as _core
 
@@ -23,11 +25,14 @@ from ..base.types import Bools
 from ..data.files import write_whole
 from ..data.toml import Table, read_toml
 from ..errors import CalibrationError, FitError, SherkitError
+from ..fit.error import radius_95
 from ..fit.identify import Fit
+from ..model.batch import vector
 from ..model.kinds import Robot, kind_of, known_kinds, robot_from_table
+from .accuracy import Accurate
 from .calibration_run import CalibrationRun, Corrected
+from .deployed import BASE, SENSOR
 from .identified_model import IdentifiedModel
-from .moves import Moving
 from .unobserved_effects import Search
 
 # -- Files --------------------------------------------------------------------------------------------------------
@@ -37,16 +42,6 @@ from .unobserved_effects import Search
 #: leaves; where it is not, as in earlier files, it is counted as that. 5: which frame its places are in; before, where
 #: the instrument stood was not in it as the pose that it is.
 FORMAT = 5
-
-
-def write(path: Path, settings: Mapping[str, Any], robot: Robot, parts: Mapping[str, dict[str, Any]]) -> None:
-    """Writes the tables of a calibration: what it is made by, its robot, what was identified."""
-    tables = {
-        "calibration": {"format": FORMAT, "made_by": f"sherkit {_core.__version__}", **settings},
-        "robot": robot.to_tables(),
-        **parts,
-    }
-    write_whole(path, tomli_w.dumps(tables))
 
 
 @contextmanager
@@ -100,8 +95,22 @@ class Note:
         return f"{self.name}: {self.text}" if self.name else self.text
 
 
+#: What the place is called from which moves begin.
+MIDDLE = "middle of the run"
+
+
+@dataclass(frozen=True)
+class BesideBase:
+    """How accurate a robot is at a place of its base that is called ``name``, as the sensor reads it, and in a move to
+    there from the middle of the run, in the sensor's axes; NaN where no joints lead there, and for no move."""
+
+    name: str
+    sensor_mm: float
+    move_mm: float
+
+
 @dataclass(frozen=True, eq=False)
-class Calibration(Shown, Moving):
+class Calibration(Shown, Accurate):
     """A calibrated robot: made from runs, deployed, asked how accurate it is, kept in a file."""
 
     #: How its parts are read from files, and which there may be; the first one must be.
@@ -177,13 +186,72 @@ class Calibration(Shown, Moving):
         del fit
         return ()
 
+    # -- moves: what both places are off by alike is no part of them -------------------------------------------------
+
+    def move_accuracy(
+        self, start: ArrayLike, end: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
+    ) -> float:
+        """Radius, mm, within which the mean of many moves from ``start`` to ``end``, coordinates (k,) of a ``frame``,
+        lies of the way commanded, in 95 of 100 cases.
+
+        What turns or shifts all places alike (zeros that the drawing shares with its base, where the target sits) is in
+        the accuracy of places, and not in that of a way between them. What the poses show, with what effects of the
+        catalogue could do between both places that these did not show, as
+        :meth:`~sherkit.robots.accuracy.Accurate.predicted_accuracies` has it. Both places are to be ruled by one part.
+        Raises
+        :class:`~sherkit.errors.OutOfReach`.
+        """
+        x = np.stack([self._place(start), self._place(end)])
+        joints = self.joints_to(x, frame=frame, temperature_c=temperature_c).require("end of the move")
+        return self.move_accuracy_with(joints[0], joints[1], frame=frame, temperature_c=temperature_c)
+
+    def move_accuracy_with(
+        self, start: ArrayLike, end: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
+    ) -> float:
+        """:meth:`move_accuracy` from joints (j,) to joints (j,), which places alone may leave open. Raises
+        :class:`~sherkit.errors.OutOfReach`."""
+        where = self.frame_of(frame)
+        joints = np.stack([vector(one, "joint readings", self._joints) for one in (start, end)])
+        x = self.forward_batch(joints, temperature_c=temperature_c).require("end of the move")
+        part: Any = self.part_at(x[0])
+        now = self._now(temperature_c)
+        columns = np.where(self.counted(part, where), self.by_values(part, joints, now), 0.0)
+        way = (columns[1] - columns[0])[None]
+        left = self.left_at(part, x) * self.grown(part, self.beyond_poses(x, joints))[:, None, None]
+        known = way @ part.covariance @ way.transpose(0, 2, 1) + left.sum(axis=0)
+        # of the effect that could do most to the way; what was shown at the poses is left at both ends, and counted
+        functions = part.functions(x)
+        missed = ((one, self.missed(part, one, functions, joints, where, now[:2])) for one in part.unobserved_effects)
+        unseen = (one.beyond((ends[1] - ends[0])[None]) for one, ends in missed)
+        worst = max(unseen, key=lambda spread: float(np.trace(spread[0])), default=np.zeros_like(known))
+        return self.reach_mm * float(radius_95(known + worst)[0])
+
+    def beside_base(self) -> list[BesideBase]:
+        """For a robot whose places are those of its base, and whose instrument stood elsewhere, at each of
+        :meth:`places`; empty for any other."""
+        if self.frame != BASE or SENSOR not in self.frames:
+            return []
+        places, out = self.places(), []
+        middle = self.to_sensor(dict(places).get(MIDDLE, places[0][1])[None])[0]
+        for name, place in places:
+            there = self.to_sensor(place[None])[0]
+            sizes = [float("nan")] * 2
+            with suppress(SherkitError):  # what is out of reach is said where accuracy is
+                sizes[0] = self.accuracy(there, frame=SENSOR)
+                if name != MIDDLE:
+                    sizes[1] = self.move_accuracy(middle, there, frame=SENSOR)
+            out.append(BesideBase(name, *sizes))
+        return out
+
     # -- files -------------------------------------------------------------------------------------------
 
     def save(self, path: str | Path) -> None:
         """Writes TOML that :meth:`load` reads back without loss."""
         parts = {name: getattr(self, name) for name in self.parts}
-        written = {name: p.to_table(self.robot, self.coordinates) for name, p in parts.items() if p is not None}
-        write(Path(path), {"frame": self.frame, **self._settings()}, self.robot, written)
+        made_by = {"format": FORMAT, "made_by": f"sherkit {_core.__version__}", "frame": self.frame}
+        tables = {"calibration": made_by | self._settings(), "robot": self.robot.to_tables()}
+        tables |= {name: p.to_table(self.robot, self.coordinates) for name, p in parts.items() if p is not None}
+        write_whole(Path(path), tomli_w.dumps(tables))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:

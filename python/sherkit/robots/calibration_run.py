@@ -195,21 +195,16 @@ class CalibrationRun:
         """Table I: name of a line, that of the paper's ('' where it prints none), the error, and RMS and deviation of
         each reading."""
         region, fitted = self.region, " ".join([CALIBRATED, *(f"+ {e.name}" for e in self.fit.model.effects)])
-        wanted: list[tuple[str, str, Floats, Bools | None]] = [
-            (NOMINAL, "before", self.fit.nominal_residuals, None),
-            (fitted, "", self.held_out, None),
-            (_ROWS, "after", self.fit.residuals, None),
-        ]
-        if self.correction is not None:
-            wanted.append((_CORRECTED, "", self.corrected, None))
-        if region is not None and region.any() and not region.all():
+        wanted: list[tuple[str, str, Floats, Bools | None]] = []
+        parts = region is not None and region.any() and not region.all()
+        for rows, where in ((None, ""), (region, ", region")) if parts else ((None, ""),):
             wanted += [
-                (f"{NOMINAL}, region", "before, region", self.fit.nominal_residuals, region),
-                (f"{fitted}, region", "", self.held_out, region),
-                (_ROWS, "after, region", self.fit.residuals, region),
+                (f"{NOMINAL}{where}", f"before{where}", self.fit.nominal_residuals, rows),
+                (f"{fitted}{where}", "", self.held_out, rows),
+                (_ROWS, f"after{where}", self.fit.residuals, rows),
             ]
             if self.correction is not None:
-                wanted.append((_CORRECTED, "", self.corrected, region))
+                wanted.append((_CORRECTED, "", self.corrected, rows))
         out = []
         for name, key, values, rows in wanted:
             data = self.fit.data if rows is None else self.fit.data.select(np.flatnonzero(rows))

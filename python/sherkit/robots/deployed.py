@@ -1,9 +1,10 @@
-"""What a control loop runs: where the tool of a calibrated robot is, and how to bring it there."""
+"""What a control loop runs: where the tool of a calibrated robot is, how to bring it there, and where it was measured:
+that ends where the poses end."""
 
 from __future__ import annotations
 
 import warnings
-from abc import ABC, abstractmethod
+from abc import ABC
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -19,6 +20,7 @@ from ..errors import CalibrationError, SherkitWarning
 from ..model.batch import Batch, matrix, vector
 from ..model.kinds import Robot
 from .identified_model import IdentifiedModel
+from .poses_hull import beyond
 
 #: Where places are counted from: the base of the robot, as its drawing has it; or the instrument, where that stood.
 BASE, SENSOR = "base", "sensor"
@@ -57,10 +59,10 @@ class Deployed(Saved, ABC):
     def __post_init__(self) -> None:
         _ = self.core  # refuses numbers that do not fit together
 
-    @property
-    @abstractmethod
+    @cached_property
     def core(self) -> Any:
         """The compiled model: the same code that a control loop runs."""
+        return self._made_in(self.frame)
 
     # -- frames ------------------------------------------------------------------------------------------------------
 
@@ -88,8 +90,12 @@ class Deployed(Saved, ABC):
 
     @cached_property
     def _core_elsewhere(self) -> Any:
-        """The compiled model with places in the other frame, where there is one."""
-        raise CalibrationError(self.no_other)
+        """The compiled model with places in the other frame."""
+        return self._made_in(BASE if self.frame == SENSOR else SENSOR)
+
+    def _made_in(self, frame: str) -> Any:
+        """The compiled model with places in one of :attr:`frames`."""
+        raise CalibrationError(f"{self.no_other} ({frame})")
 
     @cached_property
     def sensor_frame(self) -> tuple[Floats, Floats]:
@@ -196,6 +202,62 @@ class Deployed(Saved, ABC):
         values, reached = self.core_in(frame).inverse_batch(x, now, *self._beginning(begin))
         return Batch(values, reached)
 
+    # -- where the run measured, and what grows outside it ---------------------------------------------------------
+
+    def measured(self, coordinates: ArrayLike, *, frame: str | None = None) -> bool:
+        """Whether ``coordinates`` (k,) of a ``frame`` lie where poses were measured: in the box of their places, and
+        the joints that lead there (:meth:`joints_to`) in their convex hull, both give or take a tenth."""
+        return bool(self.measured_batch(self._place(coordinates)[None, :], frame=frame)[0])
+
+    def measured_batch(self, coordinates: ArrayLike, *, frame: str | None = None) -> Bools:
+        """:meth:`measured` of every one of ``coordinates`` (n, k), as (n,); what is out of reach was not."""
+        x = self._own(self._places(coordinates), self.frame_of(frame))
+        inside = np.zeros(len(x), dtype=bool)
+        for part, here in self._ruled(x):
+            margin = 0.1 * (part.high - part.low)
+            inside |= here & ((x >= part.low - margin) & (x <= part.high + margin)).all(axis=1)
+        asked = np.flatnonzero(inside)
+        if len(asked):
+            there = self.joints_to(np.ascontiguousarray(x[asked]))
+            inside[asked] = there.reached
+            reached = np.flatnonzero(there.reached)
+            inside[asked[reached]] = self.beyond_poses(x[asked[reached]], there.values[reached]) == 0.0
+        return inside
+
+    def joints_to(
+        self, coordinates: Floats, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> Batch:  # fmt: skip
+        """Joints (n, j) with which the robot is asked how accurate it is at ``coordinates`` (n, k); where a place
+        leaves them open, those nearest to what was measured. Arguments as :meth:`inverse_batch`."""
+        return self.inverse_batch(coordinates, frame=frame, temperature_c=temperature_c, direction=direction)
+
+    def beyond_poses(self, coordinates: Floats, joints: Floats) -> Floats:
+        """How far outside the hull of the poses (:func:`~sherkit.robots.poses_hull.beyond`) the ``joints`` (n, j) lie
+        that lead to ``coordinates`` (n, k) of :attr:`frame`: (n,), zero inside."""
+        out = np.zeros(len(joints))
+        for part, here in self._ruled(coordinates):
+            out[here] = beyond(part.poses, joints[here])
+        return out
+
+    def grown(self, part: IdentifiedModel, far: Floats) -> Floats:
+        """By what factor (n,) the covariance of what a part leaves grows so ``far`` (n,) outside the poses: there it is
+        at least what regions show that were left out whole, and farther out it grows with the distance, as that of
+        differences does of what has no scale of its own (a linear variogram: Matheron, Economic Geology 1963)."""
+        return np.where(far > 0.0, part.elsewhere**2 * (1.0 + far), 1.0)
+
+    def part_at(self, coordinates: Floats) -> IdentifiedModel:
+        """The part that rules at ``coordinates`` (k,)."""
+        del coordinates
+        return self.whole
+
+    def _ruled(self, coordinates: Floats) -> list[tuple[Any, Bools]]:
+        """The parts that rule at ``coordinates`` (n, k) of :attr:`frame`, each with the rows (n,) where it does."""
+        parts = [self.part_at(one) for one in coordinates]
+        return [(p, np.array([one is p for one in parts])) for p in {id(one): one for one in parts}.values()]
+
+    # -- as the core has it --------------------------------------------------------------------------------------------
+
     def _beginning(self, joints: Floats | None) -> tuple[Floats, ...]:
         """What the core takes beside places and covariates: joints to begin at, where that matters."""
         return () if joints is None or not self.many_postures else (joints,)
@@ -230,11 +292,9 @@ class Deployed(Saved, ABC):
         )
         self.__dict__["_near"] = [(-np.inf, np.inf)] * len(x)
 
-    def _one(
-        self, joints: ArrayLike, frame: str | None, temperature_c: float | None, direction: ArrayLike | None
-    ) -> tuple[Floats, Floats]:
+    def _one(self, joints: ArrayLike, frame: str | None, *now: Any) -> tuple[Floats, Floats]:
         q = vector(joints, "joint readings", self._joints)
-        made: tuple[Floats, Floats] = self.core_in(frame).forward(q, self._now(temperature_c, direction))
+        made: tuple[Floats, Floats] = self.core_in(frame).forward(q, self._now(*now))
         return made
 
     def _rows(

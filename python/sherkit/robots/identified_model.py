@@ -25,6 +25,7 @@ from ..base.figures import listed
 from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, TIME, unit_in
+from ..data.declared import Key, key, keys_from, keys_of
 from ..data.in_time import DRAWN_C
 from ..data.toml import Table
 from ..fit.identify import Fit
@@ -293,41 +294,62 @@ class IdentifiedModel:
         """Whether there is a smooth correction."""
         return self.functions(self.low[None, :]).shape[1] > 0
 
+    @classmethod
+    def keys(cls, unit: str, size: int, values: int, joints: int) -> dict[str, Key]:
+        """What is kept of it as it is, for so many coordinates, which are in a ``unit``, values and joints."""
+        return {
+            "made_from": key(Table.words, empty=True),
+            "rows": key(Table.whole, least=0),
+            "effects": key(Table.texts),
+            "left_out": key(Table.texts),
+            "covariance": key(Table.covariance, values),
+            f"residual_covariance_{unit}2": key(Table.covariance, size).of("residual_covariance"),
+            f"noise_covariance_{unit}2": Key(
+                lambda table, name: table.covariance(name, size) if table.has(name) else None, "noise_covariance"
+            ),
+            **cls.own_keys(unit, size),
+            f"low_{unit}": key(Table.array, size).of("low"),
+            f"high_{unit}": key(Table.array, size).of("high"),
+            # earlier files have none: then a box is all that is known
+            "poses": Key(
+                lambda table, name: np.array(table.rows(name, joints) if table.has(name) else np.zeros((0, 0)), float)
+            ),
+            "elsewhere": key(Table.number, least=1.0),
+            "readings": key(Table.texts).needed,
+            "untried": key(Table.texts).needed,
+        }
+
+    @classmethod
+    def own_keys(cls, unit: str, size: int) -> dict[str, Key]:
+        """What the part of a kind of robot keeps besides."""
+        del unit, size
+        return {}
+
     def to_table(self, robot: Robot, coordinates: tuple[str, ...]) -> dict[str, Any]:
         """For TOML, without loss."""
-        unit, now = _unit(coordinates), _now_names(robot)
+        now, p = _now_names(robot), self.model(robot).parameters
+        made = keys_of(self, self.keys(unit_in(coordinates[0]), len(coordinates), len(p), len(now) - 2))
+        if not len(self.poses):
+            del made["poses"], made["elsewhere"]
         std = np.sqrt(np.diag(self.covariance).clip(0.0))
-        return {
-            "made_from": self.made_from,
-            "rows": self.rows,
-            "effects": list(self.effects),
-            "left_out": list(self.left_out),
+        return made | {
             **({"settings": as_written(self.settings)} if self.settings else {}),
             "now": dict(zip(now, self.now, strict=True)),
             "parameters": [
                 {"name": p.name, "value": float(v), "std": float(s), "unit": p.unit}
-                for p, v, s in zip(self.model(robot).parameters, self.values, std, strict=True)
+                for p, v, s in zip(p, self.values, std, strict=True)
             ],
-            "covariance": self.covariance.tolist(),
-            f"residual_covariance_{unit}2": self.residual_covariance.tolist(),
-            **({} if self.noise_covariance is None else {f"noise_covariance_{unit}2": self.noise_covariance.tolist()}),
-            **self._own_table(unit),
-            f"low_{unit}": self.low.tolist(),
-            f"high_{unit}": self.high.tolist(),
-            **({"poses": self.poses.tolist(), "elsewhere": self.elsewhere} if len(self.poses) else {}),
-            "readings": list(self.readings),
-            "untried": list(self.untried),
+            **self._own_tables(),
             "unobserved_effects": [one.to_table() for one in self.unobserved_effects],
         }
 
-    def _own_table(self, unit: str) -> dict[str, Any]:
-        del unit
+    def _own_tables(self) -> dict[str, Any]:
         return {}
 
     @classmethod
     def from_table(cls, table: Table, robot: Robot, coordinates: tuple[str, ...]) -> Self:
         """Back from :meth:`to_table`. Raises :class:`~sherkit.errors.CalibrationError` with the key."""
-        unit, size = _unit(coordinates), len(coordinates)
+        unit, size = unit_in(coordinates[0]), len(coordinates)
         names, values, told = [], [], []
         for p in table.tables("parameters", optional=False):
             names.append(p.words("name"))
@@ -342,41 +364,25 @@ class IdentifiedModel:
                 settings = {name: s.one_or_more(name, 0.0) for name in known}
         with table.table("now") as n:
             now = tuple(n.number(name) for name in _now_names(robot))
-        low, high = table.array(f"low_{unit}", size), table.array(f"high_{unit}", size)
-        if (low > high).any():
-            raise table.fail(f"low_{unit}", f"nothing above high_{unit}")
         made = cls(
             free=tuple(name for name in names if "." not in name),
-            effects=table.texts("effects"),
             settings=settings,
-            left_out=table.texts("left_out"),
             now=now,
             values=np.array(values, dtype=float),
-            covariance=table.covariance("covariance", len(values)),
-            residual_covariance=table.covariance(f"residual_covariance_{unit}2", size),
-            low=low,
-            high=high,
-            made_from=table.words("made_from", empty=True),
-            rows=table.whole("rows", least=0),
-            noise_covariance=(
-                table.covariance(f"noise_covariance_{unit}2", size) if table.has(f"noise_covariance_{unit}2") else None
-            ),
-            readings=table.texts("readings"),
-            untried=table.texts("untried"),
-            # earlier files have none: then a box is all that is known
-            poses=np.array(table.rows("poses", len(now) - 2) if table.has("poses") else np.zeros((0, 0)), dtype=float),
-            elsewhere=table.number("elsewhere", 1.0, least=1.0),
-            **cls._own_fields(table, unit, size),
+            **keys_from(table, cls.keys(unit, size, len(values), len(now) - 2), cls),
+            **cls._own_from(table),
         )
-        expected = [p.name for p in made.model(robot).parameters]
+        if (made.low > made.high).any():
+            raise table.fail(f"low_{unit}", f"nothing above high_{unit}")
+        model = made.model(robot)
+        expected = [p.name for p in model.parameters]
         if names != expected:
             wrong = next((f for f, e in zip(names, expected, strict=False) if f != e), "a missing one")
             raise table.refuse(f"parameters: expected {listed(expected, 30)}; '{wrong}' does not belong there")
         made._check(table, robot, told)
-        model = made.model(robot)
         if made.readings not in [(), *(one.coordinates for one in model.layouts)]:
             raise table.fail("readings", f"one of {listed(' '.join(one.coordinates) for one in model.layouts)}")
-        functions = made.functions(low[None, :]).shape[1]
+        functions = made.functions(made.low[None, :]).shape[1]
         unobserved_effects = tuple(
             BiasBound.from_table(one, model, functions, size) for one in table.tables("unobserved_effects")
         )
@@ -385,6 +391,11 @@ class IdentifiedModel:
             if sizes > _ABSURD or far > _LARGEST_RESIDUAL:
                 raise table.refuse(f"unobserved_effects: entry {k + 1} ({one.effect}): larger than any robot")
         return replace(made, unobserved_effects=unobserved_effects)
+
+    @classmethod
+    def _own_from(cls, table: Table) -> dict[str, Any]:
+        del table
+        return {}
 
     def _check(self, table: Table, robot: Robot, told: list[tuple[str, float]]) -> None:
         """Refuses numbers that no identification gave: in other units, or absurd beside what is plausible."""
@@ -398,15 +409,6 @@ class IdentifiedModel:
                 raise table.refuse(f"parameters: {p.name} = {value:g} ± {sigma:g} {p.unit}: no robot is so far off")
         if np.diag(self.residual_covariance).max() > _LARGEST_RESIDUAL**2:
             raise table.refuse("residual_covariance: larger than any robot")
-
-    @classmethod
-    def _own_fields(cls, table: Table, unit: str, size: int) -> dict[str, Any]:
-        del table, unit, size
-        return {}
-
-
-def _unit(coordinates: tuple[str, ...]) -> str:
-    return coordinates[0].rpartition("_")[2]
 
 
 def _now_names(robot: Robot) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ import numpy as np
 import sherkit._core as _core
 
 from ...base.types import Bools, Floats, Ints
+from ...data.declared import Key, key
 from ...data.in_time import DRAWN_C
 from ...data.toml import Table
 from ...errors import CalibrationError, FitError
@@ -75,14 +76,11 @@ class DeltaCorrected(Corrected):
         chosen, paper = self.choice.correction, self.paper
         return {
             "correction": None if chosen is None else {"orders": list(chosen.orders)},
-            "paper_protocol": None
-            if paper is None
-            else {
-                "orders": paper.orders,
-                "test_um": paper.test_um,
+            "paper_protocol": paper and {
+                "orders": paper.orders, "test_um": paper.test_um,
                 "other_planes_um": {f"{z:g}": v for z, v in paper.other_planes_um.items()},
             },
-        }
+        }  # fmt: skip
 
     def cells(self) -> Cells | None:
         """Table III: order, error on the test part and on the other planes, by the paper's protocol."""
@@ -90,24 +88,9 @@ class DeltaCorrected(Corrected):
         if p is None:
             return None
         planes = sorted(p.other_planes_um, reverse=True)
-        lines = []
-        for axis in "xyz":
-            errors = [(p.test_um[axis], p.test_std_um[axis])]
-            errors += [(p.other_planes_um[z][axis], p.other_planes_std_um[z][axis]) for z in planes]
-            lines.append((axis, str(p.orders[axis]), *(f"{rms:.1f} ± {std:.1f}" for rms, std in errors)))
+        errors = [(p.test_um, p.test_std_um), *((p.other_planes_um[z], p.other_planes_std_um[z]) for z in planes)]
+        lines = ((a, str(p.orders[a]), *(f"{rms[a]:.1f} ± {std[a]:.1f}" for rms, std in errors)) for a in "xyz")
         return Cells(("order", f"test, z = {round(p.plane_mm)}", *(f"z = {round(z)}" for z in planes)), tuple(lines))
-
-
-def corrected(fit: Fit, way: str, seed: int) -> DeltaCorrected:
-    """Chooses a correction: ``auto`` by blocked cross-validation, ``paper`` with the order that the paper's protocol
-    finds on the middle plane, in x and y alone, fitted to all planes.
-
-    Raises :class:`~sherkit.errors.FitError` where the rows do not determine one.
-    """
-    if way == "paper":
-        n = max(paper_protocol(fit, seed=seed).orders.values())
-        return DeltaCorrected(fit, choose_correction(fit, orders=(n,), heights=1, seed=seed, keep_none=False), seed)
-    return DeltaCorrected(fit, choose_correction(fit, seed=seed), seed)
 
 
 # -- The calibration ----------------------------------------------------------------------------------------------
@@ -177,28 +160,27 @@ class DeltaPart(IdentifiedModel):
             return np.zeros((len(coordinates), 0))
         return self.correction.functions(self.at_base(coordinates))
 
-    def _own_table(self, unit: str) -> dict[str, Any]:
-        own: dict[str, Any] = {
-            f"uncorrected_covariance_{unit}2": self.uncorrected_covariance.tolist(),
-            "sensor_turn": self.sensor_turn.tolist(),
-            "sensor_origin_mm": self.sensor_origin_mm.tolist(),
+    @classmethod
+    def own_keys(cls, unit: str, size: int) -> dict[str, Key]:
+        """Where the correction has faded, and how the sensors see the base."""
+        return {
+            f"uncorrected_covariance_{unit}2": key(Table.covariance, size).of("uncorrected_covariance"),
+            "sensor_turn": key(Table.array, 3, 3),
+            "sensor_origin_mm": key(Table.array, 3),
         }
-        return own if self.correction is None else own | {"correction": self.correction.to_table()}
+
+    def _own_tables(self) -> dict[str, Any]:
+        return {} if self.correction is None else {"correction": self.correction.to_table()}
 
     @classmethod
-    def _own_fields(cls, table: Table, unit: str, size: int) -> dict[str, Any]:
-        correction = None
-        if table.has("correction"):
-            with table.table("correction") as c:
-                correction = Correction.from_table(c)
-        uncorrected = table.covariance(f"uncorrected_covariance_{unit}2", size)
-        turn, origin = table.array("sensor_turn", 3, 3), table.array("sensor_origin_mm", 3)
+    def _own_from(cls, table: Table) -> dict[str, Any]:
+        turn = table.array("sensor_turn", 3, 3)
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
             raise table.fail("sensor_turn", "a rotation (3 x 3)")
-        return {
-            "uncorrected_covariance": uncorrected, "correction": correction, "sensor_turn": turn,
-            "sensor_origin_mm": origin,
-        }  # fmt: skip
+        if not table.has("correction"):
+            return {"correction": None}
+        with table.table("correction") as c:
+            return {"correction": Correction.from_table(c)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -274,8 +256,15 @@ class DeltaCalibration(Calibration):
 
     @classmethod
     def correct(cls, fit: Fit, way: str = "auto", seed: int = 0) -> DeltaCorrected:
-        """A Bernstein polynomial. Raises :class:`~sherkit.errors.FitError` where the rows do not determine one."""
-        return corrected(fit, way, seed)
+        """A Bernstein polynomial: ``auto`` by blocked cross-validation, ``paper`` with the order that the paper's
+        protocol finds on the middle plane, in x and y alone, fitted to all planes. Raises
+        :class:`~sherkit.errors.FitError` where the rows do not determine one."""
+        if way == "paper":
+            n = max(paper_protocol(fit, seed=seed).orders.values())
+            choice = choose_correction(fit, orders=(n,), heights=1, seed=seed, keep_none=False)
+        else:
+            choice = choose_correction(fit, seed=seed)
+        return DeltaCorrected(fit, choice, seed)
 
     # -- the model ---------------------------------------------------------------------------------------
 
@@ -290,15 +279,6 @@ class DeltaCalibration(Calibration):
     def _core_part(self, part: DeltaPart) -> tuple[_core.DeltaModel, Floats, _core.Bernstein | None]:
         model = part.model(self.robot)
         return model.core, model.full(part.values), part.correction.core if part.correction else None
-
-    @cached_property
-    def core(self) -> _core.Calibrated:
-        """The compiled model: the same code that a control loop runs."""
-        return self._made_in(SENSOR)
-
-    @cached_property
-    def _core_elsewhere(self) -> _core.Calibrated:
-        return self._made_in(BASE)
 
     def _made_in(self, frame: str) -> _core.Calibrated:
         local = region = None
@@ -361,12 +341,7 @@ class DeltaCalibration(Calibration):
         """The highest, middle and lowest plane of the workspace, or of what was measured."""
         robot = self.robot
         corners = np.array(list(product(*zip(self.whole.low, self.whole.high, strict=True))))
-        seen = self.whole.at_base(corners)
-        low, high = seen.min(axis=0), seen.max(axis=0)
-        if robot.workspace_radius_mm:
-            low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
-        if robot.workspace_z_mm:
-            low[2], high[2] = robot.workspace_z_mm
+        low, high = robot.box(self.whole.at_base(corners))
         made = Planes.horizontal(low, high, per_side, ".3g")
         from_axis = np.hypot(made.grid[:, 0], made.grid[:, 1])
         made = replace(made, grid=np.ascontiguousarray(self.whole.at_sensor(made.grid)))

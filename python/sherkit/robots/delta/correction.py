@@ -147,9 +147,7 @@ def fit_polynomial(positions_mm: Floats, errors_mm: Floats, orders: Orders, fade
             f"{len(x)} poses do not determine a polynomial of order {orders} "
             f"({len(coefficients)} coefficients; distinct coordinates: {counts}); lower the order"
         )
-    span = (high - low)[np.isfinite(high - low)]
-    fade = fade_mm if fade_mm is not None else (_FADE * float(span.max()) if len(span) else 1.0)
-    return Correction(orders, low, high, fade, coefficients)
+    return _made(orders, low, high, fade_mm, coefficients)
 
 
 def _box(positions_mm: Floats, orders: Orders) -> tuple[Floats, Floats]:
@@ -179,20 +177,17 @@ def fit_grid(axes: Sequence[Floats], errors_mm: Floats, orders: Orders, fade_mm:
         raise ShapeError(f"errors: expected an array of shape {(*(len(t) for t in ticks), 3)}, got {values.shape}")
     if not all(np.isfinite(t).all() for t in (*ticks, values)):
         raise FitError("axes and errors: a number is not finite")
-    low, high = np.array([t.min() for t in ticks]), np.array([t.max() for t in ticks])
-    unit = []
-    for k, name in enumerate("xyz"):
-        if not 0 <= orders[k] <= MAX_ORDER:
-            raise FitError(f"order in {name}: expected 0 to {MAX_ORDER}, got {orders[k]}")
-        if orders[k] == 0:
-            low[k], high[k] = -np.inf, np.inf
-            unit.append(np.zeros(len(ticks[k])))
-        elif len(np.unique(ticks[k])) <= orders[k]:
-            found = len(np.unique(ticks[k]))
-            raise FitError(f"order {orders[k]} in {name} needs {orders[k] + 1} different {name}; the grid has {found}")
-        else:
-            unit.append((ticks[k] - low[k]) / (high[k] - low[k]))
-    coefficients = _core.bernstein_fit_grid(orders, (unit[0], unit[1], unit[2]), values)
+    for n, name, found in zip(orders, "xyz", (len(np.unique(t)) for t in ticks), strict=True):
+        if 0 < n <= MAX_ORDER and found <= n:
+            raise FitError(f"order {n} in {name} needs {n + 1} different {name}; the grid has {found}")
+    low, high = _box(np.array([[t.min() for t in ticks], [t.max() for t in ticks]]), orders)
+    # without a variable any place is as good
+    x, y, z = ((t - a) / (b - a) if n else 0.0 * t for t, a, b, n in zip(ticks, low, high, orders, strict=True))
+    return _made(orders, low, high, fade_mm, _core.bernstein_fit_grid(orders, (x, y, z), values))
+
+
+def _made(orders: Orders, low: Floats, high: Floats, fade_mm: float | None, coefficients: Floats) -> Correction:
+    """With a fade by the size of the box where none is given."""
     span = (high - low)[np.isfinite(high - low)]
     fade = fade_mm if fade_mm is not None else (_FADE * float(span.max()) if len(span) else 1.0)
     return Correction(orders, low, high, fade, coefficients)
@@ -255,46 +250,35 @@ def choose_correction(
     n_groups = len(np.unique(data.groups))
     found = len(levels_of(left.positions_mm[:, 2]))
     block = spatial_blocks(data, left.positions_mm, folds, seed)
+    blocks = np.unique(block)
     candidates: list[Orders | None] = [None] if keep_none else []
     for n in orders:
         for nz in range(min(heights, found)):
             if (n + 1) ** 2 * (nz + 1) <= n_groups // 2:
                 candidates.append((n, n, nz))
-    tried = []
-    squares = {}
+    tried, every = [], {}
     for candidate in candidates:
         held = _held_out(left, block, candidate)
         if held is None:
             continue
-        per_block = np.array([np.mean((held[block == b] ** 2).sum(axis=1)) for b in np.unique(block)])
-        mean = float(per_block.mean())
-        error = float(per_block.std(ddof=1) / np.sqrt(len(per_block))) if len(per_block) > 1 else 0.0
-        squares[candidate] = (mean, error, held)
-        rms = 1e3 * float(np.sqrt(mean))
-        tried.append((candidate, rms, 1e3 * float(np.sqrt(mean + error)) - rms))
-    if not squares:
+        square = (held**2).sum(axis=1)
+        per_block = np.array([square[block == b].mean() for b in blocks])
+        every[candidate] = per_block, held
+        rms, most = (1e3 * float(np.sqrt(v)) for v in (per_block.mean(), per_block.mean() + _error(per_block)))
+        tried.append((candidate, rms, most - rms))
+    if not every:
         raise FitError(f"{n_groups} poses do not determine a polynomial of order {min(orders)}")
-    best = min(squares.values(), key=lambda s: s[0])
+    best = min((per_block for per_block, _ in every.values()), key=np.mean)
     # one-standard-error rule (Breiman et al. 1984): paired with the best, block by block
-    best_held = best[2]
-    chosen: Orders | None = None
-    for candidate in sorted(squares, key=_coefficient_count):
-        difference = np.array(
-            [
-                np.mean((squares[candidate][2][block == b] ** 2 - best_held[block == b] ** 2).sum(axis=1))
-                for b in np.unique(block)
-            ]
-        )
-        error = difference.std(ddof=1) / np.sqrt(len(difference)) if len(difference) > 1 else 0.0
-        if difference.mean() <= error:
-            chosen = candidate
-            break
+    simplest = sorted(every, key=lambda orders: 0 if orders is None else int(np.prod([n + 1 for n in orders])))
+    chosen = next(one for one in simplest if (every[one][0] - best).mean() <= _error(every[one][0] - best))
     correction = None if chosen is None else fit_polynomial(left.positions_mm, left.errors_mm, chosen)
-    return Choice(tuple(tried), correction, squares[chosen][2])
+    return Choice(tuple(tried), correction, every[chosen][1])
 
 
-def _coefficient_count(orders: Orders | None) -> int:
-    return 0 if orders is None else int(np.prod([n + 1 for n in orders]))
+def _error(values: Floats) -> float:
+    """Standard error of a mean; zero for one value."""
+    return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
 
 
 def _held_out(left: Leftover, block: NDArray[np.int64], orders: Orders | None) -> Floats | None:

@@ -6,7 +6,7 @@ The table of the effects is `rust/core/src/delta/effects.rs`; here are the sente
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -167,14 +167,7 @@ class DeltaModel(ChainModel):
 
     def settings(self) -> dict[str, Setting | None]:
         """Period of the encoders, moments of the slips, lag of the stands, origin of time."""
-        return {
-            "period_mm": self.period_mm,
-            "slip_time_s": self.slip_time_s,
-            "joint_slip_time_s": self.joint_slip_time_s,
-            "sensor_slip_time_s": self.sensor_slip_time_s,
-            "thermal_shift_lag_s": self.thermal_shift_lag_s,
-            "time_origin_s": self.time_origin_s,
-        }
+        return {one.name: getattr(self, one.name) for one in fields(self)[len(fields(ChainModel)) :]}
 
     @cached_property
     def core(self) -> _core.DeltaModel:
@@ -182,16 +175,9 @@ class DeltaModel(ChainModel):
         r = self.robot
         # without a cyclic error the period does not matter
         times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
-        settings = [r.rod_spacing_mm or 0.0, 1.0, *self.home_mm, *times]
-        offset = np.array(r.target_offset_mm)
-        return _core.DeltaModel(
-            r.geometry,
-            offset,
-            r.assembly_mode,
-            r.sensor_pose.numbers,
-            np.array(settings, dtype=float),
-            self.periods(DELTA.joints, 1.0),
-        )
+        settings = np.array([r.rod_spacing_mm or 0.0, 1.0, *self.home_mm, *times], dtype=float)
+        offset, periods = np.array(r.target_offset_mm), self.periods(DELTA.joints, 1.0)
+        return _core.DeltaModel(r.geometry, offset, r.assembly_mode, r.sensor_pose.numbers, settings, periods)
 
     @cached_property
     def home_mm(self) -> tuple[float, float, float]:
@@ -209,12 +195,7 @@ class DeltaModel(ChainModel):
         where = robot.forward_batch(data.joints)
         if not where.reached.any():
             return None
-        low, high = where.values[where.reached].min(axis=0), where.values[where.reached].max(axis=0)
-        if robot.workspace_radius_mm:
-            low[:2], high[:2] = -robot.workspace_radius_mm, robot.workspace_radius_mm
-        if robot.workspace_z_mm:
-            low[2], high[2] = robot.workspace_z_mm
-        axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, _GRID, strict=True)]
+        axes = [np.linspace(a, b, n) for a, b, n in zip(*robot.box(where.values[where.reached]), _GRID, strict=True)]
         places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         if robot.workspace_radius_mm:
             places = places[np.hypot(places[:, 0], places[:, 1]) <= robot.workspace_radius_mm * (1 + 1e-9)]

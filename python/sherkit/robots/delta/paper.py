@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...base.types import Floats
 from ...errors import FitError
@@ -80,43 +79,39 @@ def paper_protocol(
     if abs(nearest - plane_mm) > 2.0:
         found = ", ".join(f"{v:.1f}" for v in levels)
         raise FitError(f"no pose lies within 2 mm of the plane z = {plane_mm:g} mm; heights found: {found} mm")
-    layer = np.argmin(np.abs(heights[:, None] - levels), axis=1)
-    on_plane = np.flatnonzero(levels[layer] == nearest)
+    plane = levels[np.argmin(np.abs(heights[:, None] - levels), axis=1)]
+    on_plane = np.flatnonzero(plane == nearest)
     poses, pose = np.unique(fit.data.groups[left.rows[on_plane]], return_inverse=True)
-    part = np.random.default_rng(seed).permutation(len(poses)) / len(poses)
-    share = part[pose.ravel()]
-    train, validate = on_plane[share < 0.7], on_plane[(share >= 0.7) & (share < 0.9)]
-    test = on_plane[share >= 0.9]
+    share = (np.random.default_rng(seed).permutation(len(poses)) / len(poses))[pose.ravel()]
+    ends = ((0.0, 0.7), (0.7, 0.9), (0.9, 1.0))
+    train, validate, test = (on_plane[(share >= low) & (share < high)] for low, high in ends)
     if min(len(train), len(validate), len(test)) == 0:
         raise FitError(f"{len(poses)} poses on the plane z = {plane_mm:g} mm are too few to split 70/20/10")
 
-    x, e = left.positions_mm, left.errors_mm
-    fitted: dict[int, Correction] = {}
-    for n in orders:
-        if (n + 1) ** 2 <= len(np.unique(fit.data.groups[left.rows[train]])):
-            fitted[n] = fit_polynomial(x[train], e[train], (n, n, 0))
+    x, e, places = left.positions_mm, left.errors_mm, len(np.unique(fit.data.groups[left.rows[train]]))
+    fitted = {n: fit_polynomial(x[train], e[train], (n, n, 0)) for n in orders if (n + 1) ** 2 <= places}
     if not fitted:
         raise FitError(f"{len(train)} training rows do not determine a polynomial of order {min(orders)}")
     rest = {n: e - c(x) for n, c in fitted.items()}
-    validation = {a: {n: 1e3 * _rms(r[validate, k]) for n, r in rest.items()} for k, a in enumerate("xyz")}
-    chosen = {a: min(v, key=lambda n: v[n]) for a, v in validation.items()}
-    others = [v for v in levels if v != nearest]
-    left_by_axis = np.stack([rest[chosen[a]][:, k] for k, a in enumerate("xyz")], axis=1)
-
-    def by_axis(rows: NDArray[Any], measure: Any) -> dict[str, float]:
-        return {a: 1e3 * float(measure(left_by_axis[rows, k])) for k, a in enumerate("xyz")}
-
-    plane_rows = {float(v): np.flatnonzero(levels[layer] == v) for v in others}
+    validation = {n: _um(_rms, r[validate]) for n, r in rest.items()}
+    chosen = {a: min(validation, key=lambda n: validation[n][a]) for a in "xyz"}
+    missed = np.column_stack([rest[chosen[a]][:, k] for k, a in enumerate("xyz")])
+    others = {float(v): missed[plane == v] for v in levels if v != nearest}
     return PaperProtocol(
         plane_mm=float(nearest),
         orders=chosen,
-        validation_um=validation,
-        test_um=by_axis(test, _rms),
-        test_std_um=by_axis(test, np.std),
-        other_planes_um={v: by_axis(r, _rms) for v, r in plane_rows.items()},
-        other_planes_std_um={v: by_axis(r, np.std) for v, r in plane_rows.items()},
+        validation_um={a: {n: by_axis[a] for n, by_axis in validation.items()} for a in "xyz"},
+        test_um=_um(_rms, missed[test]),
+        test_std_um=_um(np.std, missed[test]),
+        other_planes_um={v: _um(_rms, r) for v, r in others.items()},
+        other_planes_std_um={v: _um(np.std, r) for v, r in others.items()},
         corrections={a: fitted[n] for a, n in chosen.items()},
     )
+
+
+def _um(measure: Callable[[Floats], Any], errors_mm: Floats) -> dict[str, float]:
+    """A measure of errors (n, 3) by axis, µm."""
+    return {a: 1e3 * float(measure(errors_mm[:, k])) for k, a in enumerate("xyz")}
 
 
 def _rms(values: Floats) -> float:

@@ -43,15 +43,8 @@ Triple = tuple[float, float, float]
 
 ASSEMBLY_MODES = ("below", "above")
 
-# the order in which the core holds a limb's parameters: name, symbol
-LIMB_PARAMETERS = (
-    ("base_radius", "δr_b"),
-    ("base_angle", "δθ_b"),
-    ("joint_offset", "δq"),
-    ("rod_length", "δl"),
-    ("platform_radius", "δr_p"),
-    ("platform_angle", "δθ_p"),
-)
+# the order in which the core holds a limb's parameters
+LIMB_PARAMETERS = ("base_radius", "base_angle", "joint_offset", "rod_length", "platform_radius", "platform_angle")
 
 
 @dataclass(frozen=True)
@@ -142,16 +135,18 @@ class Delta(Declared, Stating, Saved, Shown):
     @cached_property
     def geometry(self) -> Floats:
         """The 18 geometric parameters, limb by limb, in the order of :data:`LIMB_PARAMETERS`."""
-        zero = (0.0, 0.0, 0.0)
-        columns = (
-            self.base_radius_mm,
-            np.deg2rad(self.base_angle_deg),
-            zero,
-            self.rod_length_mm,
-            self.platform_radius_mm,
-            np.deg2rad(self.platform_angle_deg),
-        )
+        angle, platform_angle = np.deg2rad(self.base_angle_deg), np.deg2rad(self.platform_angle_deg)
+        columns = (self.base_radius_mm, angle, np.zeros(3), self.rod_length_mm, self.platform_radius_mm, platform_angle)
         return np.array(columns, dtype=float).T.ravel().copy()
+
+    def box(self, places_mm: Floats) -> tuple[Floats, Floats]:
+        """Corners (3,) of the workspace; along what the file does not say of it those of places (n, 3)."""
+        low, high = places_mm.min(axis=0), places_mm.max(axis=0)
+        if self.workspace_radius_mm:
+            low[:2], high[:2] = -self.workspace_radius_mm, self.workspace_radius_mm
+        if self.workspace_z_mm:
+            low[2], high[2] = self.workspace_z_mm
+        return low, high
 
     def kinematics(self, errors: Mapping[str, float] | None = None) -> _core.DeltaKinematics:
         """Kinematics of the platform centre with the given geometric errors (by parameter name)."""
@@ -166,7 +161,7 @@ class Delta(Declared, Stating, Saved, Shown):
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the 18 geometric parameters, in the order of :attr:`geometry`."""
-        return tuple(f"{name}_{limb}" for limb in (1, 2, 3) for name, _ in LIMB_PARAMETERS)
+        return tuple(f"{name}_{limb}" for limb in (1, 2, 3) for name in LIMB_PARAMETERS)
 
     def drawn_values(self) -> Mapping[str, float]:
         """Radii, angles (rad) and rods by the name of their parameter; joints are counted from zero."""
@@ -221,18 +216,14 @@ class Delta(Declared, Stating, Saved, Shown):
 def _check_shape(table: Table, geometry: Mapping[str, Any]) -> None:
     if min(geometry["platform_radius_mm"]) < 0:
         raise table.fail("platform_radius_mm", "3 numbers, none below zero")
-    for limb in range(3):
-        span = abs(
-            geometry["base_radius_mm"][limb] * np.exp(1j * np.deg2rad(geometry["base_angle_deg"][limb]))
-            - geometry["platform_radius_mm"][limb] * np.exp(1j * np.deg2rad(geometry["platform_angle_deg"][limb]))
-        )
-        if geometry["rod_length_mm"][limb] <= span:
-            raise table.fail(
-                "rod_length_mm",
-                f"rod {limb + 1} longer than {span:.3f} mm, the horizontal distance it spans at the centre",
-            )
     spans = np.array(geometry["base_radius_mm"]) * np.exp(1j * np.deg2rad(geometry["base_angle_deg"]))
     spans -= np.array(geometry["platform_radius_mm"]) * np.exp(1j * np.deg2rad(geometry["platform_angle_deg"]))
+    for limb, (rod, span) in enumerate(zip(geometry["rod_length_mm"], np.abs(spans), strict=True), start=1):
+        if rod <= span:
+            raise table.fail(
+                "rod_length_mm",
+                f"rod {limb} longer than {span:.3f} mm, the horizontal distance it spans at the centre",
+            )
     first, second = spans[1] - spans[0], spans[2] - spans[0]
     area = abs(first.real * second.imag - first.imag * second.real)
     if area <= 1e-6 * max(geometry["rod_length_mm"]) ** 2:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -15,7 +16,7 @@ from ...data.in_time import DRAWN_C
 from ...data.toml import Table
 from ...errors import NotConverged, OutOfReach
 from ...model.chain import Block, ChainModel
-from ...model.effect import Effect, own_effect
+from ...model.effect import Effect, Parameter, own_effect
 from ..accuracy import Planes
 from ..calibrated import Calibration
 from ..calibration_run import CalibrationRun
@@ -27,6 +28,11 @@ from .function import settled, starts
 
 #: Effects of the instrument: where the machine goes, they are not.
 _OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned", "thermal_shift")
+
+
+def _ours(parameters: Sequence[Parameter]) -> Bools:
+    """Which of them move the machine, and not the instrument alone."""
+    return np.array([p.name.partition(".")[0] not in _OF_INSTRUMENT for p in parameters], dtype=bool)
 
 
 #: What an effect of the owner's own may ask of a loop: the moment and the room.
@@ -189,9 +195,7 @@ class MachineCalibration(Calibration):
     @cached_property
     def core(self) -> MachineCalibrated:
         """The model of the control loop."""
-        names = [p.name.partition(".")[0] for p in self.model.core_parameters]
-        ours = np.array([name not in _OF_INSTRUMENT for name in names])
-        values = np.where(ours, self.model.full(self.whole.values), 0.0)
+        values = np.where(_ours(self.model.core_parameters), self.model.full(self.whole.values), 0.0)
         return MachineCalibrated(self.model.core, values, np.array(self.box), own=self._own_effects)
 
     @property
@@ -202,9 +206,8 @@ class MachineCalibration(Calibration):
         model: ChainModel = self.model
         for effect, _ in self.own:
             model = model.adopting(effect)
-        ours = [p.name.partition(".")[0] not in _OF_INSTRUMENT for p in self.model.parameters]
         values = np.zeros(len(model.parameters))
-        values[: len(ours)] = np.where(ours, self.whole.values, 0.0)
+        values[: len(self.whole.values)] = np.where(_ours(self.model.parameters), self.whole.values, 0.0)
         for effect, numbers in self.own:
             values[model.owns(effect)] = numbers
         return OwnEffects(model, values)
@@ -215,16 +218,13 @@ class MachineCalibration(Calibration):
 
     def counted(self, part: IdentifiedModel, frame: str) -> Bools:
         """Nor is what was identified of the instrument alone in any frame."""
-        ours = [name.partition(".")[0] not in _OF_INSTRUMENT for name in (p.name for p in self.model.parameters)]
-        return super().counted(part, frame) & np.array(ours[: len(part.values)], dtype=bool)
+        return super().counted(part, frame) & _ours(self.model.parameters[: len(part.values)])
 
     def by_values(self, part: IdentifiedModel, joints: Floats, now: list[float]) -> Floats:
         """Of its readings (n, m, p)."""
         del part
-        made: Floats = self.core.chain.derivatives(self.core.values, self.core.block(joints, now), self.model.indices)[
-            0
-        ]
-        return made
+        core = self.core
+        return core.chain.derivatives(core.values, core.block(joints, now), self.model.indices)[0]
 
     def places(self) -> list[tuple[str, Floats]]:
         """The middle of the run and what its joints' corners show."""

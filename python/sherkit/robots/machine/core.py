@@ -12,10 +12,10 @@ from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...base.types import Bools, Floats
-from ...data.columns import bare, factor, unit_in
+from ...data.columns import TEMPERATURE, TIME, bare, factor, unit_in
 from ...data.in_time import DRAWN_C
 from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block
@@ -37,23 +37,21 @@ _FEW_JOINTS = 3
 @dataclass(frozen=True, eq=False)
 class RowCovariates:
     """What effects look at besides joints and point: ``time_s`` (n,), ``temperature_c`` (n,) and that of the stands
-    ``stand_c`` (n,), ``direction`` (n, k) and ``velocity`` (n, k), NaN where they are not known; and the settings
-    ``wave``, one turn over the period of each joint, ``time_origin_s`` and the moments of the slips."""
+    ``stand_c`` (n,), ``direction`` (n, k) and ``velocity`` (n, k), NaN where they are not known; and the ``chain``, for
+    its settings."""
 
     time_s: Floats
     temperature_c: Floats
     stand_c: Floats
     direction: Floats
     velocity: Floats
-    wave: tuple[float, ...]
-    time_origin_s: float
-    slip_time_s: float
-    joint_slip_time_s: float
-    sensor_slip_time_s: float
+    chain: MachineCore
 
 
 #: What an effect adds (n, axes, p) for each of its parameters at one: where it acts (n, axes), joints or readings.
 Formula = Callable[[NDArray[Any], RowCovariates], NDArray[Any]]
+#: Names with unit and plausible size.
+Parameters = tuple[tuple[str, str, float], ...]
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class Generic:
 
     name: str
     link: str
-    parameters: tuple[tuple[str, str, float], ...]
+    parameters: Parameters
     formula: Formula = field(repr=False)
     needs: tuple[str, ...] = ()
     search: str | None = None
@@ -107,83 +105,79 @@ def generic_effects(
 ) -> tuple[Generic, ...]:
     """Those of a machine with these joints, which range over ``spans``, and readings, which then range over ``shown``,
     in the order of the chain; whether the readings are a place in space."""
-    k, m = len(joints), len(readings)
     units, read = [unit_in(name) for name in joints], [unit_in(name) for name in readings]
     small = [_SMALL.get(unit, 1e-3 * span) for unit, span in zip(units, spans, strict=True)]
     seen = [_SMALL.get(unit, _SCALE * span or 1.0) for unit, span in zip(read, shown, strict=True)]
-    out = [
-        Generic("joint_offset", "joints", _each("offset", joints, units, small), _own(np.ones_like)),
-        Generic("joint_scale", "joints", _each("scale", joints, [""] * k, [_SCALE] * k), _own(lambda q: q)),
-    ]
-    pairs = [(i, j) for i, j in permutations(range(k), 2) if k <= _FEW_JOINTS or abs(i - j) == 1]
-    if pairs:
-        coupled = tuple((f"{bare(joints[i])}_by_{bare(joints[j])}", _ratio(units[i], units[j]),
-                         _SCALE * spans[i] / spans[j]) for i, j in pairs)  # fmt: skip
-        out.append(Generic("joint_coupling", "joints", coupled, _coupling(pairs)))
-    turns = [factor(unit, "rad") for unit in units]
-    turning = {i: by for i, by in enumerate(turns) if by is not None}
-    if turning:
-        for name, times in (("encoder_eccentricity", 1.0), ("encoder_two_per_turn", 2.0)):
-            each = tuple(one for i, by in turning.items() for one in _waves([joints[i]], units[i], 2e-3 / times / by))
-            out.append(Generic(name, "joints", each, _wave_of({i: times * by for i, by in turning.items()})))
+
+    def by_joint(word: str, sizes: Sequence[float], own: Sequence[str] = units) -> Parameters:
+        return tuple((f"{word}_{bare(n)}", u, float(s)) for n, u, s in zip(joints, own, sizes, strict=True))
+
+    def by_reading(word: str, sizes: Sequence[float], own: Sequence[str] = read) -> Parameters:
+        return tuple((f"{word}_{bare(n)}", u, float(s)) for n, u, s in zip(readings, own, sizes, strict=True))
+
+    few = len(joints) <= _FEW_JOINTS
+    pairs = [(i, j) for i, j in permutations(range(len(joints)), 2) if few or abs(i - j) == 1]
+    coupled = tuple((f"{bare(joints[i])}_by_{bare(joints[j])}", _ratio(units[i], units[j]),
+                     _SCALE * spans[i] / spans[j]) for i, j in pairs)  # fmt: skip
+    turning = {i: by for i, unit in enumerate(units) if (by := factor(unit, "rad")) is not None}
+
+    def per_turn(name: str, times: float) -> Generic:
+        waves = (one for i, by in turning.items() for one in _waves([joints[i]], units[i], 2e-3 / times / by))
+        return Generic(name, "joints", tuple(waves), _wave_of({i: times * by for i, by in turning.items()}))
+
     # joints of one unit: that of most of them
     unit = max(units, key=units.count, default="")
     by = factor(unit, "rad")
-    if unit == "mm" or by is not None:
-        which = [i for i in range(k) if units[i] == unit]
-        lines = _waves([joints[i] for i in which], unit, 0.005 if by is None else 1e-3 / by)
-        out.append(Generic("encoder_cyclic", "joints", lines, _cyclic(which), search=f"period_{unit}"))
-        second = tuple((name, unit, 0.4 * size) for name, unit, size in lines)
-        out.append(Generic("encoder_second", "joints", second, _cyclic(which, 2.0)))
-    # who reads a joint a moment after the point sees it where it was then
-    late = tuple(f"{name}_per_s" for name in joints)
-    out.append(
-        Generic("reading_delay", "joints", (("delay", "s", 0.02),), lambda _, at: -at.velocity[:, :, None], late)
-    )
-    widths = _each("width", joints, units, [0.2 * s for s in small])
-    out.append(Generic("backlash", "joints", widths, lambda q, at: _diagonal(0.5 * at.direction), ("direction",)))
-    out.append(
-        Generic(
-            "joint_slip",
-            "joints",
-            _each("step", joints, units, small),
-            lambda q, at: _diagonal(_late(at, at.joint_slip_time_s)[:, None] + 0 * q),
-            ("time_s",),
-            "time_s",
-        )
-    )
-    if is_place:
-        grows = (("coefficient", "1/°C", 1e-4),)
-        out.append(Generic("thermal_growth", "body", grows, lambda x, at: _warmer(at)[:, None, None] * x[:, :, None],
-                           ("temperature_c",)))  # fmt: skip
-        out.append(Generic("droop", "body", (("fall_at_1_m", "mm", 1.0),), _droop))
-        turned = tuple((f"turn_{axis}", "rad", 2e-3) for axis in "xyz")
-        out.append(Generic("instrument_turned", "sensor", turned, _turned))
-    per_hour = _each("rate", readings, [f"{u}/h" for u in read], seen)
-    out += [
-        Generic("drift", "body", per_hour, lambda x, at: _diagonal(_hours(at)[:, None] + 0 * x), ("time_s",)),
-        Generic("slip", "body", _each("step", readings, read, seen),
-                lambda x, at: _diagonal(_late(at, at.slip_time_s)[:, None] + 0 * x), ("time_s",), "time_s"),
-        Generic("thermal_shift", "sensor", _each("shift", readings, [f"{u}/°C" for u in read], [0.2 * s for s in seen]),
-                lambda x, at: _diagonal((at.stand_c - DRAWN_C)[:, None] + 0 * x), ("temperature_c",),
-                "lag_s"),
-        Generic("sensor_offset", "sensor", _each("offset", readings, read, [5 * s for s in seen]), _own(np.ones_like)),
-        Generic("sensor_scale", "sensor", _each("scale", readings, [""] * m, [_SCALE] * m), _own(lambda x: x)),
+    which = [i for i, one in enumerate(units) if one == unit and (unit == "mm" or by is not None)]
+    lines = _waves([joints[i] for i in which], unit, 0.005 if by is None else 1e-3 / by)
+    out = [
+        Generic("joint_offset", "joints", by_joint("offset", small), _each(lambda q, _: 1.0)),
+        Generic("joint_scale", "joints", by_joint("scale", [_SCALE] * len(joints), [""] * len(joints)),
+                _each(lambda q, _: q)),
+        Generic("joint_coupling", "joints", coupled, _coupling(pairs)),
+        per_turn("encoder_eccentricity", 1.0),
+        per_turn("encoder_two_per_turn", 2.0),
+        Generic("encoder_cyclic", "joints", lines, _cyclic(which), search=f"period_{unit}"),
+        Generic("encoder_second", "joints", tuple((name, unit, 0.4 * size) for name, unit, size in lines),
+                _cyclic(which, 2.0)),
+        # who reads a joint a moment after the point sees it where it was then
+        Generic("reading_delay", "joints", (("delay", "s", 0.02),), lambda _, at: -at.velocity[:, :, None],
+                tuple(f"{name}_per_s" for name in joints)),
+        Generic("backlash", "joints", by_joint("width", [0.2 * s for s in small]),
+                _each(lambda _, at: 0.5 * at.direction), ("direction",)),
+        Generic("joint_slip", "joints", by_joint("step", small), _each(_late("joint_slip_time_s")), (TIME,), TIME),
     ]  # fmt: skip
     if is_place:
-        row = slip_row(1.0)
-        out.append(Generic(row["name"], row["link"], tuple((p["name"], p["unit"], p["size"]) for p in
-        row["parameters"]),
-                           lambda x, at: _diagonal(_late(at, at.sensor_slip_time_s)[:, None] + 0 * x), ("time_s",),
-                           "time_s", by_pose=True))  # fmt: skip
+        out += [
+            Generic("thermal_growth", "body", (("coefficient", "1/°C", 1e-4),),
+                    lambda x, at: (at.temperature_c - DRAWN_C)[:, None, None] * x[:, :, None], (TEMPERATURE,)),
+            Generic("droop", "body", (("fall_at_1_m", "mm", 1.0),), _droop),
+            Generic("instrument_turned", "sensor", tuple((f"turn_{axis}", "rad", 2e-3) for axis in "xyz"), _turned),
+        ]  # fmt: skip
+    out += [
+        Generic("drift", "body", by_reading("rate", seen, [f"{u}/h" for u in read]),
+                _each(lambda _, at: ((at.time_s - at.chain.time_origin_s) / 3600.0)[:, None]), (TIME,)),
+        Generic("slip", "body", by_reading("step", seen), _each(_late("slip_time_s")), (TIME,), TIME),
+        Generic("thermal_shift", "sensor", by_reading("shift", [0.2 * s for s in seen], [f"{u}/°C" for u in read]),
+                _each(lambda _, at: (at.stand_c - DRAWN_C)[:, None]), (TEMPERATURE,), "lag_s"),
+        Generic("sensor_offset", "sensor", by_reading("offset", [5 * s for s in seen]), _each(lambda x, _: 1.0)),
+        Generic("sensor_scale", "sensor", by_reading("scale", [_SCALE] * len(read), [""] * len(read)),
+                _each(lambda x, _: x)),
+    ]  # fmt: skip
+    if is_place:
+        out.append(_of_pose(slip_row(1.0), _each(_late("sensor_slip_time_s"))))
     return tuple(one for one in out if one.parameters)
 
 
 def sensor_pose(names: Collection[str]) -> Generic:
     """These numbers of the sensor's pose, as what every machine has whose readings are places in space."""
-    row, which = pose_row(names), [POSE.index(name) for name in POSE if name in names]
-    return Generic(row["name"], row["link"], tuple((p["name"], p["unit"], p["size"]) for p in row["parameters"]),
-                   lambda x, _: _diagonal(np.ones_like(x))[:, :, which], by_pose=True)  # fmt: skip
+    which = [POSE.index(name) for name in POSE if name in names]
+    return _of_pose(pose_row(names), lambda x, _: _diagonal(np.ones_like(x))[:, :, which])
+
+
+def _of_pose(row: Mapping[str, Any], formula: Formula) -> Generic:
+    own = tuple((p["name"], p["unit"], p["size"]) for p in row["parameters"])
+    return Generic(row["name"], row["link"], own, formula, tuple(row["needs"]), row["search"], by_pose=True)
 
 
 def is_point_in_space(readings: Sequence[str]) -> bool:
@@ -204,11 +198,7 @@ def machine_catalogue(effects: Sequence[Generic]) -> dict[str, Effect]:
 # -- parameters ------------------------------------------------------------------------------------------
 
 
-def _each(word: str, names: Sequence[str], units: Sequence[str], sizes: Sequence[float]) -> tuple[Any, ...]:
-    return tuple((f"{word}_{bare(n)}", u, float(s)) for n, u, s in zip(names, units, sizes, strict=True))
-
-
-def _waves(names: Sequence[str], unit: str, size: float) -> tuple[Any, ...]:
+def _waves(names: Sequence[str], unit: str, size: float) -> Parameters:
     return tuple((f"{part}_{bare(n)}", unit, size) for n in names for part in ("sine", "cosine"))
 
 
@@ -224,8 +214,9 @@ def _diagonal(each: NDArray[Any]) -> NDArray[Any]:
     return each[:, :, None] * np.eye(each.shape[1])
 
 
-def _own(of: Callable[[NDArray[Any]], NDArray[Any]]) -> Formula:
-    return lambda x, _: _diagonal(of(x))
+def _each(of: Callable[[NDArray[Any], RowCovariates], ArrayLike]) -> Formula:
+    """Of what is added at one to each axis, (n, axes) or alike for all."""
+    return lambda x, at: _diagonal(np.broadcast_to(of(x, at), x.shape))
 
 
 def _coupling(pairs: Sequence[tuple[int, int]]) -> Formula:
@@ -252,19 +243,16 @@ def _wave_of(turns: Mapping[int, float]) -> Formula:
 
 
 def _cyclic(which: Sequence[int], times: float = 1.0) -> Formula:
-    return lambda q, at: _wave(q, {k: times * at.wave[k] for k in which})
+    return lambda q, at: _wave(q, {k: times * at.chain.wave[k] for k in which})
 
 
-def _warmer(at: RowCovariates) -> Floats:
-    return at.temperature_c - DRAWN_C
+def _late(setting: str) -> Callable[[NDArray[Any], RowCovariates], Floats]:
+    """One from the moment on that a setting names, (n, 1)."""
 
+    def late(_: NDArray[Any], at: RowCovariates) -> Floats:
+        return np.where(np.isnan(at.time_s), np.nan, (at.time_s >= getattr(at.chain, setting)).astype(float))[:, None]
 
-def _hours(at: RowCovariates) -> Floats:
-    return (at.time_s - at.time_origin_s) / 3600.0
-
-
-def _late(at: RowCovariates, moment_s: float) -> Floats:
-    return np.where(np.isnan(at.time_s), np.nan, (at.time_s >= moment_s).astype(float))
+    return late
 
 
 def _droop(x: NDArray[Any], _: RowCovariates) -> NDArray[Any]:
@@ -352,9 +340,8 @@ class MachineCore(NumpyChain):
         joints, _, columns, push = block
         k = joints.shape[1]
         columns = np.full((len(joints), 3 + 2 * k), np.nan) if columns is None else columns
-        moments = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         moved = columns[:, 2 : 2 + k], columns[:, 2 + k : 2 + 2 * k]
-        known = RowCovariates(columns[:, 0], columns[:, 1], columns[:, -1], *moved, self.wave, *moments)
+        known = RowCovariates(columns[:, 0], columns[:, 1], columns[:, -1], *moved, self)
         return joints, known, np.zeros((len(joints), 3)) if push is None else push
 
     def _link(self, link: str, x: NDArray[Any], values: Floats, known: RowCovariates) -> NDArray[Any]:
@@ -386,8 +373,7 @@ class MachineCore(NumpyChain):
     def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
         """Readings (n, m), and which rows could be computed."""
         joints, known, push = self._known(block)
-        own = values[: len(self.function.parameters)]
-        point = self.function(self._link("joints", joints, values, known), own)
+        point = self.function(self._link("joints", joints, values, known), values[: len(self.function.parameters)])
         shown = self._pushed(self._link("body", point, values, known), push)
         if self.pose is not None:
             shown = seen_from(self.pose, self._stands(values, known), shown)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import ClassVar, cast
 
@@ -111,48 +112,36 @@ class FirmwareFit:
 def held(robot: Printer, errors: Mapping[str, float]) -> FirmwareFit:
     """The firmware's numbers for a printer with these errors by name: geometry as it is; of effects that no firmware
     holds, leans, belts and unequal rods, as much as its geometry can take over the bed."""
-    full = PrinterModel(replace(robot, probings=()))
+    plain = PrinterModel(replace(robot, probings=()))
     beyond = {name.partition(".")[0] for name, value in errors.items() if "." in name and value}
-    known = [e for e in full.catalogue.values() if e.name in beyond and e.function is None]
-    for effect in known:
-        full = full.with_effect(effect)
-    values = np.array([errors.get(p.name, 0.0) for p in full.parameters])
-    geometry = {name: value for name, value in errors.items() if "." not in name}
+    known = [e for e in plain.catalogue.values() if e.name in beyond and e.function is None]
+    full = reduce(lambda model, effect: model.with_effect(effect), known, plain)
+    values, start = (np.array([errors.get(p.name, 0.0) for p in one.parameters]) for one in (full, plain))
     if not known:
-        return FirmwareFit(towers_of(robot, geometry), 0.0, 0.0)
+        return FirmwareFit(towers_of(robot, errors), 0.0, 0.0)
     # what the machine does where it is sent over the bed, heights alone: that is what a probe would see
     radius = robot.workspace_radius_mm or 0.8 * robot.towers.radius_mm
     rings = np.linspace(0.0, radius, _RINGS)[1:]
     turn = np.linspace(0.0, 2 * np.pi, _AROUND, endpoint=False)
     xy = np.array([(0.0, 0.0), *((r * np.cos(t), r * np.sin(t)) for r in rings for t in turn)])
     sent = robot.inverse_batch(np.column_stack([xy, robot.plane_mm(xy)]))
-    plan = Measurements.planned(sent.values[sent.reached], PROBED, "bed", **_columns(int(sent.reached.sum())))
+    nothing = np.zeros(sent.reached.sum())
+    plan = Measurements.planned(sent.values[sent.reached], PROBED, "bed", **dict.fromkeys((PLATE, PROBING), nothing))
     plan = plan.with_readings(full.predict(plan, values))
-    plain = replace(full, effects=())
-    fit = identify(plain, plan, start=np.array([geometry.get(p.name, 0.0) for p in plain.parameters]))
+    fit = identify(plain, plan, start=start)
     left = fit.residuals
     return FirmwareFit(towers_of(robot, fit.by_name), float(np.sqrt(np.mean(left**2))), float(np.abs(left).max()))
-
-
-def _columns(rows: int) -> dict[str, Floats]:
-    return {PLATE: np.zeros(rows), PROBING: np.zeros(rows)}
 
 
 def towers_of(robot: Printer, errors: Mapping[str, float]) -> Towers:
     """The firmware's numbers for errors of the geometry, exactly: any three upright towers have a circle through
     them."""
 
-    def of(name: str) -> Floats:
-        return np.array([errors.get(f"{name}_{k}", 0.0) for k in (1, 2, 3)])
-
-    base = np.array(robot.base_radius_mm) + of("base_radius")
-    angle = np.deg2rad(robot.base_angle_deg) + of("base_angle")
-    joint = np.array(robot.platform_radius_mm) + of("platform_radius")
-    at = np.deg2rad(robot.platform_angle_deg) + of("platform_angle")
-    foot = base * np.exp(1j * angle) - joint * np.exp(1j * at)
-    arms = np.array(robot.rod_length_mm) + of("rod_length")
-    tops = robot.towers.top_mm + of("joint_offset")
-    return Towers.through(np.stack([foot.real, foot.imag], axis=1), arms, tops, robot.base_angle_deg[2])
+    off = np.array([errors.get(name, 0.0) for name in robot.parameter_names])
+    radius, angle, tops, arms, joint, at = (robot.geometry + off).reshape(3, -1).T
+    foot = radius * np.exp(1j * angle) - joint * np.exp(1j * at)
+    feet = np.stack([foot.real, foot.imag], axis=1)
+    return Towers.through(feet, arms, robot.towers.top_mm + tops, robot.base_angle_deg[2])
 
 
 # -- files ---------------------------------------------------------------------------------------------------

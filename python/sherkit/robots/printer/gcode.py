@@ -26,7 +26,7 @@ import numpy as np
 from ...base.figures import brief
 from ...errors import MeasurementError, RobotError
 from .klipper import text_of
-from .robot import ANGLES, ImportedPrinter, Printer, ProbedRows, Towers
+from .robot import ANGLES, ImportedPrinter, Printer, ProbedRows, Towers, triple
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _WORD = re.compile(rf"([A-Z])\s*({_NUMBER}(?:\s*:\s*{_NUMBER})*)", re.IGNORECASE)
@@ -46,16 +46,34 @@ def words(lines: Sequence[str], command: str) -> dict[str, tuple[float, ...]]:
     return out
 
 
-def one(
-    found: dict[str, tuple[float, ...]], letter: str, command: str, source: str, default: float | None = None
-) -> float:
-    """A single number. Raises :class:`~sherkit.errors.RobotError` where it is missing."""
-    if letter not in found and default is not None:
-        return default
-    values = found.get(letter, ())
-    if len(values) != 1:
-        raise RobotError(f"{source}: {command} {letter} is missing; expected a number, as in '{command} {letter}100.0'")
-    return values[0]
+class _Command:
+    """What a command was given in the lines of a file."""
+
+    def __init__(self, path: Path, lines: Sequence[str], name: str) -> None:
+        self.path, self.name, self.words = path, name, words(lines, name)
+
+    def one(self, letter: str, default: float | None = None) -> float:
+        """A single number. Raises :class:`~sherkit.errors.RobotError` where it is missing."""
+        if letter not in self.words and default is not None:
+            return default
+        values = self.words.get(letter, ())
+        if len(values) != 1:
+            raise RobotError(
+                f"{self.path}: {self.name} {letter} is missing; expected a number, as in '{self.name} {letter}100.0'"
+            )
+        return values[0]
+
+    def each(self, letters: str, default: float | None = 0.0) -> list[float]:
+        """The numbers of several letters, zero where nothing is said."""
+        return [self.one(letter, default) for letter in letters]
+
+
+def _towers(geometry: _Command, ends: _Command, radius: float, arms: Sequence[float], sign: float) -> Towers:
+    """The towers with these diagonals; an end stop stands at H and ``sign`` times its number of M666."""
+    if radius <= 0 or min(arms) <= radius:
+        raise RobotError(f"{geometry.path}: M665 L{min(arms):g} is not longer than R{radius:g}, above zero")
+    stop = geometry.one("H") + sign * np.array(ends.each("XYZ"))
+    return Towers(radius, triple(np.array(ANGLES) + geometry.each("XYZ")), triple(arms), triple(stop))
 
 
 # -- RepRapFirmware -----------------------------------------------------------------------------------------------
@@ -86,29 +104,20 @@ def import_duet(
 
 
 def _duet(path: Path, lines: list[str]) -> Printer:
-    found, ends, probe = (words(lines, command) for command in ("M665", "M666", "G31"))
-    source = str(path)
-    if not found:
-        raise RobotError(
-            f"{source}: has no M665; only linear deltas can be imported, whose config.g has 'M665 R… L… H…'"
-        )
-    radius = one(found, "R", "M665", source)
-    arms = found.get("L", ())
-    if len(arms) == 1:
-        arms *= 3
+    found, ends, probe = (_Command(path, lines, name) for name in ("M665", "M666", "G31"))
+    if not found.words:
+        raise RobotError(f"{path}: has no M665; only linear deltas can be imported, whose config.g has 'M665 R… L… H…'")
+    radius, arms = found.one("R"), found.words.get("L", ())
+    arms *= 3 if len(arms) == 1 else 1
     if len(arms) != 3:
-        raise RobotError(f"{source}: M665 L: expected one diagonal or three, as L220.1:220.0:219.9, found {len(arms)}")
-    if radius <= 0 or min(arms) <= radius:
-        raise RobotError(f"{source}: M665 L{min(arms):g} is not longer than R{radius:g}, above zero")
-    height = one(found, "H", "M665", source)
-    angle = [a + one(found, letter, "M665", source, 0.0) for a, letter in zip(ANGLES, "XYZ", strict=True)]
-    stop = [height + one(ends, letter, "M666", source, 0.0) for letter in "XYZ"]
-    x, y, z = (one(probe, letter, "G31", source, 0.0) for letter in "XYZ")
+        raise RobotError(f"{path}: M665 L: expected one diagonal or three, as L220.1:220.0:219.9, found {len(arms)}")
+    towers = _towers(found, ends, radius, arms, 1.0)
+    x, y, z = probe.each("XYZ")
     return Printer.with_towers(
-        Towers(radius, (angle[0], angle[1], angle[2]), (arms[0], arms[1], arms[2]), (stop[0], stop[1], stop[2])),
+        towers,
         target_offset_mm=(x, y, -z),
-        workspace_radius_mm=one(found, "B", "M665", source, 0.8 * radius),
-        tilt=(0.01 * one(ends, "A", "M666", source, 0.0), 0.01 * one(ends, "B", "M666", source, 0.0)),
+        workspace_radius_mm=found.one("B", 0.8 * radius),
+        tilt=(0.01 * ends.one("A", 0.0), 0.01 * ends.one("B", 0.0)),
         firmware="reprapfirmware",
     )
 
@@ -182,23 +191,13 @@ def import_marlin(path: str | Path, plates: Mapping[str, float] | None = None) -
 
 
 def _marlin(path: Path, lines: list[str]) -> Printer:
-    found, ends, probe = (words(lines, command) for command in ("M665", "M666", "M851"))
-    source = str(path)
-    if not found:
-        raise RobotError(f"{source}: has no M665; paste what the terminal says to M503, of a delta")
-    radius, arm = one(found, "R", "M665", source), one(found, "L", "M665", source)
-    arms = [arm + one(found, letter, "M665", source, 0.0) for letter in "ABC"]
-    if radius <= 0 or min(arms) <= radius:
-        raise RobotError(f"{source}: M665 L{min(arms):g} is not longer than R{radius:g}, above zero")
-    height = one(found, "H", "M665", source)
-    angle = [a + one(found, letter, "M665", source, 0.0) for a, letter in zip(ANGLES, "XYZ", strict=True)]
-    stop = [height - one(ends, letter, "M666", source, 0.0) for letter in "XYZ"]
-    x, y, z = (one(probe, letter, "M851", source, 0.0) for letter in "XYZ")
+    found, ends, probe = (_Command(path, lines, name) for name in ("M665", "M666", "M851"))
+    if not found.words:
+        raise RobotError(f"{path}: has no M665; paste what the terminal says to M503, of a delta")
+    radius, arm = found.one("R"), found.one("L")
+    towers = _towers(found, ends, radius, [arm + more for more in found.each("ABC")], -1.0)
     return Printer.with_towers(
-        Towers(radius, (angle[0], angle[1], angle[2]), (arms[0], arms[1], arms[2]), (stop[0], stop[1], stop[2])),
-        target_offset_mm=(x, y, z),
-        workspace_radius_mm=0.8 * radius,
-        firmware="marlin",
+        towers, target_offset_mm=triple(probe.each("XYZ")), workspace_radius_mm=0.8 * radius, firmware="marlin"
     )
 
 
@@ -228,8 +227,7 @@ def _reports(path: Path, lines: list[str]) -> Iterator[tuple[str, list[tuple[flo
 def _grid(path: Path, before: list[str], grid: list[list[float]]) -> list[tuple[float, float, float]]:
     if len({len(row) for row in grid}) > 1:
         raise MeasurementError(f"{path}: a G29 grid has rows of different length; paste it whole")
-    sent = words(before, "G29")
-    left, right, front, back = (one(sent, letter, "G29", str(path)) for letter in "LRFB")
+    left, right, front, back = _Command(path, before, "G29").each("LRFB", None)
     x, y = np.linspace(left, right, len(grid[0])), np.linspace(front, back, len(grid))
     radius = 0.5 * max(right - left, back - front) * (1 + 1e-9)
     middle = 0.5 * (left + right), 0.5 * (front + back)
@@ -242,14 +240,14 @@ def _grid(path: Path, before: list[str], grid: list[list[float]]) -> list[tuple[
 
 
 def _ring(path: Path, before: list[str], heights: Mapping[str, str]) -> list[tuple[float, float, float]]:
-    sent = words(before, "G33")
-    if "R" not in sent:
+    sent = _Command(path, before, "G33")
+    if "R" not in sent.words:
         raise RobotError(
             f"{path}: the report of G33 does not say how far from the middle it probed, which is what Marlin was built "
             "with (DELTA_PRINTABLE_RADIUS); write that behind the command in this file, as in 'G33 R100 V2', or probe "
             "again with such a command"
         )
-    radius = one(sent, "R", "G33", str(path))
+    radius = sent.one("R")
     out = [(0.0, 0.0, float(heights["c"]))] if "c" in heights else []
     for name, turn in _AROUND.items():
         if name in heights:

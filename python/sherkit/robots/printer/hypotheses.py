@@ -10,7 +10,7 @@ the diagnosis says, at its level."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -39,11 +39,6 @@ class Suspect:
     def names(self) -> tuple[str, ...]:
         """Names of its effects."""
         return tuple(e.name for e in self.effects)
-
-    @property
-    def of_the_plate(self) -> bool:
-        """Whether it is the plate alone."""
-        return self.names == (bed_shape.name,)
 
     @property
     def is_plausible(self) -> bool:
@@ -89,33 +84,29 @@ def suspects(plain: Fit, *, significant: bool) -> tuple[Suspect, ...]:
     model, data = plain.model, plain.data
     nothing = Suspect((), plain, plain)
     tried, _ = model.is_testable(tuple(model.known_effects.values()), data)
-    singles = _fitted(nothing, [(effect,) for effect in tried])
-    found = _leading(nothing, singles, significant=significant)
-    others = [e for e in tried if e.name != bed_shape.name]
+    found = _leading(nothing, _fitted(nothing, [(effect,) for effect in tried]), significant=significant)
     plate = [e for e in tried if e.name == bed_shape.name]
     # plate and machine both, where that is clearly better than either, told by its numbers' worth
-    pairs = _fitted(nothing, [(one, *plate) for one in others if plate]) if found else []
+    both = [(one, *plate) for one in tried if plate and one not in plate]
+    pairs = _fitted(nothing, both) if found else []
     best = min((s.priced for s in found), default=np.inf)
     clear = [p for p in pairs if p.is_plausible and p.priced < best - _CLEARLY]
     return _leading(nothing, clear, significant=significant) if clear else found
 
 
 def _fitted(nothing: Suspect, sets: list[tuple[Effect, ...]]) -> list[Suspect]:
-    out = []
+    out, plain = [], nothing.fit
     for effects in sets:
-        model = nothing.fit.model
-        for effect in effects:
-            model = model.with_effect(effect)
+        model = reduce(lambda one, effect: one.with_effect(effect), effects, plain.model)
+        start = [plain.by_name.get(p.name, 0.0) for p in model.parameters]
         try:
-            known = nothing.fit.by_name
-            start = [known.get(p.name, 0.0) for p in model.parameters]
-            fit = identify(model, nothing.fit.data, noise=nothing.fit.noise, start=start)
+            fit = identify(model, plain.data, noise=plain.noise, start=start)
         except SherkitError:
             continue
         # what has as many numbers as rows explains whatever there is; short of that it counts, though it may fit noise:
         # few points must not leave the plate out, and the machine alone to be blamed
         if fit.data.used.sum() > fit.rank:
-            out.append(Suspect(effects, fit, nothing.fit))
+            out.append(Suspect(effects, fit, plain))
     return out
 
 
@@ -129,13 +120,8 @@ def _leading(nothing: Suspect, tried: list[Suspect], *, significant: bool) -> tu
         return ()
     # who is no better than nothing by its price, having many numbers, may yet leave as little as the best; and who
     # leaves more may have done without what many numbers take of noise
-    alone, fair = min(s.alone for s in better), min(s.fair for s in better)
-    priced = min(s.priced for s in better)
-    near = [
-        s
-        for s in tried
-        if s.alone < alone + _CLEARLY or s.fair < fair + _CLEARLY or (s in better and s.priced < priced + _CLEARLY)
-    ]
+    alone, fair, priced = (min(getattr(s, one) for s in better) + _CLEARLY for one in ("alone", "fair", "priced"))
+    near = [s for s in tried if s.alone < alone or s.fair < fair or (s in better and s.priced < priced)]
     return tuple(sorted(near, key=lambda s: s.priced))
 
 

@@ -16,8 +16,7 @@ import numpy as np
 from ...base.figures import brief, listed
 from ...base.types import Bools, Floats
 from ...errors import MeasurementError, RobotError
-from ..delta.robot import Triple
-from .robot import ANGLES, ImportedPrinter, Printer, ProbedRows, Towers
+from .robot import ANGLES, ImportedPrinter, Printer, ProbedRows, Towers, triple
 
 # -- Klipper's configuration files ----------------------------------------------------------------------------------
 
@@ -210,32 +209,25 @@ def _printer(config: KlipperConfig) -> Printer:
     if radius <= 0:
         raise RobotError(f"{path}: [printer] delta_radius: expected a number above zero, found {radius:g}")
     # as in Klipper, the second and third tower are like the first where nothing else is said
-    arm = [config.number("stepper_a", "arm_length")]
-    arm += [config.number(s, "arm_length", arm[0]) for s in STEPPERS[1:]]
-    endstop = [config.number("stepper_a", "position_endstop")]
-    endstop += [config.number(s, "position_endstop", endstop[0]) for s in STEPPERS[1:]]
+    of_towers = {}
+    for option in ("arm_length", "position_endstop"):
+        first = config.number(STEPPERS[0], option)
+        of_towers[option] = triple([first, *(config.number(s, option, first) for s in STEPPERS[1:])])
+    arm = of_towers["arm_length"]
     angle = [config.number(s, "angle", a) for s, a in zip(STEPPERS, ANGLES, strict=True)]
     for stepper, length in zip(STEPPERS, arm, strict=True):
         if length <= radius:
             raise RobotError(f"{path}: [{stepper}] arm_length {length:g} is not longer than delta_radius {radius:g}")
-    probe = next(
-        (s for s in ("probe", "bltouch", "smart_effector", *_eddy(config)) if config.get(s, "z_offset")), "probe"
-    )
+    eddy = (f"probe_eddy_current {name}" for name in config.sections("probe_eddy_current"))
+    probes = ("probe", "bltouch", "smart_effector", *eddy)
+    probe = next((s for s in probes if config.get(s, "z_offset")), "probe")
     x, y, z = (config.number(probe, f"{axis}_offset", 0.0) for axis in "xyz")
     return Printer.with_towers(
-        Towers(radius, _triple(angle), _triple(arm), _triple(endstop)),
+        Towers(radius, triple(angle), arm, of_towers["position_endstop"]),
         target_offset_mm=(x, y, -z),
         workspace_radius_mm=config.number("printer", "print_radius", radius),
         firmware="klipper",
     )
-
-
-def _eddy(config: KlipperConfig) -> list[str]:
-    return [f"probe_eddy_current {name}" for name in config.sections("probe_eddy_current")]
-
-
-def _triple(values: list[float]) -> Triple:
-    return (values[0], values[1], values[2])
 
 
 def _steps_per_mm(config: KlipperConfig, stepper: str) -> float:
@@ -268,37 +260,33 @@ def _mesh(config: KlipperConfig, name: str) -> list[tuple[float, float, float]]:
             f"found {low[0]:g} to {high[0]:g} and {low[1]:g} to {high[1]:g}"
         )
     x, y = np.linspace(low[0], high[0], z.shape[1]), np.linspace(low[1], high[1], z.shape[0])
-    probed = _within(config, x, y) & _probed(x, y, z)
+    # counted from the middle of the mesh
+    away = np.hypot(x - 0.5 * (x[0] + x[-1]), (y - 0.5 * (y[0] + y[-1]))[:, None])
+    wide, high = 0.5 * (x[-1] - x[0]), 0.5 * (y[-1] - y[0])
+    probed = _within(config, away, max(wide, high)) & _probed(z, away, wide, high)
     return [(float(x[i]), float(y[j]), float(z[j, i])) for j, i in np.argwhere(probed)]
 
 
-def _within(config: KlipperConfig, x: Floats, y: Floats) -> Bools:
-    """Which points (rows, columns) of a mesh lie within the radius that the printer's bed has, where it has one: of a
-    mesh that was saved with another grid the corners are copies, or interpolated, and no arm may reach them."""
-    centre = 0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])
-    away = np.hypot(x - centre[0], (y - centre[1])[:, None])
+def _within(config: KlipperConfig, away: Floats, reach: float) -> Bools:
+    """Which points (rows, columns) of a mesh, ``away`` from its middle, lie within the radius that the printer's bed
+    has, where it has one: of a mesh that was saved with another grid the corners are copies, or interpolated, and no
+    arm may reach them. A mesh that ``reach``-es farther is older than the radius."""
     if config.get("bed_mesh", "mesh_radius") is None:
         return np.ones(away.shape, dtype=bool)
     radius = config.number("bed_mesh", "mesh_radius")
-    if radius < 0.5 * max(x[-1] - x[0], y[-1] - y[0]) - _ANOTHER:
-        # the mesh is older than the radius
-        return np.ones(away.shape, dtype=bool)
-    return away <= radius + _ROUNDED * max(len(x), len(y))
+    return (away <= radius + _ROUNDED * max(away.shape)) | (radius < reach - _ANOTHER)
 
 
-def _probed(x: Floats, y: Floats, z: Floats) -> Bools:
-    """Which points (rows, columns) of a mesh were probed.
+def _probed(z: Floats, away: Floats, wide: float, high: float) -> Bools:
+    """Which points (rows, columns) of a mesh, ``away`` from its middle, were probed.
 
     Of a round mesh Klipper probes those within its radius, which is half its extent but for rounding, and fills each
     row up with copies of its ends. Where what lies outside is no copy, the mesh is not round."""
     everything = np.ones(z.shape, dtype=bool)
-    centre = 0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1])
-    wide, high = 0.5 * (x[-1] - x[0]), 0.5 * (y[-1] - y[0])
     if z.shape[0] != z.shape[1] or z.shape[0] % 2 == 0 or not math.isclose(wide, high, abs_tol=0.1):
         return everything
     # rounded, the one may be larger: each row and column has its middle within
-    radius = max(wide, high)
-    inside = np.hypot(x - centre[0], (y - centre[1])[:, None]) <= radius + _ROUNDED * (len(x) // 2)
+    inside = np.asarray(away <= max(wide, high) + _ROUNDED * (len(z) // 2))
     for row, within in zip(z, inside, strict=True):
         first, last = np.flatnonzero(within)[[0, -1]]
         if (row[:first] != row[first]).any() or (row[last + 1 :] != row[last]).any():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -16,6 +16,7 @@ from ...base.figures import listed
 from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...errors import FitError
+from ...fit.numpy_chain import NumpyChain
 from ...model.base import Reachable
 from ...model.chain import Block
 from ...model.effect import Effect, Parameter, effect
@@ -72,14 +73,10 @@ def bed_shape(rows: Any, p: SimpleNamespace) -> Floats:
     return _columns(rows, p)[:, 0] @ np.array([getattr(p, name) for name in _NAMES])[:, None]
 
 
-def _zeros(rows: Any, count: int) -> Floats:
+def _zeros(rows: Any, p: SimpleNamespace) -> Floats:
     """Which of the probings behind the first each row (n, 1, count) is from; distances have no zero."""
-    of: Bools = rows[PROBING][:, None] == np.arange(1, count + 1)
+    of: Bools = rows[PROBING][:, None] == np.arange(1, len(vars(p)) + 1)
     return np.where(rows.is_distance[:, None], 0.0, of)[:, None, :]
-
-
-def _by_zeros(rows: Any, p: SimpleNamespace) -> Floats:
-    return _zeros(rows, len(vars(p)))
 
 
 @effect(
@@ -88,11 +85,11 @@ def _by_zeros(rows: Any, p: SimpleNamespace) -> Floats:
     needs=(PROBING,),
     physics="The zero of a probe is set anew, or moves with the temperature, between one probing and the next.",
     remedy="None needed.",
-    derivative=_by_zeros,
+    derivative=_zeros,
 )
 def probing_zero(rows: Any, p: SimpleNamespace) -> Floats:
     """The zero of each probing behind the first."""
-    return _by_zeros(rows, p)[:, 0] @ np.array(list(vars(p).values()))[:, None]
+    return _zeros(rows, p)[:, 0] @ np.array(list(vars(p).values()))[:, None]
 
 
 def zeros_of(probings: int) -> Effect:
@@ -139,19 +136,17 @@ _ZERO = replace(probing_zero, residuals="Constant over each probing.")
 
 #: What is tried of a printer.
 CATALOGUE: dict[str, Effect] = {one.name: one for one in (_BELTS, _LOOSE, _LEAN, _ARMS, _PLATE, _ZERO)}
-#: Effects that need the distance of the two rods of an arm.
-OF_RODS = ("rod_mismatch",)
 
 
 # -- The compiled chain of a delta, asked for the one number that a printer's row holds -----------------------------
 
-#: Among the four readings of a delta.
-_HEIGHT, _DISTANCE, _READINGS = 2, 3, 4
+#: Among the readings of a delta.
+_HEIGHT, _DISTANCE = 2, 3
 
 
 @dataclass(frozen=True, eq=False)
-class Probed:
-    """The methods of the core that a model asks for, with readings (n, 1)."""
+class Probed(NumpyChain):
+    """The compiled chain of a delta with readings (n, 1)."""
 
     core: _core.DeltaModel
 
@@ -160,51 +155,18 @@ class Probed:
         out, reached = self.core.predict(values, block)
         return _picked(out, block), reached
 
-    def derivatives(self, values: Floats, block: Block, free: list[int]) -> tuple[Floats, Floats, Floats, Bools]:
+    def derivatives(self, values: Floats, block: Block, free: Sequence[int]) -> tuple[Floats, Floats, Floats, Bools]:
         """By parameters (n, 1, p), joints (n, 1, 3) and a displacement of the measured point (n, 1, 3)."""
-        *found, reached = self.core.derivatives(values, block, free)
+        *found, reached = self.core.derivatives(values, block, list(free))
         by_parameters, by_joints, by_body = (_picked(one, block) for one in found)
         return by_parameters, by_joints, by_body, reached
-
-    def solve(
-        self,
-        solver: Any,
-        values: Floats,
-        free: list[int],
-        block: Block,
-        readings: Floats,
-        weights: Floats,
-    ) -> tuple[str, list[int]]:
-        """As the core's."""
-        read, weigh = (_spread(one, block) for one in (readings, weights))
-        return self.core.solve(solver, values, free, block, read, weigh)
-
-    def accumulate(
-        self, solver: Any, values: Floats, free: list[int], block: Block, readings: Floats, weights: Floats
-    ) -> list[int]:
-        """As the core's."""
-        read, weigh = (_spread(one, block) for one in (readings, weights))
-        return self.core.accumulate(solver, values, free, block, read, weigh)
-
-
-def places(block: Block) -> Floats:
-    """Which of a delta's readings (n,) each row holds."""
-    ends = block[1]
-    if ends is None:
-        return np.full(len(block[0]), _HEIGHT)
-    return np.where(np.isfinite(ends).all(axis=1), _DISTANCE, _HEIGHT)
 
 
 def _picked(values: Floats, block: Block) -> Floats:
     """Of values (n, 4, …) those of the reading that each row holds (n, 1, …)."""
-    return np.ascontiguousarray(values[np.arange(len(values)), places(block)][:, None])
-
-
-def _spread(values: Floats, block: Block) -> Floats:
-    """Values (n, 1) at the place of each row's reading (n, 4), nothing elsewhere."""
-    out = np.zeros((len(values), _READINGS))
-    out[np.arange(len(values)), places(block)] = values[:, 0]
-    return out
+    ends = block[1]
+    which = _HEIGHT if ends is None else np.where(np.isfinite(ends).all(axis=1), _DISTANCE, _HEIGHT)
+    return np.ascontiguousarray(values[np.arange(len(values)), which][:, None])
 
 
 # -- The model -------------------------------------------------------------------------------------------------------
@@ -249,7 +211,7 @@ class PrinterModel(DeltaModel):
     @property
     def known_effects(self) -> Mapping[str, Effect]:
         """What is tried of it; effects of the two rods of an arm only where their distance is known."""
-        left_out = (probing_zero.name, *(() if self.robot.rod_spacing_mm else OF_RODS))
+        left_out = {probing_zero.name} if self.robot.rod_spacing_mm else {probing_zero.name, _ARMS.name}
         return {name: one for name, one in self.catalogue.items() if name not in left_out}
 
     @cached_property

@@ -109,8 +109,7 @@ def _side(examined: Examined, lean: Floats) -> str:
         away = 20.0 * (lean[k, 0] * np.cos(t) - lean[k, 1] * np.sin(t))
         parts.append(
             f'<line x1="{150 + scale * x:.1f}" y1="280" x2="{150 + scale * (x + away):.1f}" '
-            f'y2="{280 - scale * top:.1f}" '
-            'stroke="#444" stroke-width="4"/>'
+            f'y2="{280 - scale * top:.1f}" stroke="#444" stroke-width="4"/>'
         )
         parts.append(f'<text x="{145 + scale * x:.1f}" y="{272 - scale * top:.1f}">{name}</text>')
     return _titled("from the front", parts, "leans 20 times as large")

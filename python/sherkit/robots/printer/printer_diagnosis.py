@@ -6,7 +6,7 @@ For somebody who has a probe and a screwdriver. What the sentences rest on is a 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -112,23 +112,24 @@ class Examined:
     @property
     def answer(self) -> Answer:
         """What it says for whoever reads nothing else."""
-        said = [" together with ".join(_CALLED.get(n, n) for n in one.names) for one in self.suspects]
-        if said:
-            verdict = f"{'either ' if self.tied else ''}{', or '.join(said)}"
+        if self.suspects:
+            verdict = self._called
         elif self.unknown:
             verdict = "a pattern that no known fault makes"
         else:
             verdict = "the numbers in the firmware" if self.better_numbers else "nothing that this probing shows"
-        wrong = self._wrong()
-        bars = (
-            Bar(BEFORE, "the plate as it reads now", self.before_mm),
-            Bar(AFTER, "with the best numbers", self.after_mm),
-        )
+        wrong, steps = self._wrong(), tuple(self._steps()) or (ToDo("Nothing."),)
+        before = Bar(BEFORE, "the plate as it reads now", self.before_mm)
+        bars = before, Bar(AFTER, "with the best numbers", self.after_mm)
         # the verdict says which pattern it is
         further = self._leaning() if self.suspects else wrong[1:]
-        return Answer(
-            verdict, wrong[0], (*further, *self._sure()), tuple(self._steps()) or (ToDo("Nothing."),), bars, "mm"
-        )  # fmt: skip
+        return Answer(verdict, wrong[0], (*further, *self._sure()), steps, bars, "mm")
+
+    @property
+    def _called(self) -> str:
+        """What could be behind it, in words."""
+        said = (" together with ".join(_CALLED.get(n, n) for n in one.names) for one in self.suspects)
+        return f"{'either ' if self.tied else ''}{', or '.join(said)}"
 
     def _steps(self) -> Iterator[ToDo]:
         """What to do, with the commands that do it."""
@@ -149,12 +150,11 @@ class Examined:
     def numbers(self) -> list[tuple[str, str, str]]:
         """The firmware's numbers, each as it is and as it would be better."""
         now, new = self.found.robot.towers, self.new.towers
-        out = [("delta radius, mm", f"{now.radius_mm:.3f}", f"{new.radius_mm:.3f}")]
+        pairs = [("delta radius, mm", now.radius_mm, new.radius_mm)]
         for k, tower in enumerate("ABC"):
-            each = (("angle, °", "angle_deg"), ("arm, mm", "arm_mm"), ("endstop, mm", "endstop_mm"))
-            out += [(f"{tower}: {what}", f"{getattr(now, name)[k]:.3f}", f"{getattr(new, name)[k]:.3f}")
-                    for what, name in each]  # fmt: skip
-        return out
+            for what, name in (("angle, °", "angle_deg"), ("arm, mm", "arm_mm"), ("endstop, mm", "endstop_mm")):
+                pairs.append((f"{tower}: {what}", getattr(now, name)[k], getattr(new, name)[k]))
+        return [(what, f"{before:.3f}", f"{after:.3f}") for what, before, after in pairs]
 
     @property
     def sections(self) -> list[tuple[str, list[str]]]:
@@ -187,26 +187,21 @@ class Examined:
             return ""
         at, off = self.plain.model.tips(data)[rows], self.plain.residuals[rows, 0]
         each = listed([f"({round(x)}, {round(y)}) by {_mm(abs(z))}" for (x, y, *_), z in zip(at, off, strict=True)], 6)
-        many = len(rows) > 1
-        return (
-            f" {len(rows)} of them {'are' if many else 'is'} off at {each} and left out: look what lies there, "
-            f"and probe {'them' if many else 'it'} again."
-        )
+        those, them = ("are", "them") if len(rows) > 1 else ("is", "it")
+        return f" {len(rows)} of them {those} off at {each} and left out: look what lies there, and probe {them} again."
 
     def _wrong(self) -> list[str]:
         out = []
         if self.better_numbers:
             out.append(
-                f"The numbers in the firmware: with them the nozzle is {_mm(self.before_mm)} too high or too low "
-                f"over the "
-                f"plate (RMS), and with better ones {_mm(self.after_mm)}."
+                f"The numbers in the firmware: with them the nozzle is {_mm(self.before_mm)} too high or too low over "
+                f"the plate (RMS), and with better ones {_mm(self.after_mm)}."
             )
+        begins = (
+            f"{'Besides, what' if out else 'What'} the firmware's numbers cannot take away, {_mm(self.after_mm)}, has"
+        )
         if self.unknown:
-            word = "Besides, what" if out else "What"
-            out.append(
-                f"{word} the firmware's numbers cannot take away, {_mm(self.after_mm)}, has a pattern that neither "
-                "this plate nor a known fault of the machine makes."
-            )
+            out.append(f"{begins} a pattern that neither this plate nor a known fault of the machine makes.")
         if not self.suspects:
             told = self.diagnosis
             named = told.indistinguishable[0] if told.indistinguishable else told.effects
@@ -217,11 +212,7 @@ class Examined:
             if not out:
                 out.append("Nothing that this probing could show: what is left looks like the scatter of the probe.")
             return out
-        said = [" together with ".join(_CALLED.get(n, n) for n in one.names) for one in self.suspects]
-        word = "Besides, what" if out else "What"
-        begins = f"{word} the firmware's numbers cannot take away, {_mm(self.after_mm)}, has a pattern: "
-        which = f"it is either {', or '.join(said)}" if self.tied else said[0]
-        return [*out, f"{begins}{which}.", *self._leaning()]
+        return [*out, f"{begins} a pattern: {'it is ' if self.tied else ''}{self._called}.", *self._leaning()]
 
     def _leaning(self) -> list[str]:
         """Which towers lean and where to, if it is these."""
@@ -230,36 +221,31 @@ class Examined:
 
     def _which(self, one: Suspect) -> list[str]:
         """The tower, the direction, how far at its top."""
-        out = []
-        for name, what in known(one.fit).items():
-            if name != "rail_lean":
-                continue
-            top = float(self.found.robot.towers.top_mm.mean())
+        if "rail_lean" not in one.names:
+            return []
+        out, what = [], known(one.fit).get("rail_lean")
+        if what is not None:
+            top, towers = float(self.found.robot.towers.top_mm.mean()), [_TOWERS[k] for k in what.at]
             for value in what.values:
-                millimetres = float(np.tan(np.deg2rad(abs(value.value)))) * top
-                spread = float(np.deg2rad(value.std)) * top
-                far = f"{millimetres:.1f} ± {max(spread, 0.1):.1f} mm at its top, {top:.0f} mm up"
+                lean, spread = np.tan(np.deg2rad(abs(value.value))) * top, np.deg2rad(value.std) * top
+                far = f"{lean:.1f} ± {max(spread, 0.1):.1f} mm at its top, {top:.0f} mm up"
                 if what.form == "common" and value.what.startswith("tangential"):
-                    way = "anticlockwise" if value.value > 0 else "clockwise"
-                    out.append(
-                        f"All three towers lean the same way round, {way} seen from above, {far}: the frame is twisted."
-                    )
+                    way = f"{'anticlockwise' if value.value > 0 else 'clockwise'} seen from above"
+                    out.append(f"All three towers lean the same way round, {way}, {far}: the frame is twisted.")
                 elif what.form == "one":
                     way = _way(value.what.split()[0], what.at[0], value.value)
-                    out.append(f"Tower {_TOWERS[what.at[0]]} leans {way}, {far}.")
+                    out.append(f"Tower {towers[0]} leans {way}, {far}.")
                 elif what.form == "opposite":
-                    a, b = (_TOWERS[k] for k in what.at)
-                    out.append(f"Towers {a} and {b} lean against each other, each {far}.")
-        if not out and "rail_lean" in one.names:
-            out.append("Which tower it is these heights do not say: check each with a level or a square.")
-        return out
+                    out.append(f"Towers {' and '.join(towers)} lean against each other, each {far}.")
+        return out or ["Which tower it is these heights do not say: check each with a level or a square."]
 
     def _sure(self) -> list[str]:
         p = self.chance
+        often = f"fewer than 1 of {1 / p:,.0f} probings" if p < 0.005 else f"{100 * p:.0f} of 100 probings"
         if not self.suspects:
             what = "Apart from these numbers, a" if self.better_numbers else "A"
-            return [f"{what} perfect machine would leave as much of a pattern in {_of(p)}."]
-        out = [f"A perfect machine on a flat plate would leave such a pattern in {_of(p)}."]
+            return [f"{what} perfect machine would leave as much of a pattern in {often}."]
+        out = [f"A perfect machine on a flat plate would leave such a pattern in {often}."]
         if self.tied:
             out.append("Which of them it is these heights cannot tell: all of them leave the same on the plate.")
         return out
@@ -278,9 +264,8 @@ class Examined:
         out = [f"{_mm(self.after_mm)} RMS over the plate, the scatter of the probe included."]
         if self.new.rms_mm > 0.0005:
             out.append(
-                f"The firmware has no number for what is wrong: {_mm(self.new.rms_mm)} RMS, "
-                f"{_mm(self.new.largest_mm)} at "
-                "worst, stay until the machine is put right, and a mesh hides them on the first layer only."
+                f"The firmware has no number for what is wrong: {_mm(self.new.rms_mm)} RMS, {_mm(self.new.largest_mm)} "
+                "at worst, stay until the machine is put right, and a mesh hides them on the first layer only."
             )
         return out
 
@@ -290,19 +275,16 @@ class Examined:
         out = []
         if bed_shape.name in names and self.tied and not turned:
             out.append(
-                f"Turn the plate by {TURN_DEG:g}° (a sixth of a turn, anticlockwise seen from above), probe a "
-                f"mesh under "
-                f"another name, and run this again with --plate NAME={TURN_DEG:g}: what turned with the plate is the "
-                "plate's, what stayed is the machine's. A third of a turn would not do: a plate of three lobes "
-                "would look "
-                "the same again, and so does a twisted frame."
+                f"Turn the plate by {TURN_DEG:g}° (a sixth of a turn, anticlockwise seen from above), probe a mesh "
+                f"under another name, and run this again with --plate NAME={TURN_DEG:g}: what turned with the plate is "
+                "the plate's, what stayed is the machine's. A third of a turn would not do: a plate of three lobes "
+                "would look the same again, and so does a twisted frame."
             )
         if "rail_lean" in names and (self.tied or turned):
             top = float(self.found.robot.towers.radius_mm)
             out.append(
                 "Print a square tower 150 mm tall with edges of 40 mm and hold a steel rule along them: a twisted "
-                "frame "
-                f"turns them, {150 * np.deg2rad(0.5) / top * 28:.1f} mm from foot to top for each 0.5° of lean."
+                f"frame turns them, {150 * np.deg2rad(0.5) / top * 28:.1f} mm from foot to top for each 0.5° of lean."
             )
         if "rod_mismatch" in names and self.tied:
             out.append("Lay the two rods of each arm side by side on two pins: do they have the same length?")
@@ -319,16 +301,13 @@ class Examined:
         elif not self.suspects and not turned:
             out.append(
                 "A plate bent like a bowl or a saddle looks just like wrong numbers. If prints are not to size "
-                "although the "
-                f"first layer is even, turn the plate by {TURN_DEG:g}°, probe again under another name, and run "
-                f"this with "
-                f"--plate NAME={TURN_DEG:g}."
+                f"although the first layer is even, turn the plate by {TURN_DEG:g}°, probe again under another name, "
+                f"and run this with --plate NAME={TURN_DEG:g}."
             )
         return out or ["Nothing."]
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
-        towers = self.new.towers
         return {
             "sections": dict(self.sections),
             "suspects": [list(one.names) for one in self.suspects],
@@ -336,12 +315,7 @@ class Examined:
             "before_mm": self.before_mm,
             "after_mm": self.after_mm,
             "not_held_mm": {"rms": self.new.rms_mm, "largest": self.new.largest_mm},
-            "firmware": {
-                "radius_mm": towers.radius_mm,
-                "angle_deg": list(towers.angle_deg),
-                "arm_mm": list(towers.arm_mm),
-                "endstop_mm": list(towers.endstop_mm),
-            },
+            "firmware": asdict(self.new.towers),
         }
 
 
@@ -373,11 +347,6 @@ def files_of(path: Path, maps: tuple[Path, ...], plates: dict[str, float]) -> Im
 
 def _mm(value: float) -> str:
     return f"{value:.3f} mm"
-
-
-def _of(p: float) -> str:
-    """A chance in words."""
-    return f"fewer than 1 of {1 / p:,.0f} probings" if p < 0.005 else f"{100 * p:.0f} of 100 probings"
 
 
 def _way(kind: str, tower: int, value: float) -> str:

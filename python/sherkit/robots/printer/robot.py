@@ -59,15 +59,11 @@ class Towers:
         radius = float(np.hypot(*out.T).mean())
         angle = np.rad2deg(np.arctan2(out[:, 1], out[:, 0]))
         angle = (angle - angle[2] + third_deg) % 360.0
-        return cls(
-            radius,
-            _triple(angle),
-            _triple(arms),
-            _triple(tops - np.sqrt(np.square(arms) - radius**2)),
-        )
+        return cls(radius, triple(angle), triple(arms), triple(tops - np.sqrt(np.square(arms) - radius**2)))
 
 
-def _triple(values: Floats) -> Triple:
+def triple(values: Sequence[float] | Floats) -> Triple:
+    """Three numbers of Python's own."""
     a, b, c = (float(v) for v in values)
     return (a, b, c)
 

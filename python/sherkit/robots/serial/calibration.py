@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -13,13 +12,12 @@ from numpy.typing import ArrayLike
 import sherkit._core as _core
 
 from ...base.types import Floats
-from ...model.batch import Batch, vector
+from ...model.batch import Batch
 from ..accuracy import Planes
-from ..calibrated import Calibration
+from ..calibrated import MIDDLE, Calibration
 from ..calibration_run import CalibrationRun
 from ..deployed import BASE, SENSOR
 from ..identified_model import IdentifiedModel, at_rest
-from ..moves import MIDDLE
 from .robot import POSITION, Serial
 
 
@@ -63,15 +61,6 @@ class SerialCalibration(Calibration):
         """That of the base, and that of the tracker where one read."""
         return (BASE, SENSOR) if self.robot.has_tracker else (BASE,)
 
-    @cached_property
-    def core(self) -> _core.SerialCalibrated:
-        """The compiled model: the same code that a control loop runs."""
-        return self._made_in(BASE)
-
-    @cached_property
-    def _core_elsewhere(self) -> _core.SerialCalibrated:
-        return self._made_in(SENSOR)
-
     def _made_in(self, frame: str) -> _core.SerialCalibrated:
         low, high = self.robot.ranges
         full = self.model.full(self.whole.values)
@@ -84,23 +73,14 @@ class SerialCalibration(Calibration):
     ) -> Floats:  # fmt: skip
         """Position (3,), mm, of the target with ``payload_kg`` hanging there, nothing unless it is given. Other
         arguments and errors as :meth:`Deployed.forward`."""
-        return self._under(joints, frame, temperature_c, direction, payload_kg)[0]
+        return self._one(joints, frame, temperature_c, direction, payload_kg)[0]
 
     def jacobian(
         self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
         direction: ArrayLike | None = None, payload_kg: float = 0.0,
     ) -> Floats:  # fmt: skip
         """d position / d joints (3, k) of the whole corrected model. Arguments and errors as :meth:`forward`."""
-        return self._under(joints, frame, temperature_c, direction, payload_kg)[1]
-
-    def _under(
-        self, joints: ArrayLike, frame: str | None, temperature_c: float | None, direction: ArrayLike | None,
-        payload_kg: float,
-    ) -> tuple[Floats, Floats]:  # fmt: skip
-        q = vector(joints, "joint readings", self._joints)
-        now = self._now(temperature_c, direction, payload_kg)
-        made: tuple[Floats, Floats] = self.core_in(frame).forward(q, now)
-        return made
+        return self._one(joints, frame, temperature_c, direction, payload_kg)[1]
 
     def _now(
         self, temperature_c: float | None = None, direction: ArrayLike | None = None, payload_kg: float = 0.0

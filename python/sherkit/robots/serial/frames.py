@@ -21,6 +21,13 @@ from ...errors import MeasurementError, SherkitWarning
 
 Triple = tuple[float, float, float]
 
+
+def triple(numbers: Sequence[float] | Floats) -> Triple:
+    """Three numbers of Python's own, no zero that is negative."""
+    x, y, z = (float(one) + 0.0 for one in numbers)
+    return x, y, z
+
+
 #: An axis that leans by less is z itself.
 _ALONG = 1e-12
 
@@ -42,10 +49,15 @@ def frame(shift_mm: Sequence[float], turn: Floats) -> Floats:
     return out
 
 
-def of_rpy(rpy_rad: Sequence[float]) -> Floats:
+def of_rpy(rpy_rad: Sequence[float] | Floats) -> Floats:
     """The turn (3, 3) of URDF's roll, pitch and yaw: about the fixed x, then y, then z."""
     roll, pitch, yaw = rpy_rad
     return about(2, yaw) @ about(1, pitch) @ about(0, roll)
+
+
+def placed(shift_mm: Sequence[float], rpy_deg: Sequence[float]) -> Floats:
+    """The transform (4, 4) that a file says: a shift, mm, and roll, pitch, yaw, degrees."""
+    return frame(shift_mm, of_rpy(np.deg2rad(rpy_deg)))
 
 
 def rpy_of(turn: Floats) -> Floats:
@@ -69,8 +81,7 @@ def onto(axis: Sequence[float]) -> Floats:
 
 def rpy_of_transform(made: Floats) -> tuple[Triple, Triple]:
     """Shift, mm, and roll, pitch, yaw, degrees, of a transform (4, 4), as a file has them."""
-    shift, rpy = (made[:3, 3] + 0.0).tolist(), (np.rad2deg(rpy_of(made[:3, :3])) + 0.0).tolist()
-    return (shift[0], shift[1], shift[2]), (rpy[0], rpy[1], rpy[2])
+    return triple(made[:3, 3]), triple(np.rad2deg(rpy_of(made[:3, :3])))
 
 
 # -- Turns -------------------------------------------------------------------------------------------------------------
@@ -78,9 +89,6 @@ def rpy_of_transform(made: Floats) -> tuple[Triple, Triple]:
 #
 # Where names leave it open, as ``rx, ry, rz`` do, the convention is the one in which the turns between poses are as
 # large as the arm's joints say: that asks neither where the instrument stands nor how the tool is held.
-
-#: Turns (n, 3, 3) of numbers (n, 3), angles in rad.
-Convention = Callable[[Floats], Floats]
 
 #: Columns that tell a turn: of angles with their unit at the end, of a quaternion, of a matrix row by row.
 VECTOR: tuple[str, ...] = ("rx", "ry", "rz")
@@ -154,9 +162,9 @@ def turns_of(
         units = {header_unit(name)[1] for name in columns}
         if len(units) > 1 or not units <= {*_SCALES}:
             raise MeasurementError(f"{source}: {', '.join(columns)}: expected angles, all in rad or all in deg")
-        angles = _SCALES[units.pop()] * numbers(columns)
-        own = _named_way(wanted)
-        every = {own[0]: own[1](angles)} | {name: way(angles) for name, way in _ways().items() if name != own[0]}
+        angles, axes = _SCALES[units.pop()] * numbers(columns), _NAMED.get(wanted, "")
+        ways = {_called(axes): (axes, [0, 1, 2])} | _ways()
+        every = {name: _matrices(axes, angles[:, order]) for name, (axes, order) in ways.items()}
         return Turns(_checked(every, drawn, source, columns), columns)
     return None
 
@@ -180,32 +188,29 @@ def _of_matrix(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return (), ()
 
 
-def _named_way(wanted: Sequence[str]) -> tuple[str, Convention]:
-    if tuple(wanted) == VECTOR:
-        return "a rotation vector", lambda v: _rotation().from_rotvec(v).as_matrix()
-    axes = _NAMED[tuple(wanted)]
-    return _called(axes), lambda v: _rotation().from_euler(axes, v).as_matrix()
+def _matrices(axes: str, numbers: Floats) -> Floats:
+    """Turns (n, 3, 3) of numbers (n, 3), rad: about these axes, or rotation vectors without any."""
+    made = _rotation().from_euler(axes, numbers) if axes else _rotation().from_rotvec(numbers)
+    return np.asarray(made.as_matrix())
 
 
 def _called(axes: str) -> str:
     """A sequence of turns in words: small letters about fixed axes, capitals about those that turn along."""
+    if not axes:
+        return "a rotation vector"
     sort = "the fixed axes" if axes.islower() else "the tool's own axes"
     return f"angles about {sort} {', '.join(axes.lower())}, one after the other"
 
 
-def _ways() -> Mapping[str, Convention]:
-    """Everything that three numbers may be: a rotation vector, and angles about three axes, each about its own axis
-    where the names say which that is."""
-
-    def about(axes: str, columns: Sequence[int]) -> Convention:
-        return lambda v: _rotation().from_euler(axes, v[:, list(columns)]).as_matrix()
-
-    out: dict[str, Convention] = {"a rotation vector": lambda v: _rotation().from_rotvec(v).as_matrix()}
+def _ways() -> dict[str, tuple[str, list[int]]]:
+    """Everything that three numbers may be, axes and order of columns: a rotation vector, and angles about three axes,
+    each about its own axis where the names say which that is."""
+    out = {_called(""): ("", [0, 1, 2])}
     for order in permutations(range(3)):
         axes = "".join("xyz"[k] for k in order)
-        out[_called(axes)] = about(axes, order)
+        out[_called(axes)] = axes, list(order)
     for axes in ("ZYX", "XYZ", "ZYZ", "ZXZ", "YXY", "YZY", "XYX", "XZX"):
-        out.setdefault(f"{_called(axes)} by column", about(axes, (0, 1, 2)))
+        out[f"{_called(axes)} by column"] = axes, [0, 1, 2]
     return out
 
 
@@ -222,21 +227,23 @@ def _checked(ways: Mapping[str, Floats], drawn: Floats | None, source: str, colu
     off = {name: float(np.median(np.abs(_angles(m, few) - wanted))) for name, m in every.items()}
     # of two that differ by how axes are called alone, the first
     best = next(name for name in every if off[name] <= _ALIKE * min(off.values()))
-    said = f"{source}: {', '.join(columns)}: read as {usual} the tool turns otherwise than the joints of this arm do"
     if off[usual] > _OFF and _BETTER * off[best] < off[usual] and off[best] < _FITS:
-        message = (
-            f"{said} (by {np.rad2deg(off[usual]):.2g}° in the middle); they are read as {best}, which fits "
-            f"({np.rad2deg(off[best]):.2g}°)"
+        chosen, further = best, f"; they are read as {best}, which fits ({np.rad2deg(off[best]):.2g}°)"
+    elif off[usual] > _FITS:
+        further = (
+            ", and so it does in every other convention: are the joints those of this arm, in the order and the unit "
+            "of its file?"
         )
-        warnings.warn(message, SherkitWarning, stacklevel=2)
-        return every[best]
-    if off[usual] > _FITS:
-        message = (
-            f"{said} (by {np.rad2deg(off[usual]):.2g}° in the middle), and so it does in every other convention: are "
-            "the joints those of this arm, in the order and the unit of its file?"
-        )
-        warnings.warn(message, SherkitWarning, stacklevel=2)
-    return every[usual]
+        chosen = usual
+    else:
+        return every[usual]
+    warnings.warn(
+        f"{source}: {', '.join(columns)}: read as {usual} the tool turns otherwise than the joints of this arm do (by "
+        f"{np.rad2deg(off[usual]):.2g}° in the middle){further}",
+        SherkitWarning,
+        stacklevel=2,
+    )
+    return every[chosen]
 
 
 def _angles(m: Floats, few: Ints) -> Floats:

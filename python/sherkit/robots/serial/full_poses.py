@@ -15,14 +15,14 @@ import polars as pl
 
 from ...base.arguments import validate_arguments
 from ...base.figures import listed
-from ...base.types import Floats
+from ...base.types import Floats, Ints
 from ...data import Measurements
 from ...data.columns import header_unit
 from ...data.frames import clean, to_polars
 from ...data.reader import RunLike, checked, csv_blocks
 from ...data.tables import PARQUET, read_parquet
 from ...errors import MeasurementError, SherkitWarning
-from .frames import QUATERNION, Triple, of_rpy, place_in_matrix, turns_of
+from .frames import QUATERNION, of_rpy, place_in_matrix, triple, turns_of
 from .robot import POSITION, TARGET, Serial
 
 #: What controllers call the readings of the joints, before the number of each.
@@ -68,7 +68,7 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
             f"them; the file has {listed(frame.columns, 20)}"
         )
     turns, names = found.matrices, found.columns
-    dropped = [name for name in data.to_frame().columns if "sigma_" in name]
+    dropped = [name for name in frame.columns if "sigma_" in name]
     if dropped:
         warnings.warn(
             f"{data.source}: {listed(dropped)}: the noise of places alone, which is not that of points at a lever; it "
@@ -82,16 +82,10 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
     frame = frame[np.repeat(np.arange(len(data)), 3)]
     columns = dict(zip(POSITION, points.reshape(-1, 3).T, strict=True)) | {TARGET: np.tile([1.0, 2.0, 3.0], len(data))}
     frame = frame.with_columns(**{name: pl.Series(values) for name, values in columns.items()})
-    held = of_rpy(np.deg2rad(arm.tool_rpy_deg).tolist())
-    more = tuple(_triple(np.array(arm.target_mm) + lever_mm * held[:, k]) for k in range(2))
-    return (
-        replace(arm, more_targets_mm=more),
-        clean(frame, data.source, np.repeat(data.line, 3), data.counted),
-    )
-
-
-def _triple(point: Floats) -> Triple:
-    return float(point[0]), float(point[1]), float(point[2])
+    held = of_rpy(np.deg2rad(arm.tool_rpy_deg))
+    x, y = (np.array(arm.target_mm) + lever_mm * held[:, k] for k in range(2))
+    with_three = replace(arm, more_targets_mm=(triple(x), triple(y)))
+    return with_three, clean(frame, data.source, np.repeat(data.line, 3), data.counted)
 
 
 def _read(arm: Serial, run: RunLike) -> Measurements:
@@ -99,15 +93,20 @@ def _read(arm: Serial, run: RunLike) -> Measurements:
     if isinstance(run, Measurements):
         return run
     if isinstance(run, str | os.PathLike):
-        path = checked(Path(run))
-        frame, line = (read_parquet(path), None) if path.suffix.lower() in PARQUET else next(csv_blocks(path))
-        source, counted = str(path), "row" if line is None else "line"
+        source, frame, line = cells_of(run)
+        counted = "row" if line is None else "line"
     else:
         frame, line, source, counted = to_polars(run), None, "frame", "row"
     columns = meant(arm, frame.columns)
     named = {theirs: f"{theirs} [{unit}]" for theirs, unit in columns.values() if unit}
     mapping = {ours: named.get(theirs, theirs) for ours, (theirs, _) in columns.items()}
     return clean(frame.rename(named), source, line, counted, mapping, (arm.layout,))
+
+
+def cells_of(path: str | os.PathLike[str]) -> tuple[str, pl.DataFrame, Ints | None]:
+    """A table as it stands in its file: the file, its columns, and the line of each row, None of a Parquet file."""
+    file = checked(Path(path))
+    return str(file), *((read_parquet(file), None) if file.suffix.lower() in PARQUET else next(csv_blocks(file)))
 
 
 def meant(arm: Serial, names: Sequence[str]) -> dict[str, tuple[str, str]]:

@@ -13,14 +13,15 @@ import numpy as np
 
 from ...base.types import Floats
 from ...data import Measurements
+from ...data.columns import TEMPERATURE, TIME
 from ...model.drawing import Drawing, DrawnPart, line, with_target
 from ...model.effect import Effect
 from ..deployed import SENSOR
 from .calibration import SerialCalibration
-from .frames import about, frame, rpy_of_transform
+from .frames import about, frame, rpy_of_transform, triple
 from .model import SerialModel
 from .plates import offsets
-from .robot import Joint, Serial
+from .robot import PAYLOAD, Joint, Serial
 
 # -- As it is drawn ----------------------------------------------------------------------------------------------------
 # The serial arm as it is drawn: its links from joint to joint, the axes, the target.
@@ -88,7 +89,7 @@ def as_identified(made: SerialCalibration, held: Collection[str] = (FOLLOWING,))
         before = joint
     turn = robot.joints[-1].turn
     off_by = offsets(robot, values)
-    first, *more = ((float(x), float(y), float(z)) for x, y, z in np.array(robot.targets_mm) + off_by @ turn.T)
+    first, *more = map(triple, np.array(robot.targets_mm) + off_by @ turn.T)
     return replace(robot, joints=tuple(joints), target_mm=first, more_targets_mm=tuple(more))
 
 
@@ -166,15 +167,13 @@ def _postures(made: SerialCalibration) -> tuple[Floats, str]:
 def _moment(made: SerialCalibration, effect: Effect) -> tuple[list[float], str]:
     """The covariates for which the size of an effect is counted, and what they are in words."""
     now, counted = [*made.whole.now, 0.0], []
-    if "temperature_c" in effect.needs:
-        now[1] = 21.0
-        counted.append("for each °C from 20 °C")
-    if "time_s" in effect.needs:
-        counted.append("at the end of the run")
-    if "payload_kg" in effect.needs:
-        now[-1] = 1.0
-        counted.append("by each kg")
-    if "direction" in effect.needs:
-        now[2:-1] = [1.0] * len(made.robot.joints)
-        counted.append("to either side, by the direction of travel")
+    for need, place, value, said in (
+        (TEMPERATURE, slice(1, 2), 21.0, "for each °C from 20 °C"),
+        (TIME, slice(0), 0.0, "at the end of the run"),
+        (PAYLOAD, slice(-1, None), 1.0, "by each kg"),
+        ("direction", slice(2, -1), 1.0, "to either side, by the direction of travel"),
+    ):
+        if need in effect.needs:
+            now[place] = [value] * len(now[place])
+            counted.append(said)
     return now, ", ".join(counted)

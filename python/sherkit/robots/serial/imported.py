@@ -15,7 +15,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, zip_longest
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -25,8 +25,8 @@ from ...base.figures import brief, listed, nearest
 from ...base.types import Floats
 from ...data.tables import head_of
 from ...errors import RobotError, ShapeError
-from .frames import Triple, about, frame, of_rpy, rpy_of_transform
-from .robot import MOST_JOINTS, TYPES, Joint, Serial
+from .frames import Triple, about, frame, of_rpy, placed, rpy_of_transform, triple
+from .robot import MOST_JOINTS, TYPES, Joint, Serial, as_name
 
 # -- Tables of parameters -----------------------------------------------------------------------------------------
 
@@ -51,21 +51,21 @@ def import_dh(path: str | Path, convention: str = "standard") -> Serial:
     folded, joints, named = np.eye(4), list[Joint](), dict[str, int]()
     for k, row in enumerate(rows, 1):
         moved = _Row(f"{path}: row {k}", row)
-        own = frame((0.0, 0.0, moved.number("d_mm")), about(2, moved.angle("theta_deg")))
-        link = frame(
-            (moved.number("a_mm"), 0.0, 0.0), about(0, moved.angle("alpha_deg")) @ about(1, moved.angle("beta_deg"))
-        )
+        d, a, *angles = (moved.number(name) for name in ("d_mm", "a_mm", "theta_deg", "alpha_deg", "beta_deg"))
+        theta, alpha, beta = map(math.radians, angles)
+        own = frame((0.0, 0.0, d), about(2, theta))
+        link = frame((a, 0.0, 0.0), about(0, alpha) @ about(1, beta))
         if convention == "modified":
             folded = folded @ link @ own
         else:
-            if moved.angle("beta_deg") and moved.number("d_mm"):
+            if beta and d:
                 raise RobotError(f"{path}: row {k}: a row of Hayati (beta_deg) has no d_mm; put it to zero")
             folded = folded @ own
         if (kind := moved.type()) == _FIXED:
             folded = folded if convention == "modified" else folded @ link
             continue
         shift, turn = rpy_of_transform(folded)
-        name, follows = moved.name(f"joint_{len(joints) + 1}"), moved.number("follows")
+        name, follows = moved.text("name") or f"joint_{len(joints) + 1}", moved.number("follows")
         if named.setdefault(name, k) != k:
             raise RobotError(
                 f"{path}: row {k}: name: '{name}' is the joint of row {named[name]} already; name each once"
@@ -80,11 +80,11 @@ def import_dh(path: str | Path, convention: str = "standard") -> Serial:
 def read_in_the_other_convention(arm: Serial) -> Iterator[tuple[str, str, Serial]]:
     """The arms that a table gives which was read in the other convention, where the arm may come from a table: with the
     part of each row that moves with the joint on the wrong side of it."""
-    rows = [_row_of(frame(joint.origin_mm, of_rpy(_rad(joint.rpy_deg)))) for joint in arm.joints]
+    rows = [_row_of(placed(joint.origin_mm, joint.rpy_deg)) for joint in arm.joints]
     if any(row is None for row in rows):
         return
     links, own = zip(*(row for row in rows if row is not None), strict=True)
-    end, nothing = frame(arm.target_mm, of_rpy(_rad(arm.tool_rpy_deg))), np.eye(4)
+    end, nothing = placed(arm.target_mm, arm.tool_rpy_deg), np.eye(4)
     # read as standard, a link stands behind its joint, as modified before it; a target of one's own hides the last
     last = end if _is_link(end) else frame((0.0, 0.0, 0.0), end[:3, :3])
     if _is_link(last):
@@ -102,10 +102,6 @@ def _read_as(
     looks = f"the table of Denavit and Hartenberg behind the robot file looks {meant}, and was read as {read}"
     other = replace(arm, joints=tuple(joints), target_mm=target, tool_rpy_deg=tool)
     return looks, f"import it with the convention {meant}", other
-
-
-def _rad(degrees: Triple) -> list[float]:
-    return [math.radians(value) for value in degrees]
 
 
 def _is_link(made: Floats) -> bool:
@@ -129,9 +125,13 @@ class _Row:
     def __init__(self, where: str, cells: dict[str, str]) -> None:
         self.where, self.cells = where, cells
 
+    def text(self, column: str) -> str:
+        """Empty where the table has no such column, or no such cell."""
+        return self.cells.get(column, "").strip()
+
     def number(self, column: str) -> float:
-        """Zero where the table has no such column, or no such cell."""
-        text = self.cells.get(column, "").strip()
+        """Zero where it is empty."""
+        text = self.text(column)
         try:
             value = float(text) if text else 0.0
         except ValueError:
@@ -140,24 +140,16 @@ class _Row:
             raise RobotError(f"{self.where}: {column}: expected a number, found '{brief(text)}'")
         return value
 
-    def angle(self, column: str) -> float:
-        """In rad."""
-        return math.radians(self.number(column))
-
-    def name(self, otherwise: str) -> str:
-        """The name of its joint."""
-        return self.cells.get("name", "").strip() or otherwise
-
     def type(self) -> str:
         """Revolute unless it says otherwise."""
-        found = self.cells.get("type", "").strip() or TYPES[0]
+        found = self.text("type") or TYPES[0]
         if found not in (*TYPES, _FIXED):
             raise RobotError(f"{self.where}: type: expected {', '.join(TYPES)} or {_FIXED}, found '{found}'")
         return found
 
     def limits(self) -> tuple[float, float] | None:
         """None where the row names none."""
-        if not (self.cells.get("low", "").strip() and self.cells.get("high", "").strip()):
+        if not (self.text("low") and self.text("high")):
             return None
         low, high = self.number("low"), self.number("high")
         if not low < high:
@@ -173,19 +165,14 @@ def _rows(path: Path) -> list[dict[str, str]]:
                 raise RobotError(f"{path}: is empty; expected a table with a row for each joint")
             rows_below = (line for _, line in head.lines if not line.lstrip().startswith("#"))
             text = rows_below if head.called else chain([head.names], rows_below)
-            reader = csv.DictReader(
-                text, head.called or None, restval="", skipinitialspace=True, delimiter=head.separator
-            )  # fmt: skip
-            names = [name.strip() for name in reader.fieldnames or ()]
-            rows = []
-            for k, row in enumerate(reader, 1):
-                if None in row:
-                    raise RobotError(f"{path}: row {k} has more cells than there are columns; a comma for a point?")
-                rows.append({name: row[own] or "" for name, own in zip(names, reader.fieldnames or (), strict=True)})
+            cells = [row for row in csv.reader(text, skipinitialspace=True, delimiter=head.separator) if row]
     except OSError as error:
         raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise RobotError(f"{path}: is no CSV table: {error}") from None
+    names = [name.strip() for name in head.called or cells.pop(0)]
+    if wide := [k for k, row in enumerate(cells, 1) if len(row) > len(names)]:
+        raise RobotError(f"{path}: row {wide[0]} has more cells than there are columns; a comma for a point?")
     for name in names:
         if name not in _KNOWN:
             raise RobotError(
@@ -195,7 +182,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
         raise RobotError(f"{path}: column '{twice[0]}' is there twice")
     if lacking := [name for name in _NEEDED if name not in names]:
         raise RobotError(f"{path}: column {listed(lacking)} is missing")
-    return rows
+    return [dict(zip_longest(names, row, fillvalue="")) for row in cells]
 
 
 # -- URDF: the chain between two links, with what is fixed folded in and what hangs on each weighed ---------------
@@ -409,8 +396,7 @@ class _Tree:
         """A joint that moves, ``folded`` (4, 4) behind the one before it; ``others`` are links of the chain beside its
         own."""
         kind = _MOVING[one.kind]
-        axis = self._axis(one).tolist()
-        limits = None
+        axis, limits = triple(self._axis(one)), None
         element = one.element.find("limit")
         if element is not None and one.kind != "continuous":
             low, high = (self._numbers(element.get(k), 1, f"'{one.name}': limit {k}")[0] for k in ("lower", "upper"))
@@ -418,10 +404,8 @@ class _Tree:
             limits = (low * per, high * per) if low < high else None
         origin, rpy = rpy_of_transform(folded)
         mass, centre = self._weight(one.child, set(others))
-        name = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in one.name)
-        name = name if name[:1].isalpha() else f"joint_{name}"
-        axes = (axis[0], axis[1], axis[2])
-        return Joint(name, kind, origin, rpy, axes, limits, 0.0, mass or None, centre if mass else (0.0, 0.0, 0.0))
+        name = as_name(one.name, "joint")
+        return Joint(name, kind, origin, rpy, axis, limits, 0.0, mass or None, centre if mass else (0.0, 0.0, 0.0))
 
     def _weight(self, link: str, others: set[str]) -> tuple[float, Triple]:
         """Mass, kg, and its centre, mm, of all that hangs on a link but what the next joint of the chain moves."""
@@ -439,5 +423,4 @@ class _Tree:
                 # what is fixed to this link moves with it, in the chain or beside it
                 if one.parent == name and (one.child not in others or one.kind == "fixed"):
                     todo.append((one.child, where @ one.origin))
-        centre = moment / mass if mass else moment
-        return mass, (float(centre[0]), float(centre[1]), float(centre[2]))
+        return mass, triple(moment / mass if mass else moment)

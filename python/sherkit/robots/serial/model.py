@@ -402,15 +402,10 @@ def _base_of(robot: Serial) -> tuple[Parameter, ...]:
 
 def _every_reading(robot: Serial, joints: Floats) -> Measurements:
     """Rows at these joints (n, k) of all that can be read of an arm: each target by the tracker, and its distances."""
-    seen = range(1, len(robot.targets_mm) + 1)
-    none = np.nan
-    read = [(target, none, none) for target in seen] if robot.has_tracker else []
-    read += [(target, centre, none) for target in seen for centre in range(1, len(robot.centres_mm) + 1)]
-    read += [(target, none, plane) for target in seen for plane in range(1, len(robot.planes) + 1)]
-    target, centre, plane = np.tile(read, (len(joints), 1)).T
+    target, centre, plane = np.tile(robot.reads, (len(joints), 1)).T
     is_place = np.isnan(centre) & np.isnan(plane)
     layout, places = robot.layout, np.where(is_place, 0.0, np.nan)
-    columns = dict(zip(layout.joints, np.repeat(joints, len(read), axis=0).T, strict=True))
+    columns = dict(zip(layout.joints, np.repeat(joints, len(robot.reads), axis=0).T, strict=True))
     columns |= dict.fromkeys(layout.coordinates, places)
     columns |= {"distance_mm": np.where(is_place, np.nan, 0.0), CENTRE: centre, PLANE: plane, TARGET: target}
     with warnings.catch_warnings():

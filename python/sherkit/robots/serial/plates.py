@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy
 
 import sherkit._core as _core
 
@@ -20,7 +19,7 @@ from ...data import Measurements
 from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block, ChainModel
 from ...model.effect import Parameter
-from ...model.sensor_pose import OWN_AXES
+from ...model.sensor_pose import OWN_AXES, left_jacobian, rotation_matrix
 from .robot import Serial
 
 # -- Sockets -----------------------------------------------------------------------------------------------------------
@@ -48,19 +47,16 @@ class Sockets:
 
     def at(self, values: Floats) -> tuple[Floats, Floats]:
         """How far the ball is from its socket (k, 3), mm, with derivatives (k, 3, p). Raises as ``predict``."""
-        model, names = self.model, [p.name for p in self.model.parameters]
-        of_sensor = np.array([name.startswith("sensor_") for name in names])
+        model, names = self.model, np.array([p.name for p in self.model.parameters])
+        of_sensor = np.char.startswith(names, "sensor_")
         still = np.where(of_sensor, 0.0, values)
         places = self.of_base.predict(self.as_places, still)[:, :3]
         columns = self.of_base.derivatives(self.as_places, still)[:, :3] * ~of_sensor
-        off = places - np.array(model.robot.centres_mm)[self.sockets]
-        for number in np.unique(self.sockets):
-            for axis, letter in enumerate("xyz"):
-                if (name := f"centre_{number + 1}_{letter}") in names:
-                    k, here = names.index(name), self.sockets == number
-                    off[here, axis] -= values[k]
-                    columns[here, axis, k] -= 1.0
-        return off, columns
+        # which parameter each of these coordinates of a socket is
+        own = [[[f"centre_{number + 1}_{axis}"] == names for axis in "xyz"] for number in self.sockets]
+        by_centres = np.array(own, dtype=float)
+        off = places - np.array(model.robot.centres_mm)[self.sockets] - by_centres @ values
+        return off, columns - by_centres
 
 
 def sockets_of(model: ChainModel, data: Measurements) -> Sockets | None:
@@ -71,16 +67,13 @@ def sockets_of(model: ChainModel, data: Measurements) -> Sockets | None:
     rows = np.flatnonzero(np.isfinite(data.to_joints[:, 0]) & (np.abs(data.readings[:, -1]) <= _IN_SOCKET_MM))
     if len(rows) == 0:
         return None
-    made = data.select(rows)
+    made, sockets = data.select(rows), data.to_joints[rows, 0].astype(np.int64) - 1
     taken = np.tile([name != data.layout.distance for name in data.layout.readings], (len(rows), 1))
     none = np.full(made.to_joints.shape, np.nan)
     made = replace(made, taken=taken, to_joints=none, readings=np.zeros(made.readings.shape))
-    free = tuple(p.name for p in model.bare)
     robot = replace(model.robot, sensor_pose=OWN_AXES, has_tracker=True)
-    # a frozen dataclass, as each model of a robot is
-    changed: Any = replace
-    of_base = changed(model, robot=robot, free=free)
-    return Sockets(model, rows, data.to_joints[rows, 0].astype(np.int64) - 1, made, of_base)
+    of_base = replace(model, robot=robot, free=tuple(p.name for p in model.bare))
+    return Sockets(model, rows, sockets, made, of_base)
 
 
 # -- Plates ------------------------------------------------------------------------------------------------------------
@@ -122,19 +115,12 @@ def renamed(robot: Serial) -> Mapping[str, str]:
 
 def as_plates(robot: Serial, base: Sequence[Parameter]) -> tuple[Parameter, ...]:
     """The parameters of an arm whose plates are bodies: turns in the place of the second target, none for more."""
-    turns, gone, lever = renamed(robot), set[str](), dict[str, float]()
+    called, turns, gone = renamed(robot), dict[str, Parameter](), set[str]()
     for one in plates_of(robot):
-        gone |= {name for k in one.targets[2:] for name in of_target(k)}
         reach = float(np.linalg.norm(_apart(robot, one), axis=1).max())
-        lever |= dict.fromkeys(one.turns, reach)
-    made = []
-    for p in base:
-        if p.name in turns:
-            name = turns[p.name]
-            made.append(Parameter(name, name, "rad", _TURN, lever[name]))
-        elif p.name not in gone:
-            made.append(p)
-    return tuple(made)
+        turns |= {name: Parameter(name, name, "rad", _TURN, reach) for name in one.turns}
+        gone |= {name for k in one.targets[2:] for name in of_target(k)}
+    return tuple(turns.get(called.get(p.name, ""), p) for p in base if p.name not in gone)
 
 
 def offsets(robot: Serial, values: Mapping[str, float]) -> Floats:
@@ -142,7 +128,7 @@ def offsets(robot: Serial, values: Mapping[str, float]) -> Floats:
     parameters by name."""
     out = np.array([[values.get(name, 0.0) for name in of_target(k)] for k in range(len(robot.targets))])
     for one in plates_of(robot):
-        turn = _turned(np.array([values.get(name, 0.0) for name in one.turns]))
+        turn = rotation_matrix(np.array([values.get(name, 0.0) for name in one.turns]))
         first, others = one.targets[0], list(one.targets[1:])
         out[others] = out[first] + _apart(robot, one) @ (turn - np.eye(3)).T
     return out
@@ -151,28 +137,6 @@ def offsets(robot: Serial, values: Mapping[str, float]) -> Floats:
 def _apart(robot: Serial, plate: Plate) -> Floats:
     """From the first target of a plate to its others (k, 3), mm."""
     return np.asarray(robot.targets[list(plate.targets[1:])] - robot.targets[plate.targets[0]])
-
-
-def _turned(vector: Floats) -> Floats:
-    made: Floats = scipy.spatial.transform.Rotation.from_rotvec(vector).as_matrix()
-    return made
-
-
-def _cross(vector: Floats) -> Floats:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _by_turn(vector: Floats, apart: Floats) -> Floats:
-    """Derivatives (3, 3) of a turned vector by the rotation vector of its turn: the right Jacobian of SO(3)
-    (Chirikjian, *Stochastic Models, Information Theory, and Lie Groups*, 10.8)."""
-    angle, by = float(np.linalg.norm(vector)), _cross(vector)
-    if angle < 1e-6:
-        jacobian = np.eye(3) - 0.5 * by
-    else:
-        first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
-        jacobian = np.eye(3) - first * by + second * by @ by
-    return -_turned(vector) @ _cross(apart) @ jacobian
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +157,8 @@ class PlateChain(NumpyChain):
             out[self._places(k)] = off
         return out
 
-    def _places(self, target: int) -> list[int]:
-        return [self.names.index(name) for name in of_target(target)]
+    def _places(self, target: int) -> Ints:
+        return np.array([self.names.index(name) for name in of_target(target)])
 
     def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
         """Readings (n, m), and which rows could be computed."""
@@ -207,21 +171,16 @@ class PlateChain(NumpyChain):
     def derivatives(self, values: Floats, block: Block, free: Sequence[int]) -> tuple[Floats, Floats, Floats, Bools]:
         """By the parameters ``free``, the joints and a displacement of the point (n, m, ·), and which rows could be
         computed."""
-        asked = {k: {k: 1.0} for k in free}
+        by_own = np.eye(len(self.names))
         for one in plates_of(self.robot):
-            first, second = self._places(one.targets[0]), self._places(one.targets[1])
+            first, second = (self._places(k) for k in one.targets[:2])
             turn = values[second]
-            for a in range(3):
-                asked[first[a]] = {first[a]: 1.0} | {self._places(k)[a]: 1.0 for k in one.targets[1:]}
-                asked[second[a]] = {}
+            by_own[:, second] = 0.0
             for k, apart in zip(one.targets[1:], _apart(self.robot, one), strict=True):
-                by = _by_turn(turn, apart)
-                for a in range(3):
-                    asked[second[a]] |= dict(zip(self._places(k), by[:, a].tolist(), strict=True))
-        columns = sorted({own for k in free for own in asked[k]})
-        combined = np.zeros((len(columns), len(free)))
-        for column, k in enumerate(free):
-            for own, times in asked[k].items():
-                combined[columns.index(own), column] = times
-        found: tuple[Any, ...] = self.core.derivatives(self.own(values), block, columns)
-        return found[0] @ combined, found[1], found[2], found[3]
+                mine = self._places(k)
+                by_own[np.ix_(mine, first)] = np.eye(3)
+                # of a turned vector by the rotation vector of its turn
+                by_own[np.ix_(mine, second)] = np.cross(left_jacobian(turn).T, rotation_matrix(turn) @ apart).T
+        columns = np.flatnonzero(by_own[:, list(free)].any(axis=1))
+        found: tuple[Any, ...] = self.core.derivatives(self.own(values), block, columns.tolist())
+        return found[0] @ by_own[columns][:, list(free)], found[1], found[2], found[3]

@@ -5,14 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...base.figures import brief, listed, nearest
+from ...data.declared import key, keys_from, keys_of
 from ...data.toml import Table
 from ...errors import ShapeError
-from ...model.tolerances import Apart, Names
+from ...model.tolerances import Apart
 from .frames import Triple
 
 # -- Points ------------------------------------------------------------------------------------------------------------
@@ -26,6 +27,20 @@ class Plane:
     at_mm: Triple
     normal: Triple = (0.0, 0.0, 1.0)
 
+    KEYS: ClassVar = {"at_mm": key(Table.numbers, 3), "normal": key(Table.numbers, 3)}
+
+    @classmethod
+    def from_table(cls, table: Table) -> Plane:
+        """A table ``[[plane]]``."""
+        made = cls(**keys_from(table, cls.KEYS, cls))
+        if not np.linalg.norm(made.normal) > 0:
+            raise table.fail("normal", "a direction, not only zeros")
+        return made
+
+    def to_table(self) -> dict[str, Any]:
+        """What :meth:`from_table` reads."""
+        return keys_of(self, self.KEYS)
+
     @property
     def numbers(self) -> tuple[float, ...]:
         """The point, and a normal of length one (6,)."""
@@ -33,24 +48,12 @@ class Plane:
         return (*self.at_mm, *normal.tolist())
 
 
-def points(table: Table, name: str) -> tuple[Triple, ...]:
-    """The places of tables ``[[name]]``."""
-    found = (one.numbers("at_mm", 3) for one in table.tables(name))
-    return tuple((v[0], v[1], v[2]) for v in found)
-
-
-def grouped(table: Table, name: str) -> tuple[tuple[Triple, ...], tuple[str, ...]]:
-    """The same, and of each the ``group`` that it belongs to, empty for none."""
-    found = [(one.numbers("at_mm", 3), one.words("group", "")) for one in table.tables(name)]
+def points(table: Table, name: str) -> tuple[tuple[Triple, ...], tuple[str, ...]]:
+    """The places of tables ``[[name]]``, and of each target the ``group`` that it belongs to, empty for none."""
+    found = [
+        (one.numbers("at_mm", 3), one.words("group", "") if name == "target" else "") for one in table.tables(name)
+    ]
     return tuple((v[0], v[1], v[2]) for v, _ in found), tuple(group for _, group in found)
-
-
-def plane_of(one: Table) -> Plane:
-    """A table ``[[plane]]``."""
-    at, normal = one.numbers("at_mm", 3), one.numbers("normal", 3, (0.0, 0.0, 1.0))
-    if not np.linalg.norm(normal) > 0:
-        raise one.fail("normal", "a direction, not only zeros")
-    return Plane((at[0], at[1], at[2]), (normal[0], normal[1], normal[2]))
 
 
 #: Names of the parameters of every arm begin with these.
@@ -75,9 +78,6 @@ def check_groups(groups: Sequence[str]) -> None:
 # -- Known distances ---------------------------------------------------------------------------------------------------
 # What is known of how far two fixed places around an arm are from one another.
 
-#: How well a distance is known where its table does not say it, mm.
-USUAL_SD_MM = 0.01
-
 
 @dataclass(frozen=True)
 class Distance:
@@ -86,19 +86,25 @@ class Distance:
 
     between: tuple[int, int]
     mm: float
-    sd_mm: float = USUAL_SD_MM
+    sd_mm: float = 0.01
+
+    KEYS: ClassVar = {
+        "between": key(Table.wholes),
+        "mm": key(Table.number, positive=True),
+        "sd_mm": key(Table.number, positive=True),
+    }
 
     @classmethod
-    def from_table(cls, one: Table) -> Distance:
+    def from_table(cls, table: Table) -> Distance:
         """A table ``[[distance]]``."""
-        ends = one.wholes("between")
-        if len(ends) != 2 or ends[0] == ends[1]:
-            raise one.fail("between", "the numbers of two centres, such as [1, 2]")
-        return cls((ends[0], ends[1]), one.number("mm", positive=True), one.number("sd_mm", USUAL_SD_MM, positive=True))
+        made = cls(**keys_from(table, cls.KEYS, cls))
+        if len(set(made.between)) != 2 or len(made.between) != 2:
+            raise table.fail("between", "the numbers of two centres, such as [1, 2]")
+        return made
 
     def to_table(self) -> dict[str, Any]:
         """What :meth:`from_table` reads."""
-        return {"between": list(self.between), "mm": self.mm, "sd_mm": self.sd_mm}
+        return keys_of(self, self.KEYS)
 
     def check(self, centres: int) -> None:
         """Raises ``ShapeError`` where the arm has no such centres."""
@@ -109,9 +115,5 @@ class Distance:
 
     def of(self, centres_mm: Sequence[Triple]) -> Apart:
         """The same of the parameters of a model."""
-        i, k = self.between
-        return Apart((_names(i), _names(k)), np.array([centres_mm[i - 1], centres_mm[k - 1]]), self.mm, self.sd_mm)
-
-
-def _names(number: int) -> Names:
-    return (f"centre_{number}_x", f"centre_{number}_y", f"centre_{number}_z")
+        i, k = ((f"centre_{one}_x", f"centre_{one}_y", f"centre_{one}_z") for one in self.between)
+        return Apart((i, k), np.array([centres_mm[one - 1] for one in self.between]), self.mm, self.sd_mm)

@@ -6,7 +6,8 @@ has for these joints is what the controller must be given, since it goes back to
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,13 +20,11 @@ from ...base import linalg
 from ...base.figures import listed
 from ...base.types import Bools, Floats, Ints
 from ...data.columns import factor, header_unit
-from ...data.reader import checked, csv_blocks
-from ...data.tables import PARQUET, read_parquet
 from ...errors import MeasurementError, OutOfReach
 from ..accuracy import PredictedAccuracies
 from .calibration import SerialCalibration
 from .frames import of_rpy, turns_of
-from .full_poses import meant
+from .full_poses import cells_of, meant
 from .identified import as_identified
 from .robot import POSITION, Serial
 
@@ -34,39 +33,36 @@ from .robot import POSITION, Serial
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a controller writes poses: columns of the place, its unit in mm, columns of the turn, and their numbers
-    (n, ·) by turns (n, 3, 3)."""
+    """How a controller writes poses: columns of the place, its unit in mm, columns of the turn, and what these are:
+    ``vector``, rad, ``quaternion``, or the axes of angles, degrees."""
 
     place: tuple[str, str, str]
     unit_mm: float
     turn: tuple[str, ...]
-    numbers: Callable[[Floats], Floats]
-    in_degrees: bool = True
+    way: str
 
+    @property
+    def in_degrees(self) -> bool:
+        """Whether its joints are in degrees, too."""
+        return self.way != "vector"
 
-def _euler(axes: str) -> Callable[[Floats], Floats]:
-    return lambda turns: np.rad2deg(scipy.spatial.transform.Rotation.from_matrix(turns).as_euler(axes))
-
-
-def _real_first(turns: Floats) -> Floats:
-    q = scipy.spatial.transform.Rotation.from_matrix(turns).as_quat(canonical=True)
-    return np.roll(q, 1, axis=1)
-
-
-def _vector(turns: Floats) -> Floats:
-    made: Floats = scipy.spatial.transform.Rotation.from_matrix(turns).as_rotvec()
-    return made
+    def numbers(self, turns: Floats) -> Floats:
+        """The columns of turns (n, 3, 3), as (n, ·)."""
+        rotation = scipy.spatial.transform.Rotation.from_matrix(turns)
+        if self.way == "quaternion":
+            return np.roll(rotation.as_quat(canonical=True), 1, axis=1)
+        return np.asarray(rotation.as_rotvec() if self.way == "vector" else rotation.as_euler(self.way, degrees=True))
 
 
 _XYZ_MM = ("X_mm", "Y_mm", "Z_mm")
 #: By name. KUKA: A about z, then B about the y that this leaves, then C about x; FANUC: W, P, R about the fixed x, y,
 #: z; ABB: a quaternion, the real part first; UR: m and a rotation vector. Their columns are read back as they are.
 DIALECTS: Mapping[str, Dialect] = {
-    "plain": Dialect(POSITION, 1.0, ("rx_rad", "ry_rad", "rz_rad"), _vector, in_degrees=False),
-    "kuka": Dialect(_XYZ_MM, 1.0, ("A_deg", "B_deg", "C_deg"), _euler("ZYX")),
-    "abb": Dialect(POSITION, 1.0, ("q1", "q2", "q3", "q4"), _real_first),
-    "fanuc": Dialect(_XYZ_MM, 1.0, ("W_deg", "P_deg", "R_deg"), _euler("xyz")),
-    "ur": Dialect(("x_m", "y_m", "z_m"), 1000.0, ("rx_rad", "ry_rad", "rz_rad"), _vector, in_degrees=False),
+    "plain": Dialect(POSITION, 1.0, ("rx_rad", "ry_rad", "rz_rad"), "vector"),
+    "kuka": Dialect(_XYZ_MM, 1.0, ("A_deg", "B_deg", "C_deg"), "ZYX"),
+    "abb": Dialect(POSITION, 1.0, ("q1", "q2", "q3", "q4"), "quaternion"),
+    "fanuc": Dialect(_XYZ_MM, 1.0, ("W_deg", "P_deg", "R_deg"), "xyz"),
+    "ur": Dialect(("x_m", "y_m", "z_m"), 1000.0, ("rx_rad", "ry_rad", "rz_rad"), "vector"),
 }
 
 #: Places that are so far from those of their joints, in parts of the reach, are in another frame.
@@ -103,13 +99,12 @@ def read_targets(arm: Serial, path: str | Path) -> Targets:
 
     Raises :class:`~sherkit.errors.MeasurementError` with line and column.
     """
-    path = checked(Path(path))
-    frame, line = (read_parquet(path), None) if path.suffix.lower() in PARQUET else next(csv_blocks(path))
+    source, frame, line = cells_of(path)
     if not frame.height:
         raise MeasurementError(f"{path}: holds no row, only column names; expected targets")
     # metres are no unit that a name of ours ends in
     frame = frame.rename({f"{axis}_m": f"{axis} [m]" for axis in "xyz" if f"{axis}_m" in frame.columns})
-    table = _TargetColumns(str(path), frame, line)
+    table = _TargetColumns(source, frame, line)
     found = meant(arm, frame.columns)
     by_stem = {header_unit(name)[0].lower(): name for name in frame.columns}
     wanted = dict(zip(arm.layout.joints, (one.name for one in arm.joints), strict=True))
@@ -224,9 +219,7 @@ class Program:
         turn = np.full((len(ok), len(way.turn)), np.nan)
         if ok.any():
             turn[ok] = way.numbers(self.turns[ok])
-        columns = dict(zip(way.place, self.places.T / way.unit_mm, strict=True)) | dict(
-            zip(way.turn, turn.T, strict=True)
-        )
+        columns = dict(zip((*way.place, *way.turn), (*(self.places.T / way.unit_mm), *turn.T), strict=True))
         for joint, own in zip(self.arm.joints, self.joints.T, strict=True):
             turns = way.in_degrees and not joint.slides
             columns[f"{joint.name}_{'deg' if turns else joint.unit}"] = np.rad2deg(own) if turns else own
@@ -296,7 +289,11 @@ class _Holding:
 
     @cached_property
     def _tool(self) -> Floats:
-        return of_rpy(np.deg2rad(self.arm.tool_rpy_deg).tolist())
+        return of_rpy(np.deg2rad(self.arm.tool_rpy_deg))
+
+    def _place(self, place: Floats, begin: Floats | None) -> Floats:
+        """Joints for a place alone."""
+        return self.made.robot.found_from(lambda x, q: self.made.core.inverse(x, self.now, q), place, begin)
 
     def joints_for(self, place: Floats, turn: Floats | None, start: Floats | None) -> tuple[Floats, str]:
         """Joints that bring the target to a place, and the tool to a turn if there is one, and what is to know of them.
@@ -305,11 +302,13 @@ class _Holding:
         """
         arm, core = self.made.robot, self.made.core
         if turn is None:
-            begin = self._drawn(place) if start is None else start
-            return arm.found_from(lambda x, q: core.inverse(x, self.now, q), place, begin), ""
+            if start is None:
+                # the posture that a controller would take, where the drawing reaches the place
+                with suppress(OutOfReach):
+                    start = arm.inverse(place)
+            return self._place(place, start), ""
         nearest, least = None, np.inf
-        begins = [*([] if start is None else [start]), *arm.starts]
-        for k, begin in enumerate(begins):
+        for k, begin in enumerate(arm.starts if start is None else (start, *arm.starts)):
             found = self._held(place, turn, begin)
             off = float(np.linalg.norm(self._missed(found, place, turn)))
             if off < least:
@@ -318,7 +317,7 @@ class _Holding:
                 break
             if k == 0 and not self.beyond.any():
                 # what is too far for the place alone is told at once
-                arm.found_from(lambda x, q: core.inverse(x, self.now, q), place, None)
+                self._place(place, None)
         if nearest is None or (least >= _HELD and len(arm.joints) >= 6):
             raise OutOfReach(f"the nearest pose is {least:.3g} mm away (its turn counted at {_LEVER:g} mm)", 0, least)
         if least < _HELD:
@@ -329,13 +328,6 @@ class _Holding:
             exact = core.inverse(place - self._flange(exact) @ self.beyond, self.now, exact)
         angle = float(np.linalg.norm(self._missed(exact, place, turn)[3:])) / _LEVER
         return exact, f"{_REACHED}its turn off by {np.rad2deg(angle):.3g}°" if angle > _TURN else ""
-
-    def _drawn(self, place: Floats) -> Floats | None:
-        """Where the drawing begins: the posture that a controller would take."""
-        try:
-            return self.made.robot.inverse(place)
-        except OutOfReach:
-            return None
 
     def _missed(self, joints: Floats, place: Floats, turn: Floats) -> Floats:
         """By how much a pose is missed (12,), mm: its place, and the cells of its turn, as smooth far away as near."""
@@ -362,7 +354,7 @@ class _Holding:
         found = scipy.optimize.least_squares(
             lambda q: self._missed(q, place, turn),
             np.clip(start, low + _MARGIN, high - _MARGIN),
-            lambda q: self._slopes(q),
+            self._slopes,
             bounds=(low, high),
             x_scale=np.where(slides, 5.0 * _LEVER, 1.0),
             xtol=1e-7, ftol=1e-7, gtol=1e-7, max_nfev=_MOST,

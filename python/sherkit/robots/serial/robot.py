@@ -24,8 +24,8 @@ from ...errors import OutOfReach, ShapeError
 from ...model.batch import Batch, matrix, vector, why
 from ...model.sensor_pose import ANYWHERE, SensorPose
 from ...model.tolerances import NOT_STATED, Apart, Stated, Stating
-from .frames import Triple, frame, of_rpy, onto
-from .points import Distance, Plane, check_groups, grouped, plane_of, points
+from .frames import Triple, frame, onto, placed
+from .points import Distance, Plane, check_groups, points
 
 # -- The columns of a run -----------------------------------------------------------------------------------------
 
@@ -75,6 +75,12 @@ _FORMER = "tracker"
 _NAME = re.compile(r"[A-Za-z]\w*")
 
 
+def as_name(text: str, begin: str) -> str:
+    """A name that columns, URDF and Python take as one, with another ``begin`` where it has no letter there."""
+    name = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in text)
+    return name if name[:1].isalpha() else f"{begin}_{name}"
+
+
 @dataclass(frozen=True)
 class Joint:
     """One joint as drawn. ``origin_mm`` and ``rpy_deg`` are where its frame stands behind the joint before it (URDF),
@@ -115,7 +121,7 @@ class Joint:
     @cached_property
     def frame(self) -> Floats:
         """Its frame (4, 4) behind the joint before it, mm, turned so that z is its axis."""
-        return frame(self.origin_mm, of_rpy(np.deg2rad(self.rpy_deg).tolist()) @ self.turn)
+        return placed(self.origin_mm, self.rpy_deg) @ frame(_ZERO, self.turn)
 
     @cached_property
     def turn(self) -> Floats:
@@ -245,10 +251,10 @@ class Serial(Declared, Stating, Saved, Shown):
     @classmethod
     def from_table(cls, table: Table) -> Serial:
         """Reads the tables of a robot file."""
-        joints = tuple(Joint.from_table(one) for one in table.tables("joint", optional=False))
-        (targets, groups), centres = grouped(table, "target"), points(table, "centre")
-        planes = tuple(plane_of(one) for one in table.tables("plane"))
-        distances = tuple(Distance.from_table(one) for one in table.tables("distance"))
+        joints = tuple(map(Joint.from_table, table.tables("joint", optional=False)))
+        (targets, groups), (centres, _) = points(table, "target"), points(table, "centre")
+        planes = tuple(map(Plane.from_table, table.tables("plane")))
+        distances = tuple(map(Distance.from_table, table.tables("distance")))
         table.pass_over(_FORMER)
         seen = table.has(_FORMER) or table.has("sensor_pose") or not (centres or planes)
         known = cls.values_from(table)
@@ -267,16 +273,15 @@ class Serial(Declared, Stating, Saved, Shown):
 
     def to_tables(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
-        made = super().to_tables() | {"joint": [joint.to_table() for joint in self.joints]}
-        for name, places in (("target", self.more_targets_mm), ("centre", self.centres_mm)):
-            if places:
-                made[name] = [{"at_mm": list(place)} for place in places]
-        for one, group in zip(made.get("target", ()), self.more_groups, strict=False):
-            one |= {"group": group} if group else {}
-        if self.distances:
-            made["distance"] = [one.to_table() for one in self.distances]
-        if self.planes:
-            made["plane"] = [{"at_mm": list(p.at_mm), "normal": list(p.normal)} for p in self.planes]
+        groups = ({"group": name} if name else {} for name in self.groups[1:])
+        tables: dict[str, list[Any]] = {
+            "joint": [joint.to_table() for joint in self.joints],
+            "target": [{"at_mm": list(at)} | group for at, group in zip(self.more_targets_mm, groups, strict=True)],
+            "centre": [{"at_mm": list(at)} for at in self.centres_mm],
+            "distance": [one.to_table() for one in self.distances],
+            "plane": [one.to_table() for one in self.planes],
+        }
+        made = super().to_tables() | {name: each for name, each in tables.items() if each}
         if not self.has_tracker:
             made.pop("sensor_pose", None)
         elif self.centres_mm or self.planes:
@@ -324,6 +329,15 @@ class Serial(Declared, Stating, Saved, Shown):
     def ranges(self) -> Floats:
         """Lowest and highest readings (2, k)."""
         return np.array([joint.range for joint in self.joints]).T
+
+    @property
+    def reads(self) -> list[tuple[float, float, float]]:
+        """All that can be read of it at a posture, as numbers of target, centre and plane: each target by the tracker,
+        how far it is from each centre and above each plane; NaN where there is none."""
+        targets, none = range(1, len(self.targets_mm) + 1), np.nan
+        out: list[tuple[float, float, float]] = [(t, none, none) for t in targets if self.has_tracker]
+        out += [(t, c, none) for t in targets for c in range(1, len(self.centres_mm) + 1)]
+        return out + [(t, none, p) for t in targets for p in range(1, len(self.planes) + 1)]
 
     # -- kinematics --------------------------------------------------------------------------------------
 
@@ -420,7 +434,7 @@ class Serial(Declared, Stating, Saved, Shown):
         """The frame (4, 4) of the tool, base frame, its origin in the target. Raises as :meth:`forward`."""
         q = vector(joints, "joint readings", len(self.joints))
         turn = self.nominal.flange(q, self._still) @ self.joints[-1].turn.T
-        return frame(self.forward(q).tolist(), turn @ of_rpy(np.deg2rad(self.tool_rpy_deg).tolist()))
+        return frame(self.forward(q).tolist(), turn) @ placed(_ZERO, self.tool_rpy_deg)
 
     def inverse(self, position_mm: ArrayLike, *, start: ArrayLike | None = None) -> Floats:
         """Joint readings (k,) within their limits that bring the target to ``position_mm`` (3,), to 1 nm.

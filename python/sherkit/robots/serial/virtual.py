@@ -1,30 +1,28 @@
 """A virtual serial arm: planted errors, noise, and a tracker that looks at it.
 
-Written apart from the core on purpose: frames are 4 x 4 matrices multiplied as the drawing has them, and what a joint
-carries is the slope of the energy of its weights by a difference, never the code that is to be tested with them.
+It is the compiled chain with values put in. What judges that, by formulas of its own, is
+``tests/second_simulator/serial.py``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ...base import linalg
+import sherkit._core as _core
+
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
+from ...model.chain import Block
 from ...model.kinds import Option, walked
-from .frames import Triple
-from .robot import CENTRE, PAYLOAD, PLANE, TARGET, Serial
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
+from .points import Plane
+from .robot import CENTRE, MOST_JOINTS, PAYLOAD, PLANE, TARGET, Serial
 
 # -- Sets of postures ---------------------------------------------------------------------------------------------
 
@@ -50,17 +48,26 @@ AREAS: Mapping[str, Callable[[Serial], Floats]] = {
 # -- The arm ------------------------------------------------------------------------------------------------------
 
 _SECONDS_PER_POSE = 4.0
-_STEP_RAD = 1e-4
-_GRAVITY = 9.80665
 #: Plausible geometric errors of an arm: zeros of joints, rad; places of axes and target, mm; leans, rad; where the
 #: tracker stands, mm and rad.
 _SIZES = {"offset": 3e-3, "shift": 0.5, "tilt": 1e-3, "tool": 2.0, "stand": 20.0, "turn": 0.02}
 #: A sliding joint errs by as many mm as a turning one by a radian.
 _SLIDE_MM = 100.0
-
-
 #: By how much the room of a run warms, and how quickly, by the run.
 _WARMS_C, _QUICK = 3.0, 2.0
+#: The row of the chain's table that each error is; of each joint one number or two come first, the joints one after
+#: the other.
+_ROWS = {
+    "offset": "joint_offset", "shift_mm": "joint_shift", "tilt_rad": "joint_tilt", "stand": "sensor_pose",
+    "centres_mm": "centres", "scale": "joint_scale", "gives": "joint_compliance", "sags": "payload_compliance",
+    "play": "backlash", "ring": "encoder_eccentricity", "lines": "encoder_cyclic", "twice": "encoder_second",
+    "warmth_per_c": "thermal_growth", "growth_per_c": "link_growth", "rate_mm_h": "drift", "step_mm": "slip",
+    "lost": "joint_slip", "stand_mm_per_c": "thermal_shift", "knock": "sensor_slip", "zoom": "sensor_scale",
+    "bend_mm": "sensor_linearity", "late_s": "reading_delay", "bar_mm": "bar_zero",
+    "follows": "joint_coupling",
+}  # fmt: skip
+#: How many numbers each row of the table has, for all the joints that an arm may have.
+_COUNTS = {row["name"]: len(row["parameters"]) for row in _core.SerialModel.CATALOGUE}
 
 
 def _behind(part: Floats, lag: float) -> Floats:
@@ -145,7 +152,7 @@ class VirtualSerial:
     }
 
     @classmethod
-    def simulated(cls, robot: Serial, seed: int, errors: float, sizes: Mapping[str, float]) -> VirtualSerial:
+    def simulated(cls, robot: Serial, seed: int, errors: float, sizes: Mapping[str, float]) -> Self:
         """One with geometric errors of ``errors`` times a plausible size, and ``sizes`` of each of :attr:`OPTIONS`."""
         rng, k = np.random.default_rng(seed), len(robot.joints)
         slide = np.where([joint.slides for joint in robot.joints], _SLIDE_MM, 1.0)
@@ -174,156 +181,63 @@ class VirtualSerial:
         )
 
     @classmethod
-    def hidden(cls, robot: Serial, seed: int, table: Table) -> VirtualSerial:
+    def hidden(cls, robot: Serial, seed: int, table: Table) -> Self:
         """One without noise, as a laboratory describes it."""
         sizes = {name: table.number(name, 0.0) for name in cls.OPTIONS if name != "noise_um"}
         return cls.simulated(robot, seed, table.number("errors", 0.0), {"noise_um": 0.0, **sizes})
 
-    def with_hidden(self, **effects: Any) -> VirtualSerial:
+    def with_hidden(self, **effects: Any) -> Self:
         """The same with more hidden in it."""
         return replace(self, effects=replace(self.effects, **effects))
 
     def truth(self) -> dict[str, Any]:
         """The hidden errors, for TOML: mm and rad."""
-        k = len(self.robot.joints)
-        shapes = {"offset": (k,), "shift_mm": (k, 2), "tilt_rad": (k, 2), "stand": (6,)}
-        shapes["tool_mm"] = (1 + len(self.robot.more_targets_mm), 3) if self.robot.more_targets_mm else (3,)
-        if self.robot.centres_mm:
-            shapes["centres_mm"] = (len(self.robot.centres_mm), 3)
-        if self.robot.planes:
-            shapes["planes"] = (len(self.robot.planes), 4)
-        own = {name: np.broadcast_to(getattr(self, name), shape).tolist() for name, shape in shapes.items()}
+        names = ["offset", "shift_mm", "tilt_rad", "stand", "tool_mm"]
+        names += [name for name in ("centres_mm", "planes") if getattr(self.robot, name)]
+        own = {name: self._as(name).tolist() for name in names}
+        if not self.robot.more_targets_mm:
+            own["tool_mm"] = own["tool_mm"][0]
         more = {name: np.asarray(value, dtype=float).tolist() for name, value in vars(self.effects).items()}
         return {**own, "effects": more}
 
     # -- what it does ------------------------------------------------------------------------------------------
 
-    def _frames(self, joints: Floats, *, as_drawn: bool = False, grown: Floats | None = None) -> list[Floats]:
-        """Frames (4, 4) behind each joint for what the joints really are (k,), turned back to those of the drawing;
-        with the parts (k + 1,) by which base and links are longer."""
-        k, turns = len(joints), scipy.spatial.transform.Rotation
-        shift, tilt = (np.broadcast_to(np.asarray(v, dtype=float), (k, 2)) for v in (self.shift_mm, self.tilt_rad))
-        longer = np.ones(k) if grown is None else 1.0 + grown[:k]
-        now, out = np.eye(4), []
-        for joint, q, s, t, longer_by in zip(self.robot.joints, joints, shift, tilt, longer, strict=True):
-            mount, back = _mount(tuple(joint.rpy_deg), tuple(joint.origin_mm), tuple(joint.axis))
-            there = mount.copy()
-            if not as_drawn:
-                lean = turns.from_rotvec([t[0], 0, 0]) * turns.from_rotvec([0, t[1], 0])
-                there = there @ _matrix(turns.identity(), (s[0], s[1], 0.0)) @ _matrix(lean)
-            there[:3, 3] *= longer_by
-            now = now @ there
-            moved = _matrix(turns.identity(), (0, 0, q)) if joint.slides else _matrix(turns.from_rotvec([0, 0, q]))
-            now = now @ moved @ back
-            out.append(now)
-        return out
+    def _as(self, name: str) -> Floats:
+        """A field of this class or of :class:`Hidden` as an array of its shape."""
+        robot, k = self.robot, len(self.robot.joints)
+        many: dict[str, tuple[int, ...]] = {
+            "tool_mm": (len(robot.targets_mm), 3), "centres_mm": (len(robot.centres_mm), 3),
+            "planes": (len(robot.planes), 4),
+        }  # fmt: skip
+        by_count = {1: (), 3: (3,), 6: (6,), MOST_JOINTS + 1: (k + 1,), 2 * MOST_JOINTS: (k, 2)}
+        shape = many[name] if name in many else by_count.get(_COUNTS[_ROWS[name]], (k,))
+        given = getattr(self if hasattr(self, name) else self.effects, name)
+        return np.broadcast_to(np.asarray(given, dtype=float), shape)
 
-    def _energy(self, joints: Floats) -> float:
-        """Of the weights as drawn, over one unit of gravity: kg mm."""
-        masses, centres = self.robot.weights
-        pull = np.asarray(self.robot.gravity, dtype=float) / np.linalg.norm(self.robot.gravity)
-        out = 0.0
-        frames = self._frames(joints, as_drawn=True)
-        for joint, frame, mass, centre in zip(self.robot.joints, frames, masses, centres, strict=True):
-            where = frame @ _matrix(_aligning(tuple(joint.axis))) @ [*centre, 1.0]
-            out -= float(mass * (pull @ where[:3]))
-        return out
-
-    def _carried(self, joints: Floats) -> Floats:
-        """The moment or force (k,) that the weights put on each joint, over the greatest they could."""
-        masses, centres = self.robot.weights
-        out = np.zeros(len(joints))
-        for i, joint in enumerate(self.robot.joints):
-            step = np.where(np.arange(len(joints)) == i, _STEP_RAD, 0.0)
-            slope = (self._energy(joints + step) - self._energy(joints - step)) / (2 * _STEP_RAD)
-            arms = np.cumsum([0.0, *(float(np.linalg.norm(one.origin_mm)) for one in self.robot.joints[i + 1 :])])
-            sensitivities = np.ones(len(arms)) if joint.slides else arms + np.linalg.norm(centres[i:], axis=1)
-            most = float(masses[i:] @ sensitivities)
-            out[i] = -slope / most if most > 0 else 0.0
-        return out
-
-    def _hung(self, joints: Floats, payload_kg: float) -> Floats:
-        """The moment, N m, or force, N, (k,) that a weight at the first target as drawn puts on each joint."""
-        pull = np.asarray(self.robot.gravity, dtype=float) / np.linalg.norm(self.robot.gravity)
-        out = np.zeros(len(joints))
-
-        def height(q: Floats) -> float:
-            frame = self._frames(q, as_drawn=True)[-1]
-            return -float(pull @ (frame @ [*self.robot.target_mm, 1.0])[:3])
-
-        for i, joint in enumerate(self.robot.joints):
-            step = np.where(np.arange(len(joints)) == i, _STEP_RAD, 0.0)
-            falls = (height(joints - step) - height(joints + step)) / (2 * _STEP_RAD)
-            out[i] = payload_kg * _GRAVITY * falls / (1.0 if joint.slides else 1000.0)
-        return out
-
-    def true_target(
-        self, read: Floats, came: Floats, velocity: Floats, number: int = 0, warmer_c: float = 0.0,
-        payload_kg: float = 0.0, late: bool = False,
-    ) -> Floats:  # fmt: skip
-        """A target (3,), mm, base frame, for joints that are read (k,), with the direction from which they came, the
-        links warmer than the drawing, and what hangs at the first target; ``late`` once joints have slipped."""
-        k, hidden = len(read), self.effects
-        home = np.array([np.deg2rad(j.home) if not j.slides else j.home for j in self.robot.joints])
-
-        def each(value: ArrayLike, *more: int) -> Floats:
-            return np.broadcast_to(np.asarray(value, dtype=float), (k, *more))
-
-        ring, lines, twice = each(hidden.ring, 2), each(hidden.lines, 2), each(hidden.twice, 2)
-        real = read + each(self.offset) + each(hidden.scale) * (read - home)
-        real = real + ring[:, 0] * np.sin(read) + ring[:, 1] * np.cos(read)
-        angle = hidden.per_turn * read
-        real = real + lines[:, 0] * np.sin(angle) + lines[:, 1] * np.cos(angle)
-        real = real + twice[:, 0] * np.sin(2 * angle) + twice[:, 1] * np.cos(2 * angle)
-        real = real + each(hidden.play) * came / 2 - hidden.late_s * velocity
-        real = real + each(hidden.lost) * late
-        drawn = np.array([joint.follows for joint in self.robot.joints])
-        before = np.concatenate([[0.0], (real - home)[:-1]])
-        led = np.concatenate([[0.0], real[:-1]])
-        real = real + drawn * led + each(hidden.follows) * before
-        bent = np.zeros(k)
-        if np.any(each(hidden.gives)):
-            bent = each(hidden.gives) * self._carried(real)
-        if np.any(each(hidden.sags)):
-            bent = bent + each(hidden.sags) * self._hung(real, payload_kg)
-        real = real + bent
-        grown = warmer_c * np.broadcast_to(np.asarray(hidden.growth_per_c, dtype=float), (k + 1,))
-        target = np.asarray(self.robot.targets_mm[number], dtype=float)
-        tools = np.broadcast_to(np.asarray(self.tool_mm, dtype=float), (len(self.robot.targets_mm), 3))
-        moved = _aligning(tuple(self.robot.joints[-1].axis)).as_matrix() @ tools[number]
-        return (self._frames(real, grown=grown)[-1] @ [*((target + moved) * (1.0 + grown[-1])), 1.0])[:3]
-
-    def seen(self, point: Floats, late: bool) -> Floats:
-        """What the tracker shows (3,), mm."""
-        stand = np.broadcast_to(np.asarray(self.stand, dtype=float), 6).copy()
-        if late:
-            stand = stand + np.broadcast_to(np.asarray(self.effects.knock, dtype=float), 6)
-        turns = scipy.spatial.transform.Rotation
-        nominal = turns.from_euler("xyz", self.robot.sensor_pose.rpy_deg, degrees=True)
-        there = turns.from_rotvec(stand[:3]).apply(nominal.apply(point))
-        there = there + np.asarray(self.robot.sensor_pose.origin_mm) + stand[3:]
-        bend = np.asarray(self.effects.bend_mm, dtype=float)
-        return there * (1.0 + self.effects.zoom) + bend * (there / 1000.0) ** 3
-
-    def distance(self, point: Floats, number: int) -> Floats:
-        """How far a point is from a centre, mm, as the first of three numbers."""
-        off = np.broadcast_to(np.asarray(self.centres_mm, dtype=float), (len(self.robot.centres_mm), 3))[number]
-        centre = np.asarray(self.robot.centres_mm[number]) + off
-        return np.array([float(np.sqrt(np.sum((point - centre) ** 2))) + self.effects.bar_mm, 0.0, 0.0])
-
-    def height(self, point: Floats, number: int) -> Floats:
-        """How far a point is above a plane, mm, as the first of three numbers."""
-        drawn = self.robot.planes[number]
-        *turn, lift = np.broadcast_to(np.asarray(self.planes, dtype=float), (len(self.robot.planes), 4))[number]
-        up = scipy.spatial.transform.Rotation.from_rotvec(turn).apply(np.asarray(drawn.normal, dtype=float))
-        above = up @ (point - np.asarray(drawn.at_mm)) / float(np.sqrt(np.sum(up**2)))
-        return np.array([float(above) - lift, 0.0, 0.0])
+    def shown(self, slips_s: float, block: Block) -> Floats:
+        """What instruments without noise show (n, 4): x, y, z, distance, mm, at rows as the chain takes them, once all
+        that slips has done so at a moment."""
+        tools, follows = self._as("tool_mm"), self._as("follows")
+        given = {row: self._as(name) for name, row in _ROWS.items()}
+        given |= {"tool": tools[0], "targets": tools[1:], "joint_coupling": follows[1:]}
+        values = {name: np.zeros(count) for name, count in _COUNTS.items()}
+        for name, numbers in given.items():
+            values[name][: numbers.size] = numbers.ravel()
+        lifted = []
+        for drawn, (*turn, lift) in zip(self.robot.planes, self._as("planes"), strict=True):
+            up = scipy.spatial.transform.Rotation.from_rotvec(turn).apply(drawn.normal)
+            at_mm = np.array(drawn.at_mm) + lift * up / np.linalg.norm(up)
+            lifted.append(Plane(tuple(at_mm.tolist()), tuple(up.tolist())))
+        core = replace(self.robot, planes=tuple(lifted)).core(
+            (2.0 * np.pi / self.effects.per_turn, 0.0, slips_s, slips_s, slips_s)
+        )
+        return core.predict(np.concatenate([*values.values()]), block)[0]
 
     def noise_free(self, joints: ArrayLike) -> Floats:
         """What a run without noise, time and motion would hold (n, 3), mm."""
         rows = np.atleast_2d(np.asarray(joints, dtype=float))
-        still = np.zeros(rows.shape[1])
-        return np.array([self.seen(self.true_target(q, still, still), False) for q in rows])
+        still = np.tile([0.0, 20.0, *np.zeros(2 * rows.shape[1]), 1.0, 0.0, 20.0], (len(rows), 1))
+        return np.ascontiguousarray(self.shown(1.0, (np.ascontiguousarray(rows), None, still, None))[:, :3])
 
     def measure(
         self, joints: ArrayLike, *, repeats: int = 1, order: str = "shuffled", seed: int = 0,
@@ -335,80 +249,39 @@ class VirtualSerial:
         ``payload_kg``, one or (n,) for the poses, hangs at the first target; left out, nothing does, and no such
         column is written.
         """
-        rng = np.random.default_rng(seed)
+        rng, robot, layout, hidden = np.random.default_rng(seed), self.robot, self.robot.layout, self.effects
         poses = np.atleast_2d(np.asarray(joints, dtype=float))
         pose, said = walked(len(poses), repeats, order, rng)
-        n, read, hidden = len(pose), poses[pose], self.effects
-        time = _SECONDS_PER_POSE * np.arange(n)
+        n, read = len(pose), poses[pose]
+        time, part = _SECONDS_PER_POSE * np.arange(n), np.arange(n) / max(n - 1, 1)
         payload = np.broadcast_to(np.asarray(0.0 if payload_kg is None else payload_kg, dtype=float), len(poses))[pose]
         came = np.sign(np.diff(read, axis=0, prepend=read[:1] - 0.1))
         velocity = rng.normal(size=read.shape) * np.ptp(read, axis=0) / 10.0 if hidden.late_s else np.zeros_like(read)
-        warmth = 20.0 + _WARMS_C * _behind(np.arange(n) / max(n - 1, 1), 0.0)
-        stand = _WARMS_C * _behind(np.arange(n) / max(n - 1, 1), hidden.stand_lag_s / max(time[-1], 1.0))
-        targets, centres = range(len(self.robot.targets_mm)), range(len(self.robot.centres_mm))
-        planes = range(len(self.robot.planes))
-        reads: list[tuple[int, int | None, int | None]] = (
-            [(t, None, None) for t in targets] if self.robot.has_tracker else []
+        warmth = 20.0 + _WARMS_C * _behind(part, 0.0)
+        stand = 20.0 + _WARMS_C * _behind(part, hidden.stand_lag_s / max(time[-1], 1.0))
+        each = np.repeat(np.arange(n), len(robot.reads))
+        target, *ends = np.tile(robot.reads, (n, 1)).T
+        is_place = np.isnan(ends[0]) & np.isnan(ends[1])
+        known = np.column_stack(
+            [*(v[each] for v in (time, warmth, came, velocity)), target, payload[each], stand[each]]
         )
-        reads += [(t, c, None) for t in targets for c in centres]
-        reads += [(t, None, p) for t in targets for p in planes]
-        shown = []
-        for k in range(n):
-            late = k >= n // 2
-            for target, centre, plane in reads:
-                warmer = float(warmth[k] - 20.0)
-                point = self.true_target(read[k], came[k], velocity[k], target, warmer, float(payload[k]), late)
-                point = point * (1.0 + hidden.warmth_per_c * (warmth[k] - 20.0))
-                point = point + np.asarray(hidden.rate_mm_h) * time[k] / 3600.0 + np.asarray(hidden.step_mm) * late
-                point = point + np.asarray(hidden.stand_mm_per_c) * stand[k]
-                if centre is not None:
-                    shown.append(self.distance(point, centre))
-                else:
-                    shown.append(self.seen(point, late) if plane is None else self.height(point, plane))
-        reading = np.array(shown) + self.noise_mm * rng.normal(size=(len(shown), 3))
-        layout = self.robot.layout
+        block = (np.ascontiguousarray(read[each]), np.column_stack(ends), known, None)
+        exact = self.shown(float(time[n // 2]), block)
+        places = exact[:, :3] + self.noise_mm * rng.normal(size=(len(each), 3))
         columns: dict[str, Any] = {"time_s": time, "temperature_c": warmth, **said}
         if payload_kg is not None:
             columns[PAYLOAD] = payload
         columns |= dict(zip(layout.joints, read.T, strict=True))
         if hidden.late_s:
             columns |= dict(zip(layout.velocities, velocity.T, strict=True))
-        columns = {name: np.repeat(values, len(reads), axis=0) for name, values in columns.items()}
-        if len(targets) > 1:
-            columns[TARGET] = np.tile([target + 1 for target, _, _ in reads], n)
-        if centres or planes:
-            ends = np.array([[np.nan if one is None else one + 1.0 for one in end] for _, *end in reads])
+        columns = {name: values[each] for name, values in columns.items()}
+        if robot.more_targets_mm:
+            columns[TARGET] = target.astype(int)
+        if not is_place.all():
             noise = self.noise_mm if self.distance_noise_mm is None else self.distance_noise_mm
-            far = np.array(shown)[:, 0] + noise * rng.normal(size=len(shown))
-            is_place = np.tile(np.isnan(ends).all(axis=1), n)
-            columns |= dict(zip((CENTRE, PLANE), np.tile(ends, (n, 1)).T, strict=True))
+            far = exact[:, 3] + noise * rng.normal(size=len(each))
+            columns |= dict(zip((CENTRE, PLANE), ends, strict=True))
             columns["distance_mm"] = np.where(is_place, np.nan, far)
-            reading = np.where(is_place[:, None], reading, np.nan)
-        columns |= dict(zip(layout.coordinates, reading.T, strict=True))
+            places = np.where(is_place[:, None], places, np.nan)
+        columns |= dict(zip(layout.coordinates, places.T, strict=True))
         return Measurements.from_columns(columns, "simulation", layout=layout)
-
-
-def _matrix(turn: Rotation, shift_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = turn.as_matrix(), shift_mm
-    return out
-
-
-@lru_cache(maxsize=256)
-def _mount(rpy_deg: Triple, origin_mm: Triple, axis: Triple) -> tuple[Floats, Floats]:
-    """A joint as drawn (4, 4), its z along its axis, and the turn back (4, 4)."""
-    turn = scipy.spatial.transform.Rotation.from_euler("xyz", rpy_deg, degrees=True)
-    aligned = _matrix(_aligning(axis))
-    return _matrix(turn, origin_mm) @ aligned, linalg.inv(aligned)
-
-
-@lru_cache(maxsize=256)
-def _aligning(axis: Triple) -> Rotation:
-    """The turn of least angle that brings z onto an axis; where that is -z, about x."""
-    turns = scipy.spatial.transform.Rotation
-    u = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-    across = np.cross([0.0, 0.0, 1.0], u)
-    sine = float(np.linalg.norm(across))
-    if sine < 1e-12:
-        return turns.identity() if u[2] > 0 else turns.from_rotvec([np.pi, 0.0, 0.0])
-    return turns.from_rotvec(across / sine * np.arctan2(sine, u[2]))

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import polars as pl
@@ -18,8 +19,8 @@ import polars as pl
 from ...base import linalg
 from ...base.types import Floats
 from ...errors import RobotError
-from .frames import about, frame, of_rpy, rpy_of, rpy_of_transform
-from .robot import Joint, Serial
+from .frames import about, frame, placed, rpy_of, rpy_of_transform
+from .robot import Joint, Serial, as_name
 
 _MM = 1000.0
 
@@ -37,9 +38,8 @@ def urdf(arm: Serial, name: str = "arm") -> str:
     A joint that follows the one before it has two: one that mimics that joint, then its own. Masses are those of the
     file; inertias, which it has not, are zero.
     """
-    robot = ElementTree.Element("robot", name=_word(name))
-    for one in _elements(arm, ""):
-        robot.append(one)
+    robot = Element("robot", name=as_name(name, "arm"))
+    robot.extend(_elements(arm, ""))
     return _text(robot)
 
 
@@ -47,44 +47,37 @@ def xacro(arm: Serial, name: str = "arm") -> str:
     """The same as a xacro: a macro of this name with a prefix for all links and joints, called once with that of the
     argument ``prefix``, empty by default."""
     ElementTree.register_namespace("xacro", _XACRO)
-    robot = ElementTree.Element("robot", name=_word(name))
-    ElementTree.SubElement(robot, f"{{{_XACRO}}}arg", name="prefix", default="")
-    macro = ElementTree.SubElement(robot, f"{{{_XACRO}}}macro", name=_word(name), params="prefix")
-    for one in _elements(arm, "${prefix}"):
-        macro.append(one)
-    ElementTree.SubElement(robot, f"{{{_XACRO}}}{_word(name)}", prefix="$(arg prefix)")
+    own = as_name(name, "arm")
+    robot = Element("robot", name=own)
+    SubElement(robot, f"{{{_XACRO}}}arg", name="prefix", default="")
+    SubElement(robot, f"{{{_XACRO}}}macro", name=own, params="prefix").extend(_elements(arm, "${prefix}"))
+    SubElement(robot, f"{{{_XACRO}}}{own}", prefix="$(arg prefix)")
     return _text(robot)
 
 
 _XACRO = "http://www.ros.org/wiki/xacro"
 
 
-def _word(name: str) -> str:
-    """A name that XML takes as one, too."""
-    word = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
-    return word if word[:1].isalpha() else f"arm_{word}"
-
-
-def _text(root: ElementTree.Element) -> str:
+def _text(root: Element) -> str:
     ElementTree.indent(root)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def _elements(arm: Serial, prefix: str) -> Iterator[ElementTree.Element]:
+def _elements(arm: Serial, prefix: str) -> Iterator[Element]:
     taken, parent, before = {joint.name for joint in arm.joints}, BASE_LINK, None
-    yield ElementTree.Element("link", name=prefix + BASE_LINK)
+    yield Element("link", name=prefix + BASE_LINK)
     for joint in arm.joints:
-        origin = frame(joint.origin_mm, of_rpy(np.deg2rad(joint.rpy_deg).tolist()))
+        origin = placed(joint.origin_mm, joint.rpy_deg)
         if joint.follows and before is not None:
             between = _free(f"{joint.name}_follows", taken)
-            yield ElementTree.Element("link", name=f"{prefix}{between}_link")
+            yield Element("link", name=f"{prefix}{between}_link")
             made = _joint(prefix, between, _sort(joint), parent, f"{between}_link", origin)
-            _axis(made, joint, *_of_mimic(joint, before))
+            _axis(made, joint, *sorted(joint.follows * one for one in before.range))
             per = joint.follows * (_MM if before.slides else 1.0) / (_MM if joint.slides else 1.0)
-            ElementTree.SubElement(made, "mimic", joint=prefix + before.name, multiplier=repr(per), offset="0")
+            SubElement(made, "mimic", joint=prefix + before.name, multiplier=repr(per), offset="0")
             yield made
             origin, parent = np.eye(4), f"{between}_link"
-        link = ElementTree.Element("link", name=f"{prefix}{joint.name}_link")
+        link = Element("link", name=f"{prefix}{joint.name}_link")
         if joint.mass_kg:
             _weigh(link, joint)
         yield link
@@ -92,8 +85,8 @@ def _elements(arm: Serial, prefix: str) -> Iterator[ElementTree.Element]:
         _axis(made, joint, *joint.range)
         yield made
         parent, before = f"{joint.name}_link", joint
-    end = frame(arm.target_mm, of_rpy(np.deg2rad(arm.tool_rpy_deg).tolist()))
-    yield ElementTree.Element("link", name=prefix + TOOL_LINK)
+    end = placed(arm.target_mm, arm.tool_rpy_deg)
+    yield Element("link", name=prefix + TOOL_LINK)
     yield _joint(prefix, _free(TOOL_LINK, taken), "fixed", parent, TOOL_LINK, end)
 
 
@@ -109,36 +102,30 @@ def _sort(joint: Joint) -> str:
     return "prismatic" if joint.slides else "continuous" if joint.limits is None else "revolute"
 
 
-def _of_mimic(joint: Joint, before: Joint) -> tuple[float, float]:
-    """The range of what follows."""
-    ends = sorted(joint.follows * one for one in before.range)
-    return ends[0], ends[1]
-
-
-def _joint(prefix: str, name: str, sort: str, parent: str, child: str, origin: Floats) -> ElementTree.Element:
-    made = ElementTree.Element("joint", name=prefix + name, type=sort)
-    ElementTree.SubElement(made, "parent", link=prefix + parent)
-    ElementTree.SubElement(made, "child", link=prefix + child)
+def _joint(prefix: str, name: str, sort: str, parent: str, child: str, origin: Floats) -> Element:
+    made = Element("joint", name=prefix + name, type=sort)
+    SubElement(made, "parent", link=prefix + parent)
+    SubElement(made, "child", link=prefix + child)
     xyz, rpy = origin[:3, 3] / _MM, rpy_of(origin[:3, :3])
-    ElementTree.SubElement(made, "origin", xyz=_numbers(xyz), rpy=_numbers(rpy))
+    SubElement(made, "origin", xyz=_numbers(xyz), rpy=_numbers(rpy))
     return made
 
 
-def _axis(made: ElementTree.Element, joint: Joint, low: float, high: float) -> None:
+def _axis(made: Element, joint: Joint, low: float, high: float) -> None:
     """Axis and limits of what moves."""
     axis = np.array(joint.axis, dtype=float)
-    ElementTree.SubElement(made, "axis", xyz=_numbers(axis / np.linalg.norm(axis)))
+    SubElement(made, "axis", xyz=_numbers(axis / np.linalg.norm(axis)))
     if made.get("type") != "continuous":
         per = _MM if joint.slides else 1.0
         limits = {"lower": repr(low / per), "upper": repr(high / per)}
-        ElementTree.SubElement(made, "limit", limits | {"effort": _EFFORT, "velocity": _SPEED})
+        SubElement(made, "limit", limits | {"effort": _EFFORT, "velocity": _SPEED})
 
 
-def _weigh(link: ElementTree.Element, joint: Joint) -> None:
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=_numbers(np.array(joint.centre_mm) / _MM), rpy="0 0 0")
-    ElementTree.SubElement(inertial, "mass", value=repr(float(joint.mass_kg or 0.0)))
-    ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
+def _weigh(link: Element, joint: Joint) -> None:
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "origin", xyz=_numbers(np.array(joint.centre_mm) / _MM), rpy="0 0 0")
+    SubElement(inertial, "mass", value=repr(float(joint.mass_kg or 0.0)))
+    SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
 
 
 def _numbers(values: Sequence[float] | Floats) -> str:
@@ -209,7 +196,7 @@ def _ahead(arm: Serial) -> Iterator[Floats]:
     for joint in arm.joints:
         yield frame((0.0, 0.0, 0.0), before) @ joint.frame
         before = joint.turn.T
-    yield frame((0.0, 0.0, 0.0), before) @ frame(arm.target_mm, of_rpy(np.deg2rad(arm.tool_rpy_deg).tolist()))
+    yield frame((0.0, 0.0, 0.0), before) @ placed(arm.target_mm, arm.tool_rpy_deg)
 
 
 def _link_of(step: Floats) -> _Link:
@@ -259,15 +246,10 @@ def kinematics_yaml(arm: Serial, name: str = "arm") -> str:
         shift, turn = rpy_of_transform(step)
         cells = (*(v / _MM for v in shift), *np.deg2rad(turn).tolist())
         lines.append(f"  {link}:")
-        lines += [
-            f"    {key}: {_yaml(cell)}"
-            for key, cell in zip(("x", "y", "z", "roll", "pitch", "yaw"), cells, strict=True)
-        ]
+        lines += [f"    {key}: {_yaml(cell)}" for key, cell in zip(_KEYS, cells, strict=True)]
     digits = int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:8], "big")
-    head = (
-        f"# {_word(name)}: as identified by sherkit; m and rad, each joint about or along its z. The tool is not in it."
-    )
-    return "\n".join([head, "kinematics:", *lines, f"  hash: calib_{digits}", ""])
+    what = "as identified by sherkit; m and rad, each joint about or along its z. The tool is not in it."
+    return "\n".join([f"# {as_name(name, 'arm')}: {what}", "kinematics:", *lines, f"  hash: calib_{digits}", ""])
 
 
 def _yaml(value: float) -> str:

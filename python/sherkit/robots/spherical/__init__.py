@@ -6,7 +6,6 @@ from typing import Any
 from ...model.kinds import Kind, RequiredSetting
 from .calibration import RemoteCentre, SphericalCalibration, remote_centre
 from .drawing import drawing
-from .misread import camera_written_otherwise
 from .model import SPHERICAL_CATALOGUE, SphericalModel, TaskError, identify_joints, task_error
 from .poses import AREAS, POSES, sphere_patch, straightness, straightness_by
 from .robot import (
@@ -17,6 +16,7 @@ from .robot import (
     CameraView,
     Spherical,
     camera_placement,
+    camera_written_otherwise,
     picture_half_angle,
 )
 from .virtual import VirtualSpherical

@@ -98,13 +98,6 @@ def remote_centre(fit: Fit) -> RemoteCentre:
     return RemoteCentre(here[rows], spread, explained)
 
 
-def centre_in_words(found: RemoteCentre) -> str:
-    """One sentence for people."""
-    size, std = found.largest
-    model = "" if found.explained else " (axis_offset was fitted besides, to ask)"
-    return f"off by at most {size:.3f} ± {std:.3f} mm over the run, within {found.within_mm:.3f} mm at 95 %{model}"
-
-
 # -- The calibration ----------------------------------------------------------------------------------------------
 
 
@@ -142,7 +135,7 @@ class SphericalCalibration(Calibration):
         angles, by_angles, reached = self._rows(data.joints)
         use = seen & reached & (np.abs(np.linalg.det(by_joints)) > 0)
         turned = by_angles[use] @ linalg.solve(by_joints[use], held_out[rows][use][:, :, None])
-        return angles[use], _across(turned[:, :, 0], angles[use])
+        return angles[use], _across(turned, angles[use])[:, :, 0]
 
     @classmethod
     def about(cls, fit: Fit) -> Sequence[Note]:
@@ -152,7 +145,9 @@ class SphericalCalibration(Calibration):
         values = {
             "rms": found.rms_mm, "largest": size, "std": std, "within_95": found.within_mm, "in_model": found.explained,
         }  # fmt: skip
-        return (Note("remote centre of motion", centre_in_words(found), {"remote_centre_mm": values}),)
+        asked = "" if found.explained else " (axis_offset was fitted besides, to ask)"
+        said = f"off by at most {size:.3f} ± {std:.3f} mm over the run, within {found.within_mm:.3f} mm at 95 %{asked}"
+        return (Note("remote centre of motion", said, {"remote_centre_mm": values}),)
 
     # -- the model ---------------------------------------------------------------------------------------
 
@@ -171,16 +166,14 @@ class SphericalCalibration(Calibration):
     def by_values(self, part: IdentifiedModel, joints: Floats, now: list[float]) -> Floats:
         """Of angles across the tool (n, 2, p), rad; what is the measurement's alone turns no tool."""
         angles, by_values, _ = self.core.by_parameters_batch(joints, now, self.model.indices)
-        across = np.stack([_across(by_values[:, :, k], angles) for k in range(by_values.shape[2])], axis=2)
         names = [p.name for p in self.model.parameters[: len(part.values)]]
         ours = [n not in self.model.of_sensor and n.partition(".")[0] not in _OF_MARKER for n in names]
-        return np.where(ours, across, 0.0)
+        return np.where(ours, _across(by_values, angles), 0.0)
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """Through the joints to angles across the tool."""
         angles, by_angles, _ = self._rows(joints)
-        turned = by_angles @ linalg.solve(by_joints, missed)
-        return np.stack([_across(turned[:, :, k], angles) for k in range(turned.shape[2])], axis=2)
+        return _across(by_angles @ linalg.solve(by_joints, missed), angles)
 
     @property
     def reach_mm(self) -> float:
@@ -210,5 +203,5 @@ _OF_MARKER = ("marker_offset", "thermal_growth", "drift", "slip")
 
 
 def _across(change: Floats, angles: Floats) -> Floats:
-    """Changes of φ and γ (n, 2) as angles across the tool: φ counts the less the nearer the tool is to the axis."""
-    return np.column_stack([change[:, 0] * np.sin(angles[:, 1]), change[:, 1]])
+    """Changes of φ and γ (n, 2, k) as angles across the tool: φ counts the less the nearer the tool is to the axis."""
+    return np.stack([change[:, 0] * np.sin(angles[:, 1:]), change[:, 1]], axis=1)

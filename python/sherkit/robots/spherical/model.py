@@ -8,7 +8,7 @@ Beside it stands the paper's identification, from the residual of the inverse ki
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import ClassVar, cast
 
@@ -141,14 +141,7 @@ class SphericalModel(ChainModel):
 
     def settings(self) -> dict[str, Setting | None]:
         """Moments of the slips of marker, joints, camera, lag of the stands, origin of time, period of the encoders."""
-        return {
-            "slip_time_s": self.slip_time_s,
-            "joint_slip_time_s": self.joint_slip_time_s,
-            "thermal_shift_lag_s": self.thermal_shift_lag_s,
-            "sensor_slip_time_s": self.sensor_slip_time_s,
-            "time_origin_s": self.time_origin_s,
-            "period_rad": self.period_rad,
-        }
+        return {one.name: getattr(self, one.name) for one in fields(self)[len(fields(ChainModel)) :]}
 
     @cached_property
     def core(self) -> _core.SphericalModel:

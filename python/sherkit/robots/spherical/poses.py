@@ -27,7 +27,7 @@ from ...base.types import Floats
 from ...data.toml import Table
 from ...errors import RobotError, ShapeError, SherkitError
 from ...model.kinds import MOST_IN_LINE, MOST_PER_SIDE
-from .robot import CameraView, Spherical
+from .robot import CameraView, Spherical, axes_at
 
 # -- Lines --------------------------------------------------------------------------------------------------------
 
@@ -66,9 +66,7 @@ def targets(camera: CameraView, radius_mm: float, line: Line, count: int = 41) -
     share = np.linspace(0.0, 1.0, count)[:, None]
     start, end = np.array(line.start_rad), np.array(line.end_rad)
     led = start + share * (end - start)
-    phi, gamma = led.T
-    axis = np.column_stack([np.sin(gamma) * np.cos(phi), np.sin(gamma) * np.sin(phi), np.cos(gamma)])
-    pixels, _ = camera.core.project_batch(radius_mm * axis)
+    pixels, _ = camera.core.project_batch(radius_mm * axes_at(led))
     if line.straight_in == "picture":
         pixels = np.ascontiguousarray(pixels[0] + share * (pixels[-1] - pixels[0]))
         known = np.array([0, count - 1])

@@ -7,12 +7,13 @@ geometry is the user's. Frame: origin at the remote centre of motion, z along th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 import sherkit._core as _core
@@ -101,15 +102,8 @@ class CameraView(Saved):
 
     def to_table(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
-        return {
-            "size_px": list(self.size_px),
-            "focal_px": list(self.focal_px),
-            "centre_px": list(self.centre_px),
-            "distortion": list(self.distortion),
-            "rotation_rad": list(self.rotation_rad),
-            "translation_mm": list(self.translation_mm),
-            **({} if self.marker_sigma_px is None else {"marker_sigma_px": self.marker_sigma_px}),
-        }
+        told = {one.name: getattr(self, one.name) for one in fields(self)}
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in told.items() if v is not None}
 
 
 # -- Where to put the one camera that looks at a spherical robot ----------------------------------------------------
@@ -193,6 +187,12 @@ SPHERICAL_ANGLES = Layout(SPHERICAL_JOINTS, ("phi_rad", "gamma_rad"), "mrad", 1e
 
 ASSEMBLY_MODES = ("outer", "inner")
 WORKING_MODES = ("open", "crossed", "ahead", "behind")
+
+
+def axes_at(angles_rad: Floats) -> Floats:
+    """Unit vectors (n, 3) of the base frame that point to φ, γ (n, 2)."""
+    phi, gamma = angles_rad.T
+    return np.column_stack([np.sin(gamma) * np.cos(phi), np.sin(gamma) * np.sin(phi), np.cos(gamma)])
 
 
 @dataclass(frozen=True)
@@ -285,8 +285,8 @@ class Spherical(Declared, Stating, Saved, Shown):
         """Lowest and highest joint reading, rad, to which a motor may go; None where the file names none."""
         if self.joint_limits_deg is None:
             return None
-        low, high = self.joint_limits_deg
-        return (float(np.deg2rad(low)), float(np.deg2rad(high)))
+        low, high = np.deg2rad(self.joint_limits_deg).tolist()
+        return (low, high)
 
     @property
     def middle(self) -> Pair:
@@ -336,9 +336,7 @@ class Spherical(Declared, Stating, Saved, Shown):
 
     def point(self, angles_rad: ArrayLike) -> Floats:
         """Points (n, 3) of the sphere at φ, γ (n, 2), mm, base frame."""
-        phi, gamma = matrix(angles_rad, "phi and gamma", 2).T
-        axis = np.column_stack([np.sin(gamma) * np.cos(phi), np.sin(gamma) * np.sin(phi), np.cos(gamma)])
-        return self.radius_mm * axis
+        return self.radius_mm * axes_at(matrix(angles_rad, "phi and gamma", 2))
 
     @property
     def seen(self) -> CameraView:
@@ -350,3 +348,44 @@ class Spherical(Declared, Stating, Saved, Shown):
     @cached_property
     def _nominal(self) -> _core.SphericalKinematics:
         return self.kinematics()
+
+
+# -- The cameras that a file may have meant: a pose is written in more than one way --------------------------------
+
+_MEANT = "x_camera = R x_base + t is meant"
+
+
+def camera_written_otherwise(robot: Spherical) -> Iterator[tuple[str, str, Spherical]]:
+    """The robots whose camera was written from the camera to the base, as OpenCV does not, or in degrees: what looks
+    wrong, what to write, and the robot as it would be then."""
+    camera = robot.camera
+    if camera is None:
+        return
+    turn, shift = scipy.spatial.transform.Rotation.from_rotvec(camera.rotation_rad), np.array(camera.translation_mm)
+    back, forth = turn.inv(), "that from the camera to the base"
+    here, place = "of [camera] in the robot file", "the camera's place in the base"
+    for looks, is_turn, is_shift in (
+        (f"rotation_rad {here} looks like {forth}", back, shift),
+        (f"rotation_rad and translation_mm {here} look like {forth}", back, -back.apply(shift)),
+        (f"translation_mm {here} looks like {place}", turn, -turn.apply(shift)),
+    ):
+        yield from _as_meant(robot, camera, f"{looks}, where {_MEANT}", is_turn.as_rotvec(), is_shift)
+    looks = f"rotation_rad {here} looks like degrees"
+    yield from _as_meant(robot, camera, looks, np.deg2rad(camera.rotation_rad), shift)
+
+
+def _as_meant(
+    robot: Spherical, camera: CameraView, looks: str, rotation_rad: Floats, translation_mm: Floats
+) -> Iterator[tuple[str, str, Spherical]]:
+    """The robot with this pose of its camera, unless it is the one that it has."""
+    poses = {"rotation_rad": rotation_rad, "translation_mm": translation_mm}
+    changed = {key: value for key, value in poses.items() if not np.allclose(value, getattr(camera, key), atol=1e-9)}
+    if changed:
+        told = "; ".join(f"{key} = [{', '.join(_plain(v) for v in value)}]" for key, value in changed.items())
+        meant = replace(camera, **{key: tuple(value.tolist()) for key, value in changed.items()})  # type: ignore[arg-type]
+        yield looks, f"write {told}", replace(robot, camera=meant)
+
+
+def _plain(value: float) -> str:
+    """Six digits; what is but rounding is none."""
+    return f"{round(value, 9) + 0.0:.6g}"

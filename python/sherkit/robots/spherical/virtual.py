@@ -1,7 +1,7 @@
 """A virtual spherical robot and the camera that looks at it: planted errors and noise.
 
-Written apart from the core on purpose: the tool axis comes from the intersection of two cones in NumPy, pixels from a
-pinhole with Brown's distortion written out here.
+It is the compiled robot with errors put in. What judges that, by formulas of its own, is
+``tests/second_simulator/spherical.py``.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+import sherkit._core as _core
+
 from ...base.figures import nearest
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.toml import Table
 from ...errors import OutOfReach, ShapeError
 from ...model.kinds import Option, walked
-from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, CameraView, Spherical
+from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, CameraView, Spherical, axes_at
 
 #: What the paper identified on its robot, less what the drawing says (Table I): rad and mm.
 PAPER_ERRORS = {"alpha": 0.7634 - 0.7854, "beta": 0.8037 - 0.7854, "radius": 22.1}
@@ -102,36 +104,17 @@ class VirtualSpherical:
 
     def axes(self, joints_rad: ArrayLike) -> Floats:
         """Unit vectors (n, 3) of the tool axis. Raises :class:`~sherkit.errors.OutOfReach` where limbs do not meet."""
-        q = np.atleast_2d(np.asarray(joints_rad, dtype=float)) + np.asarray(self.joint_offset_rad)
-        more = np.asarray(self.unequal_limbs_rad, dtype=float)
-        elbows, reach = [], []
-        for limb, sign in ((0, 1.0), (1, -1.0)):
-            alpha = np.deg2rad(self.robot.alpha_deg) + self.errors.get("alpha", 0.0) + sign * more[0]
-            beta = np.deg2rad(self.robot.beta_deg) + self.errors.get("beta", 0.0) + sign * more[1]
-            turn = q[:, limb]
-            elbows.append(
-                np.column_stack(
-                    [np.sin(alpha) * np.cos(turn), np.sin(alpha) * np.sin(turn), np.full(len(q), np.cos(alpha))]
-                )
-            )
-            reach.append(np.cos(beta))
-        first, second = elbows
-        dot = (first * second).sum(axis=1)
-        normal = np.cross(first, second)
-        area = (normal**2).sum(axis=1)
-        a, b = (reach[0] - reach[1] * dot) / area, (reach[1] - reach[0] * dot) / area
-        plane = a[:, None] * first + b[:, None] * second
-        rest = (1.0 - (plane**2).sum(axis=1)) / area
-        if not (rest >= 0).all():
-            row = int(np.argmax(~(rest >= 0)))
+        more, off = (np.asarray(one, dtype=float) for one in (self.unequal_limbs_rad, self.joint_offset_rad))
+        longer = np.array([self.errors.get("alpha", 0.0), self.errors.get("beta", 0.0)])
+        limbs = np.array([[*(longer + more), off[0]], [*(longer - more), off[1]]])
+        kinematics = _core.SphericalKinematics(self.robot.geometry + limbs.ravel(), self.robot.assembly_mode)
+        angles, reached = kinematics.forward_batch(np.atleast_2d(np.ascontiguousarray(joints_rad, dtype=float)))
+        if not reached.all():
+            row = int(np.argmax(~reached))
             raise OutOfReach(
                 f"the virtual robot's limbs do not meet at row {row} of these joint readings", 0, float("nan")
             )
-        out = np.sqrt(rest)[:, None] * normal
-        # of both meeting points, the outer one is further from the actuated axis' start
-        outer, inner = plane + out, plane - out
-        swap = outer[:, 2] > inner[:, 2] if self.robot.assembly_mode == "outer" else outer[:, 2] < inner[:, 2]
-        return np.where(swap[:, None], inner, outer)
+        return axes_at(angles)
 
     def markers(self, joints_rad: ArrayLike) -> Floats:
         """Places of the marker (n, 3), mm, base frame."""
@@ -140,7 +123,7 @@ class VirtualSpherical:
 
     def true_reading(self, joints_rad: ArrayLike) -> Floats:
         """Pixels (n, 2) that a camera without noise would give."""
-        return projected(self.eye, self.markers(joints_rad))
+        return self.eye.core.project_batch(self.markers(joints_rad))[0]
 
     def noise_free(self, joints_rad: ArrayLike) -> Floats:
         """What a run without noise would hold (n, 2), px: the same as :meth:`true_reading`."""
@@ -168,23 +151,3 @@ class VirtualSpherical:
         noise = self.noise_px * np.random.default_rng([seed, 1]).normal(size=clean.shape)
         readings = {name: (clean + noise)[:, k] for k, name in enumerate(SPHERICAL_PIXELS.coordinates)}
         return Measurements.from_columns({**columns, **readings}, "simulation", layout=SPHERICAL_PIXELS)
-
-
-def projected(camera: CameraView, points_mm: Floats) -> Floats:
-    """Pixels (n, 2) of points (n, 3) in the base frame: pinhole, Brown's distortion. Nothing of the core is used."""
-    turn = np.asarray(camera.rotation_rad, dtype=float)
-    angle = float(np.linalg.norm(turn))
-    axis = turn / angle if angle > 0 else np.array([1.0, 0.0, 0.0])
-    # Rodrigues' formula, row by row
-    along = np.outer(points_mm @ axis, axis)
-    seen = along + np.cos(angle) * (points_mm - along) + np.sin(angle) * np.cross(axis, points_mm)
-    seen = seen + np.asarray(camera.translation_mm)
-    x, y = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]
-    k1, k2, p1, p2, k3 = camera.distortion
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-    yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    return np.column_stack(
-        [camera.focal_px[0] * xd + camera.centre_px[0], camera.focal_px[1] * yd + camera.centre_px[1]]
-    )
