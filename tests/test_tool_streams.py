@@ -11,12 +11,11 @@ from scipy.spatial.transform import Rotation
 from second_tool import CONDITIONS, Recorded
 from sherkit.errors import SherkitWarning
 from sherkit.robots.tool.consistency import known
-from sherkit.robots.tool.exchanged import exchanged
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.model import ToolModel
 from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FlexibleTool
-from sherkit.robots.tool.trust import trust
+from sherkit.robots.tool.trust import exchanged, trust
 from tool_honesty import honest, run_of, tool_of
 
 WORLD = CONDITIONS["exact_rod_pivot"]

@@ -272,13 +272,17 @@ class ToolRun:
 
     @cached_property
     def present(self) -> Bools:
-        """Rows (n,) with all wavelengths of sections I and II, and no reading that an earlier row has already, where
-        the robot's pose is known."""
-        whole = np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1) & ~self.lost_fibres & ~self.lost_pose
+        """Rows (n,) with all wavelengths of sections I and II that are :meth:`new_readings`."""
+        return self.new_readings(np.asarray(np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1)))
+
+    def new_readings(self, read: Bools) -> Bools:
+        """Those of the rows ``read`` (n,) that hold no reading which an earlier one has already, where the robot's pose
+        is known."""
+        read = read & ~self.lost_fibres & ~self.lost_pose
         if self.fibre_time_s is None:
-            return np.asarray(whole)
-        before = np.maximum.accumulate(np.where(whole, self.fibre_times_s, -np.inf))
-        return np.asarray(whole & (self.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
+            return read
+        before = np.maximum.accumulate(np.where(read, self.fibre_times_s, -np.inf))
+        return np.asarray(read & (self.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
 
     @cached_property
     def again(self) -> Bools:
@@ -407,6 +411,15 @@ def warn_frozen(run: ToolRun) -> None:
     """Warns of streams that stood still while the others went on."""
     for sentence in run.froze:
         warnings.warn(f"{run.source}: {sentence[0].lower()}{sentence[1:]}", SherkitWarning, stacklevel=3)
+
+
+def read_free_motion(path: str | Path) -> ToolRun:
+    """A run in which the free tool was led around before its camera, as :func:`read_tool_run`. Raises as
+    :func:`require_camera`, and warns of streams that froze."""
+    run = read_tool_run(path)
+    require_camera(run)
+    warn_frozen(run)
+    return run
 
 
 def require_camera(run: ToolRun) -> None:
