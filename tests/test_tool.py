@@ -23,7 +23,7 @@ from sherkit.robots.tool.filters import Estimate, consistency, estimate, status_
 from sherkit.robots.tool.runs import ToolRun, read_tool_run, tool_run_of
 from sherkit.robots.tool.tool import FIBRES, NOISES, FlexibleTool, ToolDoubt, load_tool, rotation_of
 from sherkit.robots.tool.virtual import EXPERIMENTS, VirtualTool
-from tool_honesty import honest, run_of, tool_of
+from tool_honesty import honest, run_of, tool_of, without_fibres
 
 Floats = NDArray[np.float64]
 
@@ -248,14 +248,14 @@ def test_lost_wavelengths_are_counted_and_bridged(runs: dict[str, list[ToolRun]]
     """Catches NaN that travels on: half a second without fibres is predicted, counted, and widens the band."""
     run = runs["vessels"][0]
     gone = (run.time_s > 20.0) & (run.time_s < 20.5)
-    e = estimate(KNOWING, run.without_fibres(gone))
+    e = estimate(KNOWING, without_fibres(run, gone))
     assert status_in_words(e.depth)["without a measurement"] == int(gone.sum())
     for track in (e.depth, e.tip, e.together):
         assert np.isfinite(track.value).all()
         assert np.isfinite(track.covariance).all()
     assert (np.diff(e.depth.std[gone, 0]) > 0).all()
     with pytest.raises(MeasurementError, match="no row has wavelengths"):
-        estimate(KNOWING, run.without_fibres(np.ones(len(run), dtype=bool)))
+        estimate(KNOWING, without_fibres(run, np.ones(len(run), dtype=bool)))
 
 
 def test_a_small_force_has_a_large_deviation(runs: dict[str, list[ToolRun]]) -> None:
