@@ -109,7 +109,7 @@ def test_bending_is_that_of_the_beam_equation(length: float, share: float, force
         length_mm=length, stiffness_mn_mm2=stiffness, distances_mm=(0.6 * length, 0.8 * length), bending="small"
     )
     for tip in (
-        VirtualTool._tip(made, np.array([[force, 0.0]]), np.array([depth]))[0, 0],
+        VirtualTool(made)._tip(np.array([[force, 0.0]]), np.array([depth]))[0, 0],
         made.beam.deflection_batch(np.array([[force, 0.0]]), np.array([depth]))[0][0, 0],
     ):
         assert tip == pytest.approx(bent[-1], rel=1e-5, abs=1e-9)
@@ -121,7 +121,7 @@ def test_the_contact_is_in_balance() -> None:
     virtual = VirtualTool(small, hole_mn_mm=80.0)
     rng = np.random.default_rng(0)
     depth, offset = rng.uniform(0.1, 25.0, 200), 4.0 * rng.standard_normal((200, 2))
-    force = virtual._force(small, depth, offset, 2.0)
+    force = virtual._force(depth, offset, 2.0)
     size, pushed = np.linalg.norm(force, axis=1), np.linalg.norm(offset, axis=1)
     assert (size[pushed <= 2.0] == 0).all()
     on = pushed > 2.0
