@@ -241,38 +241,31 @@ class FlexibleTool(Declared, Saved):
     @cached_property
     def sensor(self) -> _core.ToolSensor:
         """The gratings (Eqs. 1 and 2)."""
-        return _core.ToolSensor(
-            np.array(self.gains, dtype=float),
-            np.array(self.distances_mm),
-            np.array(self.reference_nm),
-            self.noise_nm,
-            self.beam,
-        )
+        gratings = (np.array(self.gains), np.array(self.distances_mm), np.array(self.reference_nm))
+        return _core.ToolSensor(*gratings, self.noise_nm, self.beam)
 
     def tracker(self, time_s: float, pose: Floats) -> _core.ToolFilter:
         """The filter that a control loop runs, started at a time and a pose (12,)."""
         d = self.doubt
         doubts = (d.deeper_mm, d.turn_rad, d.force, d.reference_nm, d.mean, d.unlike, d.warmth, self.clearance_std_mm)
         return _core.ToolFilter(
-            np.array(self.gains, dtype=float), np.array(self.means, dtype=float), np.array(self.distances_mm),
-            np.array(self.reference_nm), self.noise_nm, np.array(self.warmth, dtype=float), self.beam,
-            np.array(d.depth, dtype=float), np.array(d.beam, dtype=float), doubts, self.clearance_mm,
-            self.per_second_mm2[0], (self.start_depth_mm, self.start_known_mm**2, time_s), np.ascontiguousarray(pose),
+            self.sensor, np.array(self.means), np.array(self.warmth), np.array(d.depth), np.array(d.beam), doubts,
+            self.clearance_mm, self.per_second_mm2[0], self._start(time_s), np.ascontiguousarray(pose),
         )  # fmt: skip
+
+    def paper_filter(self, time_s: float, pose: Floats) -> _core.PaperFilter:
+        """The paper's own filters, started as :meth:`tracker`."""
+        of_force = self.noise == "ebrahimi_2020_of_force"
+        return _core.PaperFilter(self.sensor, self._start(time_s), np.ascontiguousarray(pose), of_force)
+
+    def _start(self, time_s: float) -> tuple[float, float, float]:
+        return self.start_depth_mm, self.start_known_mm**2, time_s
 
     @property
     def start_known_mm(self) -> float:
         """How well it is known where a run starts, as a standard deviation, mm: a third of the shaft where the file
         says nothing, so that the first force decides."""
         return self.length_mm / 3.0 if self.start_std_mm is None else self.start_std_mm
-
-    def paper_filter(self, time_s: float, pose: Floats) -> _core.PaperFilter:
-        """The paper's own filters, started as :meth:`tracker`."""
-        return _core.PaperFilter(
-            np.array(self.gains, dtype=float), np.array(self.distances_mm), np.array(self.reference_nm), self.noise_nm,
-            self.beam, (self.start_depth_mm, self.start_known_mm**2, time_s), np.ascontiguousarray(pose),
-            self.noise == "ebrahimi_2020_of_force",
-        )  # fmt: skip
 
     def as_if_cold(self, wavelengths_nm: Floats) -> Floats:
         """Wavelengths (n, 9) without what warmth makes of the differences of unlike fibres."""
