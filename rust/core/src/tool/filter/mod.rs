@@ -17,7 +17,6 @@
 mod along;
 mod edge;
 mod judging;
-mod learnt;
 mod moments;
 mod offsets;
 mod reading;
@@ -25,6 +24,7 @@ mod slips;
 mod state;
 mod tip;
 mod told;
+mod watch;
 
 pub use super::status::{Consistency, Counts, Look, Set, Status, Told};
 pub use super::trusted::{Doubt, Trusted};
@@ -36,7 +36,7 @@ use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use nalgebra::{Vector2, Vector3};
-use state::{BENCH, N, State};
+use state::{BENCH, CLEARANCE, DEEPER, L, N, State};
 
 /// A stamp further ahead of the present than this is a wild number and no clock, s; a step is no longer than the other.
 const AHEAD_S: f64 = 0.3;
@@ -55,13 +55,13 @@ pub struct ToolFilter {
     poses: Poses,
     state: State,
     /// The last force that was read, and when.
-    felt: Option<(f64, learnt::Said)>,
-    offsets: learnt::Offsets,
-    drift: learnt::Drift,
+    felt: Option<(f64, reading::Said)>,
+    offsets: offsets::Offsets,
+    drift: along::Drift,
     along: along::Along,
-    edge: learnt::Edge,
-    tip: learnt::Tip,
-    watch: learnt::Watch,
+    edge: edge::Edge,
+    tip: tip::Tip,
+    watch: watch::Watch,
     used_s: f64,
     look: Look,
     counts: Counts,
@@ -143,12 +143,12 @@ impl ToolFilter {
                 slid: 0.0,
             },
             felt: None,
-            offsets: learnt::Offsets::default(),
-            drift: learnt::Drift::new(time_s, t.per_second_mm2),
+            offsets: offsets::Offsets::default(),
+            drift: along::Drift::new(time_s, t.per_second_mm2),
             along: along::Along::default(),
-            edge: learnt::Edge::default(),
-            tip: learnt::Tip::default(),
-            watch: learnt::Watch::new(gratings.noise),
+            edge: edge::Edge::default(),
+            tip: tip::Tip::default(),
+            watch: watch::Watch::new(gratings.noise),
             used_s: f64::NEG_INFINITY,
             look: Look::default(),
             counts: Counts::default(),
@@ -205,6 +205,57 @@ impl ToolFilter {
         status
     }
 
+    /// Takes a reading into the state.
+    #[inline]
+    fn take(&mut self, said: &reading::Said) -> Status {
+        let (s, mut status) = (&mut self.state, Status::UPDATED);
+        let mut moved = 0.0;
+        if let Some((mm, seen)) = &said.off {
+            let before = s.x[L] + s.x[DEEPER];
+            if !s.take(seen, *mm) {
+                return Status::NOT_FINITE;
+            }
+            let gain = (seen.with[L] / seen.total).clamp(0.0, 1.0);
+            s.lasting += gain * (sqrt(said.lasting) - s.lasting);
+            moved = s.x[L] + s.x[DEEPER] - before;
+            self.along.add(s.time_s, s.slid, moved);
+            s.slid = 0.0;
+            let white = seen.total - (reading::LASTS - 1.0) * said.lasting;
+            self.consistency.add(mm * mm / white);
+            let slowest = self.trusted.per_second_mm2;
+            self.drift.add(*mm, seen.total, s.time_s, slowest);
+        } else {
+            status = status | Status::NO_FORCE;
+        }
+        if !(said.noise > 0.0 && said.size.is_finite()) {
+            s.lean(&self.shaft);
+            return status;
+        }
+        s.size = (said.size + said.by_depth * (moved - said.ahead)).max(0.0);
+        (s.way, s.short, s.relief) = (said.way, said.short, said.relief);
+        self.felt = Some((
+            s.time_s,
+            reading::Said {
+                size: s.size,
+                ..*said
+            },
+        ));
+        s.touched |= said.off.is_some();
+        s.free = !said.leans;
+        if said.leans && s.touched {
+            let (gives, tells) = (s.gives(&self.shaft), said.off.is_some());
+            self.edge.felt(s, said.noise, gives, tells);
+            s.aside = s.way * (s.x[CLEARANCE] + gives * s.size);
+        } else {
+            let far = sqrt(s.aside.norm_squared());
+            if far > s.x[CLEARANCE] {
+                s.aside *= s.x[CLEARANCE] / far;
+            }
+            (self.edge.since, self.edge.strays) = (None, None);
+        }
+        status
+    }
+
     /// What the last reading was like.
     #[must_use]
     pub fn look(&self) -> Look {
@@ -247,6 +298,13 @@ impl ToolFilter {
     pub fn learnt(&self) -> [f64; 8] {
         let [_, c, g, t, a, b, d, e, deeper, ..] = self.state.x;
         [c, g, t, deeper, a, b, d, e]
+    }
+
+    /// By how much the robot's rows are later than the gratings, s, where that is not by chance: a robot that is late has not
+    /// yet gone where the shaft leans, in proportion to its speed.
+    #[must_use]
+    pub fn late_s(&self) -> f64 {
+        self.edge.late_s()
     }
 
     /// How much fibres lag behind their bends, over the bend: what all of them have in common.
