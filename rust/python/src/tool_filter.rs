@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::filter::{
-    Consistency, Counts, Doubt, Look, Shifts, Status, Told, ToolFilter as CoreTool, Trusted,
+    Consistency, Counts, Doubt, LEARNT, Look, Shifts, Status, Told, ToolFilter as CoreTool, Trusted,
 };
 use sherkit_core::tool::paper::{PaperFilter as CorePaper, PaperNoise};
 
@@ -24,12 +24,9 @@ trait Stepped: Copy + Send {
     fn told(&self) -> Told;
     fn look(&self) -> Look;
     fn fared(&self) -> (&Counts, &Consistency);
-    /// Pace of the hole along the shaft (mm²/s) and across ((mm/s)²), and what was learnt: clearance (mm), give (mm/mN), the
-    /// gratings' turn (rad), how much deeper they are (mm), moments of no force (4, mN·mm), the share of its
-    /// slides by which the shaft takes the hole along, how much fibres lag, over the bend, and by how much the robot is later than they are (s).
-    fn inner(&self) -> [f64; INNER];
+    /// What was learnt ([`CoreTool::learnt`]).
+    fn inner(&self) -> [f64; LEARNT];
 }
-const INNER: usize = 13;
 
 impl Stepped for CoreTool {
     fn advance(&mut self, time_s: f64, pose: &Rigid, reading: Option<(f64, &Shifts)>) -> Status {
@@ -44,24 +41,8 @@ impl Stepped for CoreTool {
     fn fared(&self) -> (&Counts, &Consistency) {
         (self.counts(), self.consistency())
     }
-    fn inner(&self) -> [f64; INNER] {
-        let [c, g, t, m, a, b, d, e] = self.learnt();
-        let (drift, pace) = (self.per_second_mm2(), self.pace());
-        [
-            drift,
-            pace,
-            c,
-            g,
-            t,
-            m,
-            a,
-            b,
-            d,
-            e,
-            self.goes_along(),
-            self.lags(),
-            self.late_s(),
-        ]
+    fn inner(&self) -> [f64; LEARNT] {
+        self.learnt()
     }
 }
 
@@ -78,8 +59,8 @@ impl Stepped for CorePaper {
     fn fared(&self) -> (&Counts, &Consistency) {
         (self.counts(), self.consistency())
     }
-    fn inner(&self) -> [f64; INNER] {
-        [0.0; INNER]
+    fn inner(&self) -> [f64; LEARNT] {
+        [0.0; LEARNT]
     }
 }
 
@@ -111,7 +92,7 @@ fn run<'py, F: Stepped>(
     }
     let present = same_length("present", &r.present, n)?.to_vec();
     let (mut state, mut covariance) = (Vec::with_capacity(4 * n), Vec::with_capacity(16 * n));
-    let (mut force, mut inner) = (Vec::with_capacity(2 * n), Vec::with_capacity(INNER * n));
+    let (mut force, mut inner) = (Vec::with_capacity(2 * n), Vec::with_capacity(LEARNT * n));
     let mut columns: [Vec<f64>; 4] = core::array::from_fn(|_| Vec::with_capacity(n));
     let (mut status, mut degrees, mut faulty) = (vec![], vec![], vec![]);
     py.detach(|| {
@@ -141,7 +122,7 @@ fn run<'py, F: Stepped>(
     for (name, data, width) in [
         ("state", state, 4),
         ("force_mn", force, 2),
-        ("inner", inner, INNER),
+        ("inner", inner, LEARNT),
     ] {
         out.set_item::<_, Bound<'py, PyArray2<f64>>>(name, shaped(py, data, [n, width])?)?;
     }

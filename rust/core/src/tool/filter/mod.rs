@@ -46,6 +46,9 @@ const FARTHEST_MM: f64 = 1e6;
 /// What a hole gives way before that is felt, and its deviation, mm/mN: tissue is as soft as a fortieth of this per mN.
 const GIVES: [f64; 2] = [0.005, 0.01];
 
+/// Numbers that are learnt.
+pub const LEARNT: usize = 13;
+
 /// The filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolFilter {
@@ -191,7 +194,7 @@ impl ToolFilter {
         let Some(then) = then else {
             return Status::LATE;
         };
-        self.state.go(at, &then, self.per_second_mm2());
+        self.state.go(at, &then, self.drift.per_second);
         // a single wild stamp must not make all that follow late
         self.used_s = if stamp_s < now + AHEAD_S {
             stamp_s
@@ -274,49 +277,21 @@ impl ToolFilter {
         &self.consistency
     }
 
-    /// Time of the estimate, s.
+    /// What was learnt: process noise of the depth (mm²/s), mean square pace at which the edge of the hole strays from where
+    /// the motion of the tool has it ((mm/s)²), clearance of the hole (mm), what it gives way (mm/mN), the gratings' turn
+    /// (rad), how much deeper they count (mm), the moments of no force (4, mN·mm), the share of its slides by which the shaft
+    /// takes the hole along, how much fibres lag behind their bends, over the bend, and by how much the robot's rows are later
+    /// than the gratings (s). The share and what is late are zero where that may be chance.
     #[must_use]
-    pub fn time_s(&self) -> f64 {
-        self.poses.now().time_s
-    }
-
-    /// Mean square pace at which the edge of the hole strays from where the motion of the tool has it, (mm/s)².
-    #[must_use]
-    pub fn pace(&self) -> f64 {
-        self.edge.mean
-    }
-
-    /// Process noise of the depth at present, mm²/s.
-    #[must_use]
-    pub fn per_second_mm2(&self) -> f64 {
-        self.drift.per_second
-    }
-
-    /// What was learnt: clearance of the hole (mm), what it gives way (mm/mN), the gratings' turn (rad), how much deeper they
-    /// count (mm), the moments of no force (mN·mm).
-    #[must_use]
-    pub fn learnt(&self) -> [f64; 8] {
+    pub fn learnt(&self) -> [f64; LEARNT] {
         let [_, c, g, t, a, b, d, e, deeper, ..] = self.state.x;
-        [c, g, t, deeper, a, b, d, e]
-    }
-
-    /// By how much the robot's rows are later than the gratings, s, where that is not by chance: a robot that is late has not
-    /// yet gone where the shaft leans, in proportion to its speed.
-    #[must_use]
-    pub fn late_s(&self) -> f64 {
-        self.edge.late_s()
-    }
-
-    /// How much fibres lag behind their bends, over the bend: what all of them have in common.
-    #[must_use]
-    pub fn lags(&self) -> f64 {
-        sqrt(self.offsets.lag)
-    }
-
-    /// The share of its slides by which the shaft was seen to take the hole along; zero where it was not.
-    #[must_use]
-    pub fn goes_along(&self) -> f64 {
-        self.along.share()
+        let (drift, pace) = (self.drift.per_second, self.edge.mean);
+        let (along, lags, late) = (
+            self.along.share(),
+            sqrt(self.offsets.lag),
+            self.edge.late_s(),
+        );
+        [drift, pace, c, g, t, deeper, a, b, d, e, along, lags, late]
     }
 }
 

@@ -19,7 +19,7 @@ impl ToolFilter {
             return self.told_of(&self.state, 0.0);
         }
         let mut s = self.state;
-        s.go(now.time_s, &now.pose, self.per_second_mm2());
+        s.go(now.time_s, &now.pose, self.drift.per_second);
         s.lean(&self.shaft);
         let (felt, shaft) = (self.felt.as_ref(), &self.shaft);
         self.told_of(&s, self.edge.strayed(felt, shaft, &self.state, &s))
