@@ -339,16 +339,16 @@ def left_open(fit: BenchFit, lacks: Sequence[Lack]) -> ToolDoubt:
     rng = rng[rng < near - 3.0]
     one, two = near - rng, far - rng
     apart = far - near
+    angle = np.pi / 4 * np.arange(4)
+    ways = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     by_depth, by_force = np.zeros((4, len(rng), 13)), np.zeros((4, 13))
-    for k, angle in enumerate(np.pi / 4 * np.arange(4)):
-        way = np.array([np.cos(angle), np.sin(angle)])
+    for s, (arm, lever) in enumerate(((one, -two), (two, one))):
         # differences that a moment of one makes, and what another gain makes of them along the way
-        made = [linalg.solve(p.by_difference[s], way) for s in range(2)]
-        for s, (arm, lever) in enumerate(((one, -two), (two, one))):
-            moved = np.outer(way, made[s]).ravel()
-            by_depth[k, :, 4 * s : 4 * s + 4] = (lever * arm / apart)[:, None] * moved
-            by_force[k, 4 * s : 4 * s + 4] = 0.5 * moved
-        by_depth[k, :, 8], by_depth[k, :, 9] = two / apart, -one / apart
+        made = linalg.solve(p.by_difference[s], ways.T).T
+        moved = (ways[:, :, None] * made[:, None, :]).reshape(4, 4)
+        by_depth[:, :, 4 * s : 4 * s + 4] = (lever * arm / apart)[:, None] * moved[:, None]
+        by_force[:, 4 * s : 4 * s + 4] = 0.5 * moved
+    by_depth[:, :, 8], by_depth[:, :, 9] = two / apart, -one / apart
     middle = len(rng) // 2
     off = np.mean([j @ fit.covariance @ j.T for j in by_depth], axis=0)
     own = {one.what[-2:]: one.relative for one in lacks if one.unit != "mm"}

@@ -1,15 +1,21 @@
-"""An estimate over time: the filter's value with its band, the raw sensor, the truth, and the force below."""
+"""An estimate over time: the filter's value with its band, the raw sensor, the truth, and the force below; and the page
+of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from bokeh.models import Span
 from numpy.typing import NDArray
 
+from ...base.answer import Answer
 from ...base.types import Floats
+from ...diagnosis import Diagnosis
+from ...report.notebook import telling_pictures
+from ...report.page import Made, Section, html_sentences, write_page
 from ...report.picture import (
     ADDED,
     COLOURS,
@@ -161,3 +167,21 @@ def _drawn(lines: Sequence[Floats]) -> NDArray[np.int64]:
             stretch = np.searchsorted(starts, hit, side="right")
             keep.append(hit[np.unique(stretch, return_index=True)[1]])
     return np.unique(np.concatenate(keep))
+
+
+def write_estimate(
+    path: Path, answer: Answer, over_time: EstimateOverTime, tables: Sequence[str], made: Made,
+    found: Diagnosis | None = None,
+) -> None:  # fmt: skip
+    """Depth and tip over a run, ``tables`` of their errors, and what a diagnosis ``found``, where one was asked. Raises
+    :class:`~sherkit.errors.NotWritten`."""
+    drawn = estimate_picture(over_time)
+    sections = [Section(f"{over_time.name.capitalize()} over the run", "", drawn.root, drawn.note)]
+    if any(tables):
+        sections.append(Section("Errors", "".join(tables)))
+    for k, picture in enumerate(telling_pictures(found) if found is not None else ()):
+        title = "What is missing" if not k else f"What the camera sees, {k}"
+        sections.append(Section(title, "", picture.root, picture.note))
+    if found is not None:
+        sections.append(Section("What the verdict rests on", html_sentences(*map(str, found.checks))))
+    write_page(path, answer, sections, made)

@@ -237,10 +237,11 @@ class TipPlaces:
         """From wavelengths (n, 9), NaN where they were lost; the depth is about ``around_mm`` (n,), and goes with the
         robot by ``led`` (n - 1,)."""
         run, (near, far) = self.run, tool.distances_mm
-        lower, upper = (_moments(tool, waves_nm, section) for section in range(2))
-        there = np.isfinite(lower).all(axis=1) & np.isfinite(upper).all(axis=1)
+        lower, upper = tool.sensor.measure_batch(run.time_s, tool.as_if_cold(waves_nm))[1].transpose(1, 0, 2)
+        there = np.isfinite(lower[:, 0])
         force = (upper - lower) / (far - near)
-        noise = [tool.noise_nm**2 * float((_own_gains(tool, s) ** 2).sum()) / 2.0 for s in range(2)]
+        gains = np.array(tool.gains)
+        noise = tool.noise_nm**2 / 2.0 * ((gains - gains.mean(axis=2, keepdims=True)) ** 2).sum(axis=(1, 2))
         # the moments' share in the depth, by Eq. 2 to first order
         share = (far - around_mm) / (far - near)
         variance = noise[1] * (1.0 - share) ** 2 + noise[0] * share**2
@@ -311,21 +312,6 @@ def _between(time_s: Floats, moments_s: Floats) -> csr_array:
         [-first, (1.0 + 2.0 * share) * rest**2 + second, share**2 * (3.0 - 2.0 * share) + first, -second]
     )
     return csr_array((weights.ravel(), (np.repeat(np.arange(m), 4), rows.ravel())), shape=(m, n))
-
-
-def _own_gains(tool: FlexibleTool, section: int) -> Floats:
-    """Gains (2, 3) that ignore what the three fibres have in common."""
-    gains = np.array(tool.gains[section])
-    return gains - gains.mean(axis=1, keepdims=True)
-
-
-def _moments(tool: FlexibleTool, wavelengths_nm: Floats, section: int) -> Floats:
-    """Bending moments (n, 2), mN·mm (Eq. 1)."""
-    fibres = slice(3 * section, 3 * section + 3)
-    own = _own_gains(tool, section)
-    # a part of the mean is what warmth makes of the differences
-    own = own - (own @ np.array(tool.warmth[section]))[:, None] / 3.0
-    return np.asarray((wavelengths_nm[:, fibres] - np.array(tool.reference_nm)[fibres]) @ own.T)
 
 
 def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats, led: Floats) -> Floats:

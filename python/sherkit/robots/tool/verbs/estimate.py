@@ -69,8 +69,7 @@ def estimate(
     answer = replace(trust(result, truths).answer, bars=_bars(judged), unit="mm")
     if picture is not None:
         from ....report.page import save_picture
-        from ..page import write_estimate
-        from ..pictures import depth_over_time, estimate_picture
+        from ..pictures import depth_over_time, estimate_picture, write_estimate
 
         if picture.suffix.lower() == ".html":
             write_estimate(picture, answer, depth_over_time(result), _tables(result), output.made_by([tool, run]))
@@ -293,8 +292,7 @@ def write_tool_report(
     path: Path, found: Diagnosis, e: Estimate, told: Applied, sources: Sequence[Path], written: Path | None = None
 ) -> None:  # fmt: skip
     """The story of a run as one HTML file: what was missing, then depth and tip with that in the tool."""
-    from ..page import write_estimate
-    from ..pictures import depth_over_time  # Bokeh takes a second to load
+    from ..pictures import depth_over_time, write_estimate  # Bokeh takes a second to load
 
     depth = trust(e, known(e)).answer
     sure = (f"{depth.verdict}: {depth.sure[0]}", *depth.sure[1:], *sentences_of(told), *map(str, e.faults))
