@@ -26,11 +26,12 @@ def paper_filters(bench: Bench) -> None:
     """A recorded run through the paper's filters, from Python, and one step of them and of the tool's, in Rust."""
     run = filterpy_tool.recorded(100_000)
     gratings = filterpy_tool.GAINS, filterpy_tool.DISTANCES_MM, filterpy_tool.REFERENCE_NM, filterpy_tool.NOISE_NM
-    beam, there = _core.ToolBeam.ebrahimi_2020(), np.ones(len(run.times_s), dtype=bool)
+    sensor = _core.ToolSensor(*gratings, _core.ToolBeam(60.0, 3.39e6 / 3.0))
+    there = np.ones(len(run.times_s), dtype=bool)
     start = filterpy_tool.START_MM, filterpy_tool.START_MM2, 0.0
 
     def ours() -> np.ndarray:
-        both = _core.PaperFilter(*gratings, beam, start, run.poses[0])
+        both = _core.PaperFilter(sensor, start, run.poses[0])
         return both.run(run.times_s, run.poses, run.times_s, run.wavelengths_nm, there)["state"]
 
     def theirs() -> np.ndarray:

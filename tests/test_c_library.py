@@ -162,19 +162,18 @@ def from_python(rows: Floats, of_force: bool) -> Floats:
     wavelengths, poses = (np.ascontiguousarray(p) for p in np.split(rows[:, 3:], [9], 1))
     present = rows[:, 2] != 0
     n = len(rows)
-    columns = [_core.ToolSensor(GAINS, DISTANCES, REFERENCE, 2e-4).measure_batch(stamps, wavelengths)[0]]
+    small, exact = (
+        _core.ToolSensor(GAINS, DISTANCES, REFERENCE, 2e-4, _core.ToolBeam(60.0, 3.39e6 / 3.0, exact))
+        for exact in (False, True)
+    )
+    columns = [small.measure_batch(stamps, wavelengths)[0]]
     start = (8.0, 4.0, 0.0)
     axis = np.arange(3)
     of_depth = np.where(np.eye(3) > 0, 0.01 * (axis + 1), 0.001 * (axis[:, None] + axis))
     of_beam = np.array([[0.01, 20.0], [20.0, 1e6]])
     doubts = (0.1, 0.005, 0.01, 1e-4, 0.02, 0.02, 0.003, 0.02)
-    paper = _core.PaperFilter(
-        GAINS, DISTANCES, REFERENCE, 2e-4, _core.ToolBeam.ebrahimi_2020(), start, poses[0], of_force
-    )
-    whole = _core.ToolFilter(
-        GAINS, MEANS, DISTANCES, REFERENCE, 2e-4, WARMTH, _core.ToolBeam(60.0, 3.39e6 / 3.0, True),
-        of_depth, of_beam, doubts, 0.05, 0.01, start, poses[0],
-    )  # fmt: skip
+    paper = _core.PaperFilter(small, start, poses[0], of_force)
+    whole = _core.ToolFilter(exact, MEANS, WARMTH, of_depth, of_beam, doubts, 0.05, 0.01, start, poses[0])
     last = []
     for one in (paper, whole):
         told = one.run(times, poses, stamps, wavelengths, present)

@@ -27,8 +27,7 @@ from sherkit.report.page import Made
 from sherkit.report.picture import number
 from sherkit.robots.delta import CATALOGUE
 from sherkit.robots.delta.robot import grid
-from sherkit.robots.tool.page import write_estimate
-from sherkit.robots.tool.pictures import EstimateOverTime
+from sherkit.robots.tool.pictures import EstimateOverTime, write_estimate
 from strategies import EXAMPLE
 
 HOSTILE = ("<script>alert(1)</script>", "</script><img src=x onerror=alert(2)>\"'")

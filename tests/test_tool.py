@@ -23,7 +23,7 @@ from sherkit.robots.tool.filters import Estimate, consistency, estimate, status_
 from sherkit.robots.tool.runs import ToolRun, read_tool_run, tool_run_of
 from sherkit.robots.tool.tool import FIBRES, NOISES, FlexibleTool, ToolDoubt, load_tool, rotation_of
 from sherkit.robots.tool.virtual import EXPERIMENTS, VirtualTool
-from tool_honesty import honest, run_of, tool_of
+from tool_honesty import honest, run_of, tool_of, without_fibres
 
 Floats = NDArray[np.float64]
 
@@ -109,8 +109,8 @@ def test_bending_is_that_of_the_beam_equation(length: float, share: float, force
         length_mm=length, stiffness_mn_mm2=stiffness, distances_mm=(0.6 * length, 0.8 * length), bending="small"
     )
     for tip in (
-        VirtualTool._tip(made, np.array([[force, 0.0]]), np.array([depth]))[0, 0],
-        made.beam.deflection_batch(np.array([[force, 0.0]]), np.array([depth]))[0][0, 0],
+        VirtualTool(made)._tip(np.array([[force, 0.0]]), np.array([depth]))[0, 0],
+        made.beam.tip_batch(np.array([[force, 0.0]]), np.array([depth]), np.append(np.eye(3), np.zeros(3))[None])[0, 0],
     ):
         assert tip == pytest.approx(bent[-1], rel=1e-5, abs=1e-9)
 
@@ -121,7 +121,7 @@ def test_the_contact_is_in_balance() -> None:
     virtual = VirtualTool(small, hole_mn_mm=80.0)
     rng = np.random.default_rng(0)
     depth, offset = rng.uniform(0.1, 25.0, 200), 4.0 * rng.standard_normal((200, 2))
-    force = virtual._force(small, depth, offset, 2.0)
+    force = virtual._force(depth, offset, 2.0)
     size, pushed = np.linalg.norm(force, axis=1), np.linalg.norm(offset, axis=1)
     assert (size[pushed <= 2.0] == 0).all()
     on = pushed > 2.0
@@ -248,14 +248,14 @@ def test_lost_wavelengths_are_counted_and_bridged(runs: dict[str, list[ToolRun]]
     """Catches NaN that travels on: half a second without fibres is predicted, counted, and widens the band."""
     run = runs["vessels"][0]
     gone = (run.time_s > 20.0) & (run.time_s < 20.5)
-    e = estimate(KNOWING, run.without_fibres(gone))
+    e = estimate(KNOWING, without_fibres(run, gone))
     assert status_in_words(e.depth)["without a measurement"] == int(gone.sum())
     for track in (e.depth, e.tip, e.together):
         assert np.isfinite(track.value).all()
         assert np.isfinite(track.covariance).all()
     assert (np.diff(e.depth.std[gone, 0]) > 0).all()
     with pytest.raises(MeasurementError, match="no row has wavelengths"):
-        estimate(KNOWING, run.without_fibres(np.ones(len(run), dtype=bool)))
+        estimate(KNOWING, without_fibres(run, np.ones(len(run), dtype=bool)))
 
 
 def test_a_small_force_has_a_large_deviation(runs: dict[str, list[ToolRun]]) -> None:

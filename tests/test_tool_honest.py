@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from second_tool import CONDITIONS, FAULTS, World, honesty
 from sherkit import _core
-from sherkit.errors import FitError, MeasurementError, SherkitWarning
-from sherkit.robots.tool.alignment import fibre_delay
+from sherkit.errors import MeasurementError, SherkitWarning
 from sherkit.robots.tool.calibration import calibrate_tool
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool
@@ -220,22 +219,6 @@ def test_a_witness_that_is_lost_costs_no_row() -> None:
     assert not b.gated.any()
     assert not (b.depth.status & _core.STATUS_NOT_FINITE).any()
     assert b.faulty_sections[::2, 2].all()
-
-
-def test_the_fibres_delay_is_found() -> None:
-    """Catches a delay of the wrong sign or unit, and one that a run without contact is made to tell."""
-    for ms in (20, 100):
-        world = CONDITIONS[f"unsaid_{ms}"]
-        recorded = world.run("phantom", seconds=30.0, seed=1)
-        tool, run = tool_of(world, 1), run_of(recorded)
-        found = fibre_delay(tool, run)
-        assert found.delay_s == pytest.approx(1e-3 * ms, abs=max(4.0 * found.std_s, 2e-3))
-        assert found.std_s < 5e-3
-        told = honest(estimate(replace(tool, fibre_delay_s=found.delay_s), run), recorded)
-        assert told["depth"].coverage > 0.85
-    free = run_of(World().run("free", seconds=10.0))
-    with pytest.raises(FitError, match="does not tell the fibres' delay"):
-        fibre_delay(tool_of(World()), free)
 
 
 @pytest.mark.parametrize("benches", [2, pytest.param(12, marks=pytest.mark.slow)])

@@ -276,7 +276,7 @@ def test_what_gains_nothing_held_out_is_not_written() -> None:
         assert told.tool.camera_delay_s != there.tool.camera_delay_s
 
 
-@pytest.mark.parametrize("ms", [50, 200])
+@pytest.mark.parametrize("ms", [50, 100, 200])
 def test_a_late_interrogator_that_does_not_say_so_is_found(ms: int) -> None:
     """Catches a delay with the wrong sign, or one that is named and not used: depth on the second simulator, seed 1."""
     world = CONDITIONS[f"unsaid_{ms}"]

@@ -17,10 +17,9 @@ from second_tool.wide_families import FAMILIES
 from sherkit.errors import SherkitWarning
 from sherkit.robots.tool.calibration import ToolCalibration, calibrate_tool, read_loads
 from sherkit.robots.tool.consistency import known
-from sherkit.robots.tool.exchanged import exchanged
 from sherkit.robots.tool.filters import Estimate, estimate
 from sherkit.robots.tool.tool import load_tool
-from sherkit.robots.tool.trust import trust
+from sherkit.robots.tool.trust import exchanged, trust
 from tool_honesty import run_of, tool_of
 from wide_honesty import run_of as wide_run_of
 from wide_honesty import tool_of as wide_tool_of

@@ -11,13 +11,12 @@ from scipy.spatial.transform import Rotation
 from second_tool import CONDITIONS, Recorded
 from sherkit.errors import SherkitWarning
 from sherkit.robots.tool.consistency import known
-from sherkit.robots.tool.exchanged import exchanged
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.model import ToolModel
 from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FlexibleTool
-from sherkit.robots.tool.trust import trust
-from tool_honesty import honest, run_of, tool_of
+from sherkit.robots.tool.trust import exchanged, trust
+from tool_honesty import honest, run_of, tool_of, without_fibres
 
 WORLD = CONDITIONS["exact_rod_pivot"]
 SINCE_S, UNTIL_S = 6.0, 11.0
@@ -49,7 +48,7 @@ def test_wavelengths_that_froze_count_as_lost(sound: tuple[FlexibleTool, Recorde
     assert any(s.startswith("All wavelengths repeat themselves to the last digit from 6.00") for s in told.noticed)
     depth = honest(e, recorded)["depth"]
     assert depth.coverage > 0.95
-    lost = honest(estimate(tool, run.without_fibres(e.run.lost_fibres)), recorded)["depth"]
+    lost = honest(estimate(tool, without_fibres(run, e.run.lost_fibres)), recorded)["depth"]
     assert depth.mean_error_mm == lost.mean_error_mm
 
 

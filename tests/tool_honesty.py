@@ -32,6 +32,11 @@ def run_of(recorded: Recorded, source: str = "run") -> ToolRun:
     return tool_run_of(frame.with_columns(pl.col(pl.Float64).fill_nan(None)), source)
 
 
+def without_fibres(run: ToolRun, rows: NDArray[np.bool_]) -> ToolRun:
+    """The same run with the wavelengths of some rows (n,) lost."""
+    return replace(run, wavelengths_nm=np.where(rows[:, None], np.nan, run.wavelengths_nm))
+
+
 def tool_of(world: World, seed: int = 0) -> FlexibleTool:
     """The tool as its file says, with the world's own bending and the doubt by which its file was drawn."""
     with TemporaryDirectory() as folder:

@@ -386,11 +386,8 @@ class ToolSensor:
         distances_mm: _Floats,
         reference_nm: _Floats,
         noise_nm: float,
-        beam: ToolBeam | None = None,
+        beam: ToolBeam,
     ) -> ToolSensor: ...
-    def measure(self, time_s: float, wavelengths_nm: _Floats) -> _Floats:
-        """A measurement (11,) from wavelengths (9,)."""
-
     def measure_batch(
         self, times_s: _Floats, wavelengths_nm: _Floats
     ) -> tuple[_Floats, _Floats, _Floats, _Floats, _Bytes]:
@@ -399,51 +396,21 @@ class ToolSensor:
         Code 0: force and depth; 1: no force that would tell the depth; 2: not finite, all but the time is NaN.
         """
 
-    def depth_by_lengths_batch(self, wavelengths_nm: _Floats) -> _Floats:
-        """Depth as Eq. 2 is printed (n, 2), mm, from sections I and II."""
-
 @final
 class ToolBeam:
-    """The shaft as a cantilever (Eq. 9): free length in mm, bending stiffness EI in mN·mm².
-
-    Where ``exact``, ``tip_batch``, ``loads_batch`` and what is made of it bend as an elastica.
-    """
+    """The shaft: free length in mm, bending stiffness EI in mN·mm²; a cantilever (Eq. 9), or, where ``exact``, an
+    elastica."""
 
     def __new__(cls, length_mm: float, stiffness: float, exact: bool = False) -> ToolBeam: ...
-    @staticmethod
-    def ebrahimi_2020() -> ToolBeam: ...
-    @property
-    def length_mm(self) -> float: ...
-    @property
-    def stiffness(self) -> float: ...
-    @property
-    def exact(self) -> bool: ...
     def loads_batch(
         self, forces_mn: _Floats, depths_mm: _Floats, distances_mm: tuple[float, float], axial: bool, across: bool
     ) -> _Floats:
         """Of loads (n,) at depths (n,) as a bench reads them, the depth ``axial`` or by the shaft, the force
-        ``across`` the
-        clamp's axis or the shaft: force across the rod, length of shaft beyond it, moments at two distances from the
-        tip,
-        mN·mm, and the deflection of the contact, mm (n, 5)."""
-
-    def compliance_batch(self, depths_mm: _Floats) -> _Floats:
-        """Tip deflection per force, mm/mN, and its derivatives by depth, length and stiffness (n, 4)."""
-
-    def contact_compliance_batch(self, depths_mm: _Floats) -> _Floats:
-        """Deflection at the contact itself per force (n,), mm/mN."""
-
-    def deflection_batch(self, forces_mn: _Floats, depths_mm: _Floats) -> tuple[_Floats, _Floats]:
-        """Tip deflection (n, 3) in the tool frame, mm, and its derivatives (n, 2, 5).
-
-        Columns of the derivatives: force x, force y, depth, length, stiffness.
-        """
+        ``across`` the clamp's axis or the shaft: force across the rod, length of shaft beyond it, moments at two
+        distances from the tip, mN·mm, and the deflection of the contact, mm (n, 5)."""
 
     def tip_batch(self, forces_mn: _Floats, depths_mm: _Floats, poses: _Floats) -> _Floats:
         """The tip in the base frame (n, 3), mm. A pose is twelve numbers: the rotation's rows, then the shift."""
-
-    def covariance_batch(self, measurements: _Floats) -> _Floats:
-        """Covariance of the deflection's x and y (n, 2, 2), mm², from measurements (n, 11)."""
 
 class _ToolFilter:
     def step(
@@ -481,24 +448,18 @@ class _ToolFilter:
 class ToolFilter(_ToolFilter):
     """Depth and tip from wavelengths and poses, by the rod, its pivot and its gratings.
 
-    ``gains`` (2, 2, 3), mN·mm/nm; ``means_nm`` (2, 2): what the mean of a section's fibres answers to a moment, nm per
-    mN·mm; ``warmth`` (2, 3): how much more than its section's mean each fibre answers to it; ``doubts``: deviations
-    of all
-    depths alike (mm), of the gratings' turn (rad), of a force (relative), of a reference (nm), of ``means_nm`` (over a
-    fibre's answer), of the fibres' answers to warmth among each other and of ``warmth``, of the clearance (mm);
-    ``depth_covariance`` (3, 3) of θ where the depth is off by θ₀ + θ₁ d/10 + θ₂ (d/10)²; ``start``: depth (mm), its
-    variance (mm²), time (s).
+    ``means_nm`` (2, 2): what the mean of a section's fibres answers to a moment, nm per mN·mm; ``warmth`` (2, 3): how
+    much more than its section's mean each fibre answers to it; ``doubts``: deviations of all depths alike (mm), of the
+    gratings' turn (rad), of a force (relative), of a reference (nm), of ``means_nm`` (over a fibre's answer), of the
+    fibres' answers to warmth among each other and of ``warmth``, of the clearance (mm); ``depth_covariance`` (3, 3) of
+    θ where the depth is off by θ₀ + θ₁ d/10 + θ₂ (d/10)²; ``start``: depth (mm), its variance (mm²), time (s).
     """
 
     def __new__(
         cls,
-        gains: _Floats,
+        sensor: ToolSensor,
         means_nm: _Floats,
-        distances_mm: _Floats,
-        reference_nm: _Floats,
-        noise_nm: float,
         warmth: _Floats,
-        beam: ToolBeam,
         depth_covariance: _Floats,
         beam_covariance: _Floats,
         doubts: tuple[float, float, float, float, float, float, float, float],
@@ -517,15 +478,7 @@ class PaperFilter(_ToolFilter):
     """
 
     def __new__(
-        cls,
-        gains: _Floats,
-        distances_mm: _Floats,
-        reference_nm: _Floats,
-        noise_nm: float,
-        beam: ToolBeam,
-        start: tuple[float, float, float],
-        pose: _Floats,
-        of_force: bool = False,
+        cls, sensor: ToolSensor, start: tuple[float, float, float], pose: _Floats, of_force: bool = False
     ) -> PaperFilter: ...
     def copy(self) -> PaperFilter: ...
 

@@ -2,7 +2,7 @@
 
 use crate::arrays::{fixed, rows, rows_like, same_length, shaped};
 use crate::errors::to_python;
-use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
@@ -42,66 +42,39 @@ pub fn pose_of(numbers: &[f64; POSE]) -> Rigid {
     }
 }
 
-/// What the fibres tell at one time, as numbers.
-struct Measurement {
-    time_s: f64,
-    force: [f64; 2],
-    force_covariance: [[f64; 2]; 2],
-    depth: f64,
-    depth_variance: f64,
-    depth_with_force: [f64; 2],
-}
-
-fn measurement_of(numbers: &[f64; MEASUREMENT]) -> Measurement {
-    let [time_s, fx, fy, xx, xy, yx, yy, depth, variance, dx, dy] = *numbers;
-    Measurement {
-        time_s,
-        force: [fx, fy],
-        force_covariance: [[xx, xy], [yx, yy]],
-        depth,
-        depth_variance: variance,
-        depth_with_force: [dx, dy],
-    }
-}
-
-fn numbers_of(m: &Measurement) -> [f64; MEASUREMENT] {
-    let [[xx, xy], [yx, yy]] = m.force_covariance;
-    let ([fx, fy], [dx, dy]) = (m.force, m.depth_with_force);
-    let (depth, variance) = (m.depth, m.depth_variance);
-    [m.time_s, fx, fy, xx, xy, yx, yy, depth, variance, dx, dy]
-}
-
-/// A calibrated tool: nine wavelengths in, moments, force and depth with their uncertainty out.
+/// A calibrated tool: nine wavelengths in, moments, force and depth with their uncertainty out, of a rod that bends.
 #[pyclass(frozen, module = "sherkit._core")]
-pub struct ToolSensor(Sensor, Option<Rod>);
+pub struct ToolSensor(Sensor, Rod);
 
 impl ToolSensor {
-    /// A measurement of a reading; of a rod that bends as an elastica, where one is given.
-    fn measured(&self, time_s: f64, reading: &Reading) -> Measurement {
-        let c = &reading.force_covariance;
-        let (depth, depth_variance, with) = match reading.depth {
+    /// The core's calibration of the gratings, and the shaft.
+    pub fn parts(&self) -> (&Calibration, Rod) {
+        (self.0.calibration(), self.1)
+    }
+
+    /// A measurement of a reading, as numbers.
+    fn measured(&self, time_s: f64, reading: &Reading) -> [f64; MEASUREMENT] {
+        let (c, size, mut force) = (
+            &reading.force_covariance,
+            reading.force.norm(),
+            reading.force,
+        );
+        let (depth, variance, with) = match reading.depth {
             Depth::Measured {
                 mm,
                 variance,
                 with_force,
-            } => (mm, variance, [with_force.x, with_force.y]),
-            Depth::NoForce => (0.0, f64::INFINITY, [0.0; 2]),
+            } => {
+                let distances = self.0.calibration().distances_mm;
+                let (true_size, depth) = self.1.exactly(size, mm, distances);
+                force *= true_size / size;
+                (depth, variance, with_force)
+            }
+            Depth::NoForce => (0.0, f64::INFINITY, Vector2::zeros()),
         };
-        let mut m = Measurement {
-            time_s,
-            force: [reading.force.x, reading.force.y],
-            force_covariance: [[c.m11, c.m12], [c.m21, c.m22]],
-            depth,
-            depth_variance,
-            depth_with_force: with,
-        };
-        let size = reading.force.norm();
-        if let (Some(rod), true) = (self.1, m.depth_variance.is_finite() && size > 0.0) {
-            let (force, depth) = rod.exactly(size, m.depth, self.0.calibration().distances_mm);
-            m.force = m.force.map(|f| f * (force / size));
-            m.depth = depth;
-        }
-        m
+        [
+            time_s, force.x, force.y, c.m11, c.m12, c.m21, c.m22, depth, variance, with.x, with.y,
+        ]
     }
 }
 
@@ -118,13 +91,12 @@ impl ToolSensor {
     /// `gains` `(2, 2, 3)`: `K_I`, `K_II` (mN·mm/nm); `distances_mm` from the tip to sections I and II;
     /// `reference_nm` `(9,)` of the unloaded tool.
     #[new]
-    #[pyo3(signature = (gains, distances_mm, reference_nm, noise_nm, beam=None))]
     fn new(
         gains: PyReadonlyArray3<'_, f64>,
         distances_mm: PyReadonlyArray1<'_, f64>,
         reference_nm: PyReadonlyArray1<'_, f64>,
         noise_nm: f64,
-        beam: Option<&ToolBeam>,
+        beam: &ToolBeam,
     ) -> PyResult<Self> {
         if gains.shape() != [2, 2, 3] {
             return Err(crate::errors::shape("gains", "(2, 2, 3)", gains.shape()));
@@ -139,21 +111,8 @@ impl ToolSensor {
             reference_nm: sections(&fixed("reference_nm", &reference_nm)?),
             noise_nm,
         })
-        .map(|sensor| Self(sensor, beam.map(ToolBeam::rod)))
+        .map(|sensor| Self(sensor, beam.0))
         .map_err(to_python)
-    }
-
-    /// A measurement `(11,)` at a time from wavelengths `(9,)`.
-    fn measure<'py>(
-        &self,
-        py: Python<'py>,
-        time_s: f64,
-        wavelengths_nm: PyReadonlyArray1<'_, f64>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let row = fixed("wavelengths_nm", &wavelengths_nm)?;
-        let reading = self.0.read(&sections(&row)).map_err(to_python)?;
-        let measured = self.measured(time_s, &reading);
-        Ok(PyArray1::from_slice(py, &numbers_of(&measured)))
     }
 
     /// Measurements `(n, 11)` at times `(n,)`, moments `(n, 2, 2)`, misfit `(n,)`, common mode `(n, 3)` and why a row
@@ -180,7 +139,7 @@ impl ToolSensor {
                     continue;
                 };
                 let m = self.measured(times[i], &reading);
-                measured[i * MEASUREMENT..][..MEASUREMENT].copy_from_slice(&numbers_of(&m));
+                measured[i * MEASUREMENT..][..MEASUREMENT].copy_from_slice(&m);
                 moments[i * 4..][..2].copy_from_slice(reading.moments[0].as_slice());
                 moments[i * 4 + 2..][..2].copy_from_slice(reading.moments[1].as_slice());
                 misfit[i] = reading.misfit;
@@ -199,42 +158,15 @@ impl ToolSensor {
             PyArray1::from_vec(py, codes),
         ))
     }
-
-    /// Depth as Eq. 2 is printed, from the lengths of the moments at sections I and II `(n, 2)`, mm. It is not finite
-    /// where the force is zero or a wavelength is not finite.
-    fn depth_by_lengths_batch<'py>(
-        &self,
-        py: Python<'py>,
-        wavelengths_nm: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let w = rows::<WAVELENGTHS, _>("wavelengths_nm", &wavelengths_nm)?.to_vec();
-        let depth = |reading: Reading| self.0.depth_by_lengths(&reading);
-        let of = |row| self.0.read(&sections(row)).map_or([f64::NAN; 2], depth);
-        let out: Vec<f64> = py.detach(|| w.iter().flat_map(of).collect());
-        shaped(py, out, [w.len(), 2])
-    }
 }
 
-/// The shaft as a cantilever.
+/// The shaft, as a cantilever or an elastica.
 #[pyclass(frozen, module = "sherkit._core")]
 pub struct ToolBeam(Rod);
 
-impl ToolBeam {
-    /// The core's beam.
-    pub fn beam(&self) -> Beam {
-        self.0.beam
-    }
-
-    /// The core's rod.
-    pub fn rod(&self) -> Rod {
-        self.0
-    }
-}
-
 #[pymethods]
 impl ToolBeam {
-    /// Free length (mm), bending stiffness `EI` (mN·mm²), and whether it bends as an elastica: `tip_batch`, `loads_batch`
-    /// and what is made of it do, all else is the paper's cantilever.
+    /// Free length (mm), bending stiffness `EI` (mN·mm²), and whether it bends as an elastica.
     #[new]
     #[pyo3(signature = (length_mm, stiffness, exact=false))]
     fn new(length_mm: f64, stiffness: f64, exact: bool) -> PyResult<Self> {
@@ -245,17 +177,6 @@ impl ToolBeam {
             Bending::Small
         };
         Ok(Self(Rod { beam, bending }))
-    }
-
-    #[staticmethod]
-    fn ebrahimi_2020() -> Self {
-        let (beam, bending) = (Beam::ebrahimi_2020(), Bending::Small);
-        Self(Rod { beam, bending })
-    }
-
-    #[getter]
-    fn exact(&self) -> bool {
-        self.0.bending == Bending::Exact
     }
 
     /// Loads of a bench `(n,)`, mN, at depths `(n,)`, mm, both as the bench reads them (see the core's `Rod::loaded`):
@@ -285,67 +206,6 @@ impl ToolBeam {
         shaped(py, out, [forces.len(), 5])
     }
 
-    #[getter]
-    fn length_mm(&self) -> f64 {
-        self.0.beam.length_mm()
-    }
-
-    #[getter]
-    fn stiffness(&self) -> f64 {
-        self.0.beam.stiffness()
-    }
-
-    /// Tip deflection per force (mm/mN) at depths `(n,)`, and its derivatives by depth, length and stiffness `(n, 4)`.
-    fn compliance_batch<'py>(
-        &self,
-        py: Python<'py>,
-        depths_mm: PyReadonlyArray1<'_, f64>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let depths = depths_mm.as_slice()?.to_vec();
-        let of = |d: &f64| {
-            let c = self.0.beam.compliance(*d);
-            [c.value, c.by_depth, c.by_length, c.by_stiffness]
-        };
-        let out: Vec<f64> = py.detach(|| depths.iter().flat_map(of).collect());
-        shaped(py, out, [depths.len(), 4])
-    }
-
-    /// Deflection at the contact itself per force `(n,)`, mm/mN.
-    fn contact_compliance_batch<'py>(
-        &self,
-        py: Python<'py>,
-        depths_mm: PyReadonlyArray1<'_, f64>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let depths = depths_mm.as_slice()?.to_vec();
-        let of = |d: &f64| self.0.beam.contact_compliance(*d);
-        let out = py.detach(|| depths.iter().map(of).collect());
-        Ok(PyArray1::from_vec(py, out))
-    }
-
-    /// Tip deflection `(n, 3)` in the tool frame for forces `(n, 2)` at depths `(n,)`, mm, and its derivatives
-    /// `(n, 2, 5)`: by the force's x and y, depth, length, stiffness.
-    fn deflection_batch<'py>(
-        &self,
-        py: Python<'py>,
-        forces_mn: PyReadonlyArray2<'_, f64>,
-        depths_mm: PyReadonlyArray1<'_, f64>,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>)> {
-        let forces = rows::<2, _>("forces_mn", &forces_mn)?.to_vec();
-        let depths = same_length("depths_mm", &depths_mm, forces.len())?.to_vec();
-        let n = forces.len();
-        let mut out = Vec::with_capacity(n * 3);
-        let mut by = Vec::with_capacity(n * 10);
-        py.detach(|| {
-            for (f, d) in forces.iter().zip(&depths) {
-                let f = Vector2::from(*f);
-                out.extend_from_slice(self.0.beam.deflection(&f, *d).as_slice());
-                let derivatives = self.0.beam.deflection_derivatives(&f, *d);
-                by.extend_from_slice(derivatives.transpose().as_slice());
-            }
-        });
-        Ok((shaped(py, out, [n, 3])?, shaped(py, by, [n, 2, 5])?))
-    }
-
     /// The tip in the base frame `(n, 3)`, mm, for poses `(n, 12)`.
     fn tip_batch<'py>(
         &self,
@@ -365,29 +225,5 @@ impl ToolBeam {
             }
         });
         shaped(py, out, [forces.len(), 3])
-    }
-
-    /// Covariance of the deflection's x and y `(n, 2, 2)`, mm², that follows from measurements `(n, 11)`.
-    fn covariance_batch<'py>(
-        &self,
-        py: Python<'py>,
-        measurements: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let measured = rows::<MEASUREMENT, _>("measurements", &measurements)?.to_vec();
-        let mut out = Vec::with_capacity(measured.len() * 4);
-        py.detach(|| {
-            for m in measured.iter().map(measurement_of) {
-                let [[xx, xy], [yx, yy]] = m.force_covariance;
-                let p = self.0.beam.deflection_covariance(
-                    &Vector2::from(m.force),
-                    m.depth,
-                    &Matrix2::new(xx, xy, yx, yy),
-                    m.depth_variance,
-                    &Vector2::from(m.depth_with_force),
-                );
-                out.extend_from_slice(p.transpose().as_slice());
-            }
-        });
-        shaped(py, out, [measured.len(), 2, 2])
     }
 }

@@ -3,20 +3,18 @@
 
 use crate::arrays::{fixed, rows, rows_like, same_length, shaped};
 use crate::errors::{shape, to_python};
-use crate::tool::{POSE, ToolBeam, WAVELENGTHS, pose_of, sections};
-use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2};
+use crate::tool::{POSE, ToolSensor, WAVELENGTHS, pose_of, sections};
+use nalgebra::{Matrix2, Matrix3, Vector2};
 use numpy::{
-    PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
-    PyUntypedArrayMethods,
+    PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sherkit_core::numbers::rigid::Rigid;
 use sherkit_core::tool::filter::{
-    Consistency, Counts, Doubt, Look, Shifts, Status, Told, ToolFilter as CoreTool, Trusted,
+    Consistency, Counts, Doubt, LEARNT, Look, Shifts, Status, Told, ToolFilter as CoreTool, Trusted,
 };
 use sherkit_core::tool::paper::{PaperFilter as CorePaper, PaperNoise};
-use sherkit_core::tool::sensing::Calibration;
 
 type Numbers<'py> = PyReadonlyArray1<'py, f64>;
 
@@ -26,12 +24,9 @@ trait Stepped: Copy + Send {
     fn told(&self) -> Told;
     fn look(&self) -> Look;
     fn fared(&self) -> (&Counts, &Consistency);
-    /// Pace of the hole along the shaft (mm²/s) and across ((mm/s)²), and what was learnt: clearance (mm), give (mm/mN), the
-    /// gratings' turn (rad), how much deeper they are (mm), moments of no force (4, mN·mm), the share of its
-    /// slides by which the shaft takes the hole along, how much fibres lag, over the bend, and by how much the robot is later than they are (s).
-    fn inner(&self) -> [f64; INNER];
+    /// What was learnt ([`CoreTool::learnt`]).
+    fn inner(&self) -> [f64; LEARNT];
 }
-const INNER: usize = 13;
 
 impl Stepped for CoreTool {
     fn advance(&mut self, time_s: f64, pose: &Rigid, reading: Option<(f64, &Shifts)>) -> Status {
@@ -46,24 +41,8 @@ impl Stepped for CoreTool {
     fn fared(&self) -> (&Counts, &Consistency) {
         (self.counts(), self.consistency())
     }
-    fn inner(&self) -> [f64; INNER] {
-        let [c, g, t, m, a, b, d, e] = self.learnt();
-        let (drift, pace) = (self.per_second_mm2(), self.pace());
-        [
-            drift,
-            pace,
-            c,
-            g,
-            t,
-            m,
-            a,
-            b,
-            d,
-            e,
-            self.goes_along(),
-            self.lags(),
-            self.late_s(),
-        ]
+    fn inner(&self) -> [f64; LEARNT] {
+        self.learnt()
     }
 }
 
@@ -80,8 +59,8 @@ impl Stepped for CorePaper {
     fn fared(&self) -> (&Counts, &Consistency) {
         (self.counts(), self.consistency())
     }
-    fn inner(&self) -> [f64; INNER] {
-        [0.0; INNER]
+    fn inner(&self) -> [f64; LEARNT] {
+        [0.0; LEARNT]
     }
 }
 
@@ -113,7 +92,7 @@ fn run<'py, F: Stepped>(
     }
     let present = same_length("present", &r.present, n)?.to_vec();
     let (mut state, mut covariance) = (Vec::with_capacity(4 * n), Vec::with_capacity(16 * n));
-    let (mut force, mut inner) = (Vec::with_capacity(2 * n), Vec::with_capacity(INNER * n));
+    let (mut force, mut inner) = (Vec::with_capacity(2 * n), Vec::with_capacity(LEARNT * n));
     let mut columns: [Vec<f64>; 4] = core::array::from_fn(|_| Vec::with_capacity(n));
     let (mut status, mut degrees, mut faulty) = (vec![], vec![], vec![]);
     py.detach(|| {
@@ -143,7 +122,7 @@ fn run<'py, F: Stepped>(
     for (name, data, width) in [
         ("state", state, 4),
         ("force_mn", force, 2),
-        ("inner", inner, INNER),
+        ("inner", inner, LEARNT),
     ] {
         out.set_item::<_, Bound<'py, PyArray2<f64>>>(name, shaped(py, data, [n, width])?)?;
     }
@@ -183,28 +162,6 @@ fn statistics<'py>(
     out.set_item("nis_last", nis.last)?;
     out.set_item("nis_ratio", nis.ratio())?;
     Ok(out)
-}
-
-/// Gratings as Python gives them.
-fn calibration(
-    gains: &PyReadonlyArray3<'_, f64>,
-    distances_mm: &Numbers<'_>,
-    reference_nm: &Numbers<'_>,
-    noise_nm: f64,
-) -> PyResult<Calibration> {
-    if gains.shape() != [2, 2, 3] {
-        return Err(shape("gains", "(2, 2, 3)", gains.shape()));
-    }
-    let k = fixed::<12, _>("gains", gains)?;
-    Ok(Calibration {
-        gains: [
-            Matrix2x3::from_row_slice(&k[..6]),
-            Matrix2x3::from_row_slice(&k[6..]),
-        ],
-        distances_mm: fixed("distances_mm", distances_mm)?,
-        reference_nm: sections(&fixed("reference_nm", reference_nm)?),
-        noise_nm,
-    })
 }
 
 /// A filter of the core as a class: what both have, and what is a filter's own.
@@ -306,21 +263,17 @@ filter_class! {
     /// Depth and tip from wavelengths and poses, by the rod, its pivot and its gratings.
     ToolFilter(CoreTool);
 
-    /// `gains` `(2, 2, 3)`; `means_nm` `(2, 2)`: what the mean of a section's fibres answers to a moment, nm per mN·mm;
-    /// `reference_nm` `(9,)`; `warmth` `(2, 3)`: how much more than its section's mean each fibre answers to it.
-    /// `doubts`: deviations of a force (relative), of a reference (nm), of `means_nm` (over a fibre's answer), of the
-    /// fibres' answers to warmth among each other and of `warmth`, of the clearance (mm); `depth_covariance` `(3, 3)` of
-    /// what the depth is off, `θ₀ + θ₁ d/10 + θ₂ (d/10)²`; `beam_covariance` `(2, 2)` of length and stiffness; `start`:
-    /// depth (mm), its variance (mm²), time (s).
+    /// `means_nm` `(2, 2)`: what the mean of a section's fibres answers to a moment, nm per mN·mm; `warmth` `(2, 3)`: how
+    /// much more than its section's mean each fibre answers to it. `doubts`: deviations of all depths alike (mm), of the
+    /// gratings' turn (rad), of a force (relative), of a reference (nm), of `means_nm` (over a fibre's answer), of the fibres'
+    /// answers to warmth among each other and of `warmth`, of the clearance (mm); `depth_covariance` `(3, 3)` of what the
+    /// depth is off, `θ₀ + θ₁ d/10 + θ₂ (d/10)²`; `beam_covariance` `(2, 2)` of length and stiffness; `start`: depth (mm), its
+    /// variance (mm²), time (s).
     #[new]
     fn new(
-        gains: PyReadonlyArray3<'_, f64>,
+        sensor: &ToolSensor,
         means_nm: PyReadonlyArray2<'_, f64>,
-        distances_mm: Numbers<'_>,
-        reference_nm: Numbers<'_>,
-        noise_nm: f64,
         warmth: PyReadonlyArray2<'_, f64>,
-        beam: &ToolBeam,
         depth_covariance: PyReadonlyArray2<'_, f64>,
         beam_covariance: PyReadonlyArray2<'_, f64>,
         doubts: [f64; 8],
@@ -334,23 +287,24 @@ filter_class! {
         }
         let [a, b, c, d, e, f] = fixed::<6, _>("warmth", &warmth)?;
         let [p, q, r, s] = fixed::<4, _>("means_nm", &means_nm)?;
-        let [deeper, turn, force, reference, mean, unlike, of_warmth, clearance] = doubts;
+        let [deeper_mm, turn_rad, force, reference_nm, mean, unlike, of_warmth, of_clearance] = doubts;
+        let (calibration, rod) = sensor.parts();
         let trusted = Trusted {
-            calibration: calibration(&gains, &distances_mm, &reference_nm, noise_nm)?,
+            calibration: *calibration,
             means: [Vector2::new(p, q), Vector2::new(r, s)],
             warmth: [[a, b, c], [d, e, f]],
-            rod: beam.rod(),
+            rod,
             doubt: Doubt {
                 depth: Matrix3::from_row_slice(&fixed::<9, _>("depth_covariance", &depth_covariance)?),
-                deeper_mm: deeper,
-                turn_rad: turn,
+                deeper_mm,
+                turn_rad,
                 force,
                 beam: Matrix2::from_row_slice(&fixed::<4, _>("beam_covariance", &beam_covariance)?),
-                reference_nm: reference,
+                reference_nm,
                 mean,
                 unlike,
                 warmth: of_warmth,
-                clearance_mm: clearance,
+                clearance_mm: of_clearance,
             },
             clearance_mm,
             per_second_mm2,
@@ -369,22 +323,18 @@ filter_class! {
 
     /// `of_force`: the entries of the noise for the tip are variances of the force (mN²), not of the deflection (mm²).
     #[new]
-    #[pyo3(signature = (gains, distances_mm, reference_nm, noise_nm, beam, start, pose, of_force=false))]
+    #[pyo3(signature = (sensor, start, pose, of_force=false))]
     fn new(
-        gains: PyReadonlyArray3<'_, f64>,
-        distances_mm: Numbers<'_>,
-        reference_nm: Numbers<'_>,
-        noise_nm: f64,
-        beam: &ToolBeam,
+        sensor: &ToolSensor,
         start: [f64; 3],
         pose: Numbers<'_>,
         of_force: bool,
     ) -> PyResult<Self> {
-        let made = calibration(&gains, &distances_mm, &reference_nm, noise_nm)?;
+        let (calibration, rod) = sensor.parts();
         let noise = PaperNoise { of_force, ..PaperNoise::ebrahimi_2020() };
         let [depth, variance, time_s] = start;
         let pose = pose_of(&fixed("pose", &pose)?);
-        CorePaper::new(&made, beam.beam(), noise, depth, variance, &pose, time_s)
+        CorePaper::new(calibration, rod.beam, noise, depth, variance, &pose, time_s)
             .map(Self)
             .map_err(to_python)
     }

@@ -18,7 +18,7 @@ from ...base import linalg
 from ...base.types import Floats
 from ...errors import FitError, ShapeError
 from .runs import ToolRun, check_shapes, likeness
-from .tool import FlexibleTool
+from .tool import FlexibleTool, nested
 
 # -- The rigid transform between two clouds of points ----------------------------------------------------------------
 
@@ -139,11 +139,6 @@ def _restricted(j: Floats, e: Floats, smooth: Floats) -> tuple[float, float]:
 # -- Streams in time -------------------------------------------------------------------------------------------------
 
 _LEAST = 8
-#: Delays between the best of the first grid and its neighbours.
-_FINER = 9
-#: No interrogator is later, s, and a delay less well known is none.
-_LONGEST_FIBRES_S = 0.28
-_WORST_DELAY_S = 0.02
 #: Velocities are taken over twice this, s.
 _STEP_S = 0.01
 
@@ -166,10 +161,6 @@ def at_times(time_s: ArrayLike, values: ArrayLike, moments_s: ArrayLike) -> Floa
     return np.asarray(v[after - 1] + share * (v[after] - v[after - 1]))
 
 
-#: A force from which on a shaft leans, mN.
-_LEANS_MN = 10.0
-
-
 @dataclass(frozen=True, eq=False)
 class Aligned:
     """A camera brought into the robot's frame and clock.
@@ -184,6 +175,14 @@ class Aligned:
     delay_std_s: float
     rms_mm: float
     errors: SmoothErrors
+
+    def in_tool(self, tool: FlexibleTool) -> FlexibleTool:
+        """The tool whose file says where the camera is, and how late its clock."""
+        found = self.registration
+        return replace(
+            tool, camera_rotation_rad=nested(found.rotation_rad), camera_translation_mm=nested(found.translation_mm),
+            camera_delay_s=self.delay_s,
+        )  # fmt: skip
 
 
 @linalg.one_thread()
@@ -245,56 +244,8 @@ def align(
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class FibreDelay:
-    """How much later the fibres' clock stands than the robot's, s, and its standard deviation."""
-
-    delay_s: float
-    std_s: float
-
-
-@linalg.one_thread()
-def fibre_delay(tool: FlexibleTool, run: ToolRun, *, longest_s: float = _LONGEST_FIBRES_S) -> FibreDelay:
-    """The delay of the interrogator from a run in which the shaft leant on the hole.
-
-    Where the shaft leans, its motion makes the force: the right delay is the one with which the force that the motion
-    makes is the one that is felt (least mean square of the difference over 0.1 s). Its deviation follows from the
-    curvature, one independent value every 0.1 s. Raises :class:`~sherkit.errors.FitError` where the run tells no delay
-    between 0 and ``longest_s``: nothing leant, or nothing moved.
-    """
-    waves = np.ascontiguousarray(run.wavelengths_nm)
-    reading = np.ascontiguousarray(np.isfinite(waves).any(axis=1))
-
-    def left(delay: float) -> float:
-        stamps = np.ascontiguousarray(run.fibre_times_s - delay)
-        told = tool.tracker(float(run.time_s[0]), run.poses[0]).run(run.time_s, run.poses, stamps, waves, reading)
-        return float(told["inner"][:, 1].mean())
-
-    grid = np.arange(0.0, longest_s + 1e-9, 0.01)
-    squares = np.array([left(d) for d in grid])
-    best = int(np.argmin(squares))
-    # what is left over jumps a little where a reading changes sides: the lowest of a finer grid, and a parabola there
-    near = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], _FINER)
-    finer = np.array([left(d) for d in near])
-    lowest = int(np.clip(np.argmin(finer), 1, _FINER - 2))
-    before, at, after = finer[lowest - 1 : lowest + 2]
-    bend = before + after - 2.0 * at
-    off = 0.5 * (before - after) / bend if bend > 0 else 0.0
-    delay = float(near[lowest] + np.clip(off, -1.0, 1.0) * (near[1] - near[0]))
-    least = left(delay)
-    # over a step on which the forces differ by more than they are known
-    step = 2.0 * float(grid[1] - grid[0])
-    sides = [left(max(delay + s, 0.0)) for s in (-step, step)]
-    curvature = (sides[0] + sides[1] - 2.0 * least) / step**2
-    # only where it leans does a window tell anything
-    leans = float(
-        (np.linalg.norm(tool.sensor.measure_batch(run.fibre_times_s, waves)[0][:, 1:3], axis=1) > _LEANS_MN).mean()
+def align_run(free: ToolRun, longest_s: float) -> Aligned:
+    """The same from a run in which the unbent tool was led around freely."""
+    return align(
+        free.time_s, free.position_mm, free.camera_time_s, free.camera_mm, longest_s=longest_s, source=free.source
     )
-    count = max(2.0 * leans * float(run.time_s[-1] - run.time_s[0]) / 0.1, 1.0)
-    std = float(np.sqrt(2.0 * least / (count * curvature))) if curvature > 0 else float("inf")
-    if best == len(grid) - 1 or not std < _WORST_DELAY_S:
-        raise FitError(
-            f"{run.source}: the force does not tell the fibres' delay between 0 and {longest_s:g} s; let the shaft "
-            "lean on the hole and move"
-        )
-    return FibreDelay(delay, std)

@@ -7,6 +7,8 @@ columns, and forces in gram-force.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -29,7 +31,7 @@ _GRAM_FORCE, _NEAR = 9.80665, 0.25
 def wrong_loads(tool: FlexibleTool, rows: LoadRows) -> tuple[Bools, Floats]:
     """Rows (n,) whose force is not what their gratings say, and by how much the gratings' is larger (n,)."""
     moments = _moments(tool, rows)
-    told = _told(_gains(moments, rows.differences_nm), rows.differences_nm)
+    told = np.einsum("sad,nsd->nsa", robust_gains(tool, rows) @ DIFFERENCES.T, rows.differences_nm)
     size = np.linalg.norm(moments, axis=2)
     # a wrong load is wrong at both sections, what is off at one alone is a small moment in noise
     off = (np.linalg.norm(told - moments, axis=2) / size).min(axis=1)
@@ -42,10 +44,10 @@ def wrong_loads(tool: FlexibleTool, rows: LoadRows) -> tuple[Bools, Floats]:
     return bad, np.asarray((np.linalg.norm(told, axis=2) / size).mean(axis=1))
 
 
-def against_drawing(tool: FlexibleTool, rows: LoadRows, shifts_nm: Floats) -> list[str]:
-    """Sentences on what the columns have wrong, by the drawing; ``shifts_nm`` (n, 6) of sections I and II."""
+def against_drawing(tool: FlexibleTool, rows: LoadRows) -> list[str]:
+    """Sentences on what the columns have wrong, by the drawing."""
     drawn = np.array(tool.gains)
-    gains = _gains(_moments(tool, rows), rows.differences_nm)
+    gains = robust_gains(tool, rows)
     size = float(np.linalg.norm(gains) / np.linalg.norm(drawn))
     told: list[str] = []
     for factor, unit in (
@@ -57,19 +59,11 @@ def against_drawing(tool: FlexibleTool, rows: LoadRows, shifts_nm: Floats) -> li
                 f"gains are {size:.2g} times the drawing's, which is {factor:.3g}: are forces in {unit}? The columns "
                 "force_x_mn and force_y_mn are in mN"
             )
-    gains = gains / size
     if _apart(gains, drawn) < _UNLIKE:
         return told
-    for what, turn in (
-        ("force_x_mn and force_y_mn are exchanged", np.array([[0.0, 1.0], [1.0, 0.0]])),
-        ("force_y_mn has the other sign: its axis is mirrored", np.diag([1.0, -1.0])),
-        ("force_x_mn has the other sign: its axis is mirrored", np.diag([-1.0, 1.0])),
-    ):
-        if _apart(turn @ gains, drawn) < _LIKE:
+    for what, undone in _undone(tool, rows, gains):
+        if _apart(undone, drawn) < _LIKE:
             return [*told, f"{what}: with that undone the gains are the drawing's"]
-    swapped = _swapped(tool, rows, shifts_nm, drawn)
-    if swapped:
-        return [*told, swapped]
     turns = [np.linalg.det(gains[s] @ drawn[s].T) for s in range(2)]
     if max(turns) < 0.0:
         told.append(
@@ -79,19 +73,21 @@ def against_drawing(tool: FlexibleTool, rows: LoadRows, shifts_nm: Floats) -> li
     return told
 
 
-def _swapped(tool: FlexibleTool, rows: LoadRows, shifts: Floats, drawn: Floats) -> str | None:
+def _undone(tool: FlexibleTool, rows: LoadRows, gains: Floats) -> Iterator[tuple[str, Floats]]:
+    """Mistakes, and the gains with each undone."""
+    yield "force_x_mn and force_y_mn are exchanged", gains[:, ::-1]
+    yield "force_y_mn has the other sign: its axis is mirrored", gains * np.array([[1.0], [-1.0]])
+    yield "force_x_mn has the other sign: its axis is mirrored", gains * np.array([[-1.0], [1.0]])
     for a, b in combinations(range(6), 2):
         order = np.arange(6)
         order[[a, b]] = b, a
-        differences = np.einsum("dk,nsk->nsd", DIFFERENCES, shifts[:, order].reshape(-1, 2, 3))
-        gains = _gains(_moments(tool, rows), differences)
-        size = float(np.linalg.norm(gains) / np.linalg.norm(drawn))
-        if _apart(gains / size, drawn) < _LIKE:
-            return f"{FIBRES[a]} and {FIBRES[b]} are exchanged: with that undone the gains are the drawing's"
-    return None
+        swapped = robust_gains(tool, replace(rows, shifts_nm=rows.shifts_nm[:, order]))
+        yield f"{FIBRES[a]} and {FIBRES[b]} are exchanged", swapped
 
 
 def _apart(gains: Floats, drawn: Floats) -> float:
+    """How far gains, made as large as the drawn ones, are from those, over their size."""
+    gains = gains * (np.linalg.norm(drawn) / np.linalg.norm(gains))
     return max(float(np.linalg.norm(gains[s] - drawn[s]) / np.linalg.norm(drawn[s])) for s in range(2))
 
 
@@ -101,13 +97,10 @@ def _moments(tool: FlexibleTool, rows: LoadRows) -> Floats:
     return np.asarray((rows.size_mn[:, None] * arms)[:, :, None] * rows.way[:, None, :])
 
 
-def _told(gains: Floats, differences: Floats) -> Floats:
-    by = gains @ DIFFERENCES.T
-    return np.asarray(np.einsum("sad,nsd->nsa", by, differences))
-
-
-def _gains(moments: Floats, differences: Floats) -> Floats:
-    """Gains (2, 2, 3) by least absolute deviations, relative to each moment: least squares, reweighted."""
+def robust_gains(tool: FlexibleTool, rows: LoadRows) -> Floats:
+    """Gains (2, 2, 3) by least absolute deviations, relative to each moment by the drawing's arms: least squares,
+    reweighted."""
+    moments, differences = _moments(tool, rows), rows.differences_nm
     size = np.linalg.norm(moments, axis=2)
     weight = 1.0 / size
     found = np.zeros((2, 2, 2))

@@ -17,17 +17,9 @@ def tool_header(tool: FlexibleTool, source: str = "tool.toml") -> str:
     """
     doubt = tool.doubt
     fields = {
-        "sensor": "{ "
-        + ", ".join(
-            (
-                f".gains = {_braced(tool.gains)}",
-                f".distances_mm = {_braced(tool.distances_mm)}",
-                f".reference_nm = {_braced(np.array(tool.reference_nm).reshape(3, 3))}",
-                f".noise_nm = {c_number(tool.noise_nm)}",
-            )
-        )
-        + " }",
-        "beam": f"{{ {c_number(tool.length_mm)}, {c_number(tool.stiffness_mn_mm2)} }}",
+        "sensor": f"{{ .gains = {_braced(tool.gains)}, .distances_mm = {_braced(tool.distances_mm)}, .reference_nm = "
+        f"{_braced(np.reshape(tool.reference_nm, (3, 3)))}, .noise_nm = {c_number(tool.noise_nm)} }}",
+        "beam": _braced((tool.length_mm, tool.stiffness_mn_mm2)),
         "exact": str(int(tool.bending == "exact")),
         "means_nm": _braced(tool.means),
         "mean_doubt": c_number(doubt.mean),
@@ -66,5 +58,4 @@ def tool_header(tool: FlexibleTool, source: str = "tool.toml") -> str:
 
 def _braced(values: ArrayLike) -> str:
     array = np.asarray(values, dtype=float)
-    inside = (c_number(v) for v in array) if array.ndim == 1 else (_braced(row) for row in array)
-    return "{ " + ", ".join(inside) + " }"
+    return "{ " + ", ".join(map(c_number if array.ndim == 1 else _braced, array)) + " }"

@@ -19,18 +19,15 @@ from ...base import linalg
 from ...base.types import Bools, Floats
 from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
-from .bench_doubts import against_drawing, wrong_loads
+from .bench_doubts import against_drawing, robust_gains, wrong_loads
 from .bench_fit import (
     CONVENTIONS,
     DIFFERENCES,
     BenchFit,
     Convention,
-    Drawn,
-    Lack,
     LoadRows,
     Scatter,
-    best_fit,
-    chi2_as,
+    fit_as_reads_best,
     lack_of_fit,
     left_open,
 )
@@ -139,24 +136,26 @@ def check_loads(tool: FlexibleTool, loads: Loads) -> None:
         )  # fmt: skip
 
 
-def check_sizes(tool: FlexibleTool, gains: Floats, slope_mn_mm2: float | None, source: str) -> None:
-    """Whether gains (2, 2, 3) and the stiffness by the slope are of a size with the tool file's. Raises
+def check_sizes(tool: FlexibleTool, rows: LoadRows, slope_mn_mm2: float | None, source: str) -> None:
+    """Whether the gains of rows and the stiffness by their slope are of a size with the tool file's. Raises
     :class:`~sherkit.errors.MeasurementError`: a factor of 100 and more is another unit."""
-    gain = float(np.linalg.norm(gains) / np.linalg.norm(np.array(tool.gains)))
+    gain = float(np.linalg.norm(robust_gains(tool, rows)) / np.linalg.norm(tool.gains))
     stiffness = 1.0 if slope_mn_mm2 is None else slope_mn_mm2 / tool.stiffness_mn_mm2
-    if 1.0 / _UNIT < gain < _UNIT and 1.0 / _UNIT < stiffness < _UNIT:
-        return
-    both = not 1.0 / _UNIT < gain < _UNIT
-    found = f"gains are {gain:.2g} times" if both else f"the stiffness is {stiffness:.2g} times"
-    unit = "are forces in mN?" if both else f"is {DEFLECTION} in mm?"
-    raise MeasurementError(
-        f"{source}: {found} what the tool file has: {unit} If this is no mistake, put the right size into the tool "
-        "file first"
-    )
+    for what, ratio, unit in (
+        ("gains are", gain, "are forces in mN?"),
+        ("the stiffness is", stiffness, f"is {DEFLECTION} in mm?"),
+    ):
+        if not 1.0 / _UNIT < ratio < _UNIT:
+            raise MeasurementError(
+                f"{source}: {what} {ratio:.2g} times what the tool file has: {unit} If this is no mistake, put the "
+                "right size into the tool file first"
+            )
 
 
 # -- The calibration ----------------------------------------------------------------------------------------------
 
+#: Places of the moments of sections I and II, along and across the load, among the residuals.
+_OF_SECTIONS = np.array([[0, 3], [1, 4]])
 #: Lack of fit is said below this p-value.
 _LACK_P = 1e-4
 #: What a mean of three fibres answers is not known better than this, over a fibre's own shift.
@@ -209,44 +208,41 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     :class:`~sherkit.errors.MeasurementError` for numbers that cannot be.
     """
     check_loads(tool, loads)
-    unloaded, loaded = ~loads.loaded, loads.loaded
-    count = int(unloaded.sum())
+    loaded = loads.loaded
+    count = int((~loaded).sum())
     reference, noise = np.array(tool.reference_nm), tool.noise_nm
     if count >= LEAST_UNLOADED:
-        rest = loads.wavelengths_nm[unloaded]
+        rest = loads.wavelengths_nm[~loaded]
         reference = rest.mean(axis=0)
         # warmth moves all fibres alike, and is no noise
         within = rest - reference
         within = within - within.mean(axis=1, keepdims=True)
         noise = float(np.sqrt((within**2).sum() / ((count - 1) * 8))) or tool.noise_nm
-    rows, shifts = _rows(loads, reference)
-    rows, shifts, noticed = _doubted(tool, loads, rows, shifts)
+    rows = _rows(loads, reference)
+    bad, larger = wrong_loads(tool, rows)
+    noticed = [
+        f"row {np.flatnonzero(loaded)[i] + 1}: its force of {rows.size_mn[i]:.4g} mN is not the one that its gratings "
+        f"feel, {larger[i]:.2g} times as large; it is left out"
+        for i in np.flatnonzero(bad)
+    ]
+    rows = rows.some(~bad)
+    noticed += against_drawing(tool, rows)
     enough = int(rows.bent.sum()) >= LEAST_LOADED
     slope = _slope(tool.length_mm, rows) if enough else None
-    check_sizes(tool, _roughly(tool, rows), slope and slope[0], loads.source)
-    distances = np.array(tool.distances_mm)
-    drawn = Drawn(distances, tool.length_mm, tool.stiffness_mn_mm2, tool.bending == "exact")
+    check_sizes(tool, rows, slope and slope[0], loads.source)
     if not enough:
         rows = replace(rows, deflection_mm=np.full(len(rows.depth_mm), np.nan))
-    told = (loads.told[0] or tool.bench[0], loads.told[1] or tool.bench[1])
-    fits = best_fit(rows, drawn, noise, told)
-    best = fits[0]
-    value = best.value
-    check_sizes(tool, value.gains, slope and slope[0], loads.source)
+    best, chi2 = fit_as_reads_best(rows, tool, noise, (loads.told[0] or tool.bench[0], loads.told[1] or tool.bench[1]))
+    value, std = best.value, np.sqrt(np.diag(best.covariance).clip(0.0))
     if not (0.0 < value.distances_mm[0] < value.distances_mm[1] < value.length_mm):
         raise FitError(
             f"{loads.source}: no tool makes these rows: sections at {value.distances_mm[0]:.3g} and "
             f"{value.distances_mm[1]:.3g} mm of {value.length_mm:.3g} mm; is the drawing that of this tool?"
         )
-    lack = [one for one in lack_of_fit(best) if one.p < _LACK_P]
-    left = left_open(best, tuple(lack))
-    means, off = _means(best, shifts)
-    beam = left.beam if enough else np.zeros((2, 2))
-    if bent := [float((one.relative**2).mean()) for one in lack if one.unit == "mm"]:
-        beam = beam + np.diag([0.0, bent[0] * value.stiffness_mn_mm2**2])
+    lacks = [one for one in lack_of_fit(best) if one.p < _LACK_P]
+    means, off = _means(best)
     doubt = replace(
-        tool.doubt,
-        depth=nested(left.depth), deeper_mm=left.deeper_mm, force=left.force, beam=nested(beam), mean=off,
+        left_open(best, lacks), mean=off,
         reference_nm=noise / float(np.sqrt(count)) if count >= LEAST_UNLOADED else tool.doubt.reference_nm,
     )  # fmt: skip
     made = replace(
@@ -256,69 +252,35 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     )  # fmt: skip
     if enough:
         made = replace(made, length_mm=value.length_mm, stiffness_mn_mm2=value.stiffness_mn_mm2)
-    sentences = (*noticed, *(_sentence(one) for one in lack))
+    sentences = (*noticed, *map(str, lacks))
     for sentence in sentences:
         warnings.warn(f"{loads.source}: {sentence}", SherkitWarning, stacklevel=2)
-    std = np.sqrt(np.diag(best.covariance).clip(0.0))
-    gains = np.sqrt(np.einsum("dk,sadf,fk->sak", DIFFERENCES, _of_gains(best.covariance), DIFFERENCES).clip(0.0))
-    moments = np.sqrt((best.left[:, :4].reshape(-1, 2, 2) ** 2).mean(axis=(0, 1)))
+    by_difference = best.covariance[:8, :8].reshape(2, 2, 2, 2, 2, 2)
+    gains = np.einsum("dk,sadsaf,fk->sak", DIFFERENCES, by_difference, DIFFERENCES).clip(0.0)
     return ToolCalibration(
-        made, gains, moments, int(loaded.sum()), count, best.convention, chi2_as(fits, noise),
-        np.stack([value.distances_mm, std[8:10]]), (value.zero_mm, float(std[12])), best.scatter, slope,
-        (value.stiffness_mn_mm2, value.stiffness_mn_mm2 * float(std[11])) if enough else None,
+        made, np.sqrt(gains), np.sqrt((best.left[:, _OF_SECTIONS] ** 2).mean(axis=(0, 2))), int(loaded.sum()), count,
+        best.model.convention, chi2, np.stack([value.distances_mm, std[8:10]]), (value.zero_mm, float(std[12])),
+        best.scatter, slope, (value.stiffness_mn_mm2, value.stiffness_mn_mm2 * float(std[11])) if enough else None,
         (value.length_mm, float(std[10])) if enough else None, sentences,
     )  # fmt: skip
 
 
-def _rows(loads: Loads, reference_nm: Floats) -> tuple[LoadRows, Floats]:
-    """The loaded rows, and their shifts (n, 6)."""
+def _rows(loads: Loads, reference_nm: Floats) -> LoadRows:
+    """The loaded rows."""
     on = loads.loaded
     force = loads.force_mn[on]
     size = np.linalg.norm(force, axis=1)
     shifts = loads.wavelengths_nm[on, :6] - reference_nm[:6]
-    differences = np.einsum("dk,nsk->nsd", DIFFERENCES, shifts.reshape(-1, 2, 3))
-    return LoadRows(size, force / size[:, None], loads.depth_mm[on], differences, loads.deflection_mm[on]), shifts
+    return LoadRows(size, force / size[:, None], loads.depth_mm[on], shifts, loads.deflection_mm[on])
 
 
-def _doubted(
-    tool: FlexibleTool, loads: Loads, rows: LoadRows, shifts: Floats
-) -> tuple[LoadRows, Floats, tuple[str, ...]]:
-    """Rows and shifts without single wrong loads; sentences on these and on the columns."""
-    bad, larger = wrong_loads(tool, rows)
-    number = np.flatnonzero(loads.loaded) + 1
-    told = [
-        f"row {number[i]}: its force of {rows.size_mn[i]:.4g} mN is not the one that its gratings feel, "
-        f"{larger[i]:.2g} times as large; it is left out"
-        for i in np.flatnonzero(bad)
-    ]
-    keep = ~bad
-    kept = replace(rows, **{name: getattr(rows, name)[keep] for name in
-                            ("size_mn", "way", "depth_mm", "differences_nm", "deflection_mm")})  # fmt: skip
-    return kept, shifts[keep], (*told, *against_drawing(tool, kept, shifts[keep]))
-
-
-def _roughly(tool: FlexibleTool, rows: LoadRows) -> Floats:
-    """Gains (2, 2, 3) by plain least squares on the drawing's arms: for their size."""
-    arms = np.array(tool.distances_mm) - rows.depth_mm[:, None]
-    moments = (rows.size_mn[:, None] * arms)[:, :, None] * rows.way[:, None, :]
-    found = [linalg.lstsq(rows.differences_nm[:, s], moments[:, s], rcond=None)[0].T for s in range(2)]
-    return np.array(found) @ DIFFERENCES
-
-
-def _of_gains(covariance: Floats) -> Floats:
-    """Of each row of the gains by differences (2, 2, 2, 2)."""
-    blocks = [[covariance[4 * s + 2 * a : 4 * s + 2 * a + 2, 4 * s + 2 * a : 4 * s + 2 * a + 2] for a in range(2)]
-              for s in range(2)]  # fmt: skip
-    return np.array(blocks)
-
-
-def _means(fit: BenchFit, shifts: Floats) -> tuple[Floats, float]:
+def _means(fit: BenchFit) -> tuple[Floats, float]:
     """What the means of sections I and II answer to moments (2, 2), nm per mN·mm, and how unsure that is over what the
     fibres answer."""
-    out, off = np.zeros((2, 2)), [_MEAN_DOUBT]
+    out, off, r = np.zeros((2, 2)), [_MEAN_DOUBT], fit.model.rows
     for s in range(2):
-        moments = fit.expected[:, s, None] * fit.rows.way
-        mean = shifts[:, 3 * s : 3 * s + 3].mean(axis=1)
+        moments = fit.expected[:, s, None] * r.way
+        mean = r.shifts_nm[:, 3 * s : 3 * s + 3].mean(axis=1)
         base = np.column_stack([moments, np.ones(len(mean))])
         found, *_ = linalg.lstsq(base, mean, rcond=None)
         left = mean - base @ found
@@ -336,10 +298,3 @@ def _slope(length_mm: float, rows: LoadRows) -> tuple[float, float]:
     slope = float(bend @ load / (bend @ bend))
     left = load - slope * bend
     return slope / 3.0, float(np.sqrt(left @ left / (len(bend) - 1) / (bend @ bend))) / 3.0
-
-
-def _sentence(one: Lack) -> str:
-    return (
-        f"{one.what} do not follow the calibrated model: up to {one.most:.2g} {one.unit} go with load and depth as nothing "  # noqa: E501
-        f"in it does (p = {one.p:.1g}); look for a bend beyond the model, a depth that is off, or fibres that slip"
-    )

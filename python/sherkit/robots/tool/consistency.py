@@ -9,15 +9,16 @@ about zero, not about their mean: a bias that lasts is one error). Sources: Bar-
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from ...base import linalg
-from ...base.types import Bools, Floats
+from ...base.types import Floats, Ints
 from .alignment import at_times
-from .filters import NIS_LEVEL, Estimate
+from .filters import DEPTH_PART, NIS_LEVEL, TIP_PART, Estimate
 from .runs import check_camera
 
 #: What intervals are stated to cover.
@@ -66,50 +67,60 @@ class NeesConsistency:
         return "too careful" if self.nees < self.low and self.coverage >= STATED else "consistent"
 
 
+@dataclass(frozen=True, eq=False)
+class _Truth:
+    """Where a run tells the ``quantity``, by its own column or the camera (``name``): at m moments, each behind one of
+    ``rows`` (m,). ``part`` are its columns of depth and tip, ``own`` is the truth's variance, ``off`` takes a signal
+    (n, k) to its errors (m, k); ``raw`` are the signals without a filter, the paper's first."""
+
+    quantity: str
+    name: str
+    part: slice
+    rows: Ints
+    own: float
+    off: Callable[[Floats], Floats]
+    raw: Mapping[str, Floats]
+
+
+def _truths(e: Estimate) -> list[_Truth]:
+    run, out = e.run, []
+    if (known_mm := run.depth_mm) is not None:
+        there = np.flatnonzero(np.isfinite(known_mm))
+        raw = {"gratings": e.held_depth_mm[:, None], "kinematics": e.kinematic_depth_mm[:, None]}
+        out.append(_Truth("depth", "depth_mm", DEPTH_PART, there, 0.0, lambda v: v[there] - known_mm[there, None], raw))
+    moments, seen = e.pictures
+    if len(moments):
+        before = np.searchsorted(run.time_s, moments, side="right") - 1
+        own, raw = e.tool.camera_std_mm**2 / 3.0, {"kinematics": e.kinematic_tip_mm}
+        out.append(
+            _Truth("tip", "camera", TIP_PART, before, own, lambda v: at_times(run.time_s, v, moments) - seen, raw)
+        )
+    return out
+
+
 @linalg.one_thread()
 def known(e: Estimate) -> list[NeesConsistency]:
     """Depth where the run has ``depth_mm``, tip where a camera saw it; over the run, with and without a force.
 
     The filter of both stands beside the others where these are not its parts.
     """
-    run, tool = e.run, e.tool
-    apart = tool.noise != "propagated"
     told = np.isfinite(e.fibre_depth_mm)
     out: list[NeesConsistency] = []
-    if run.depth_mm is not None:
-        there = np.isfinite(run.depth_mm)
-        depths = {
-            "filter": (e.depth.value, e.depth.covariance),
-            **({"filter of both": (e.together.value[:, :1], e.together.covariance[:, :1, :1])} if apart else {}),
-        }
-        for signal, (value, covariance) in depths.items():
-            off = (value[:, 0] - run.depth_mm)[there, None]
-            out += _by_condition("depth", signal, "depth_mm", off, covariance[there], 0.0, told[there])
-    moment = run.camera_time_s - tool.camera_delay_s
-    seen = (moment >= run.time_s[0]) & (moment <= run.time_s[-1])
-    if seen.any():
-        moment, truth = moment[seen], tool.in_base(run.camera_mm[seen])
-        row = np.searchsorted(run.time_s, moment, side="right") - 1
-        tips = {
-            "filter": (e.tip.value, e.tip.covariance),
-            **({"filter of both": (e.together.value[:, 1:], e.together.covariance[:, 1:, 1:])} if apart else {}),
-        }
-        for signal, (value, covariance) in tips.items():
-            off = at_times(run.time_s, value, moment) - truth
-            own = tool.camera_std_mm**2 / 3.0
-            out += _by_condition("tip", signal, "camera", off, covariance[row], own, told[row])
+    for truth in _truths(e):
+        signals = {"filter": e.depth if truth.quantity == "depth" else e.tip}
+        if e.tool.noise != "propagated":
+            signals["filter of both"] = e.together.part(truth.part)
+        with_force = told[truth.rows]
+        conditions = {"whole run": np.ones_like(with_force), "with a force": with_force, "without a force": ~with_force}
+        for signal, track in signals.items():
+            off, covariance = truth.off(track.value), track.covariance[truth.rows]
+            out += [
+                knowledge(off[rows], covariance[rows], truth.own, quantity=truth.quantity, signal=signal,
+                          truth=truth.name, condition=name)
+                for name, rows in conditions.items()
+                if rows.sum() >= _LEAST_ROWS
+            ]  # fmt: skip
     return out
-
-
-def _by_condition(
-    quantity: str, signal: str, truth: str, off: Floats, covariance: Floats, of_truth: float, told: Bools
-) -> list[NeesConsistency]:
-    conditions = {"whole run": np.ones(len(off), dtype=bool), "with a force": told, "without a force": ~told}
-    return [
-        knowledge(off[rows], covariance[rows], of_truth, quantity=quantity, signal=signal, truth=truth, condition=name)
-        for name, rows in conditions.items()
-        if rows.sum() >= _LEAST_ROWS
-    ]
 
 
 def knowledge(
@@ -197,47 +208,23 @@ def judge(e: Estimate) -> list[ErrorStatistics]:
 
     Raises :class:`~sherkit.errors.MeasurementError` for a camera whose places are in another unit.
     """
+    moments, seen = e.pictures
+    if len(moments):
+        check_camera(at_times(e.run.time_s, e.kinematic_tip_mm, moments), seen, e.run.source)
     out = []
-    run = e.run
-    if run.depth_mm is not None:
-        truth = run.depth_mm
-        rows = np.isfinite(truth)
-        sensor = e.held_depth_mm
-        t0 = np.abs(e.depth.value[:, 0] - sensor) > MISMATCH_MM
+    for truth in _truths(e):
         signals = {
-            "gratings": sensor,
-            "kinematics": e.kinematic_depth_mm,
-            "filter": e.depth.value[:, 0],
-            "filter of both": e.together.value[:, 0],
-            "paper's filter": e.paper.value[:, 0],
+            **truth.raw,
+            "filter": (e.depth if truth.quantity == "depth" else e.tip).value,
+            "filter of both": e.together.value[:, truth.part],
+            "paper's filter": e.paper.value[:, truth.part],
         }
-        errors = {name: np.abs(value - truth)[rows] for name, value in signals.items()}
-        out.append(_judged("depth", "depth_mm", errors, t0[rows]))
-    if len(run.camera_time_s):
-        tool = e.tool
-        moment = run.camera_time_s - tool.camera_delay_s
-        rows = (moment >= run.time_s[0]) & (moment <= run.time_s[-1])
-        if rows.any():
-            truth = tool.in_base(run.camera_mm[rows])
-            moment = moment[rows]
-            places = {
-                "kinematics": at_times(run.time_s, e.kinematic_tip_mm, moment),
-                "filter": at_times(run.time_s, e.tip.value, moment),
-                "filter of both": at_times(run.time_s, e.together.value[:, 1:], moment),
-                "paper's filter": at_times(run.time_s, e.paper.value[:, 1:], moment),
-            }
-            check_camera(places["kinematics"], truth, run.source)
-            t0 = np.linalg.norm(places["filter"] - places["kinematics"], axis=1) > MISMATCH_MM
-            errors = {name: np.linalg.norm(value - truth, axis=1) for name, value in places.items()}
-            out.append(_judged("tip", "camera", errors, t0))
+        off = {name: truth.off(value) for name, value in signals.items()}
+        t0 = np.linalg.norm(off["filter"] - off[next(iter(off))], axis=1) > MISMATCH_MM
+        made = []
+        for name, one in off.items():
+            size = np.linalg.norm(one, axis=1)
+            total, first, second = (float(v.mean()) if len(v) else float("nan") for v in (size, size[t0], size[~t0]))
+            made.append(SignalErrors(name, total, first, second, float(size.max())))
+        out.append(ErrorStatistics(truth.quantity, truth.name, float(t0.mean()), tuple(made)))
     return out
-
-
-def _judged(quantity: str, truth: str, errors: dict[str, Floats], t0: Bools) -> ErrorStatistics:
-    def mean(values: Floats) -> float:
-        return float(values.mean()) if len(values) else float("nan")
-
-    made = tuple(
-        SignalErrors(name, mean(one), mean(one[t0]), mean(one[~t0]), float(one.max())) for name, one in errors.items()
-    )
-    return ErrorStatistics(quantity, truth, float(t0.mean()), made)

@@ -49,33 +49,17 @@ class GratingFault:
         )
 
 
-def faults_of(
-    time_s: Floats, wavelengths_nm: Floats, reference_nm: Floats, faulty: NDArray[np.uint16]
-) -> tuple[GratingFault, ...]:
-    """Names what the filter left out (n,; a bit for each grating) of wavelengths (n, 9)."""
-    bits = (faulty[:, None] >> np.arange(9)) & 1 > 0
-    found: list[GratingFault] = []
-    shift = wavelengths_nm - reference_nm
-    for k in range(9):
-        rows = bits[:, k]
-        if int(rows.sum()) < _LASTING_ROWS:
-            continue
-        where = np.flatnonzero(rows)
-        what = _what(k, rows, shift, bits)
-        found.append(GratingFault(FIBRES[k], float(time_s[where[0]]), float(time_s[where[-1]]), len(where), what))
-    return tuple(found)
-
-
 def _what(k: int, rows: Bools, shift: Floats, bits: Bools) -> str:
     mine = shift[rows, k]
     if np.isnan(mine).mean() > 0.5:
         return "shows nothing"
     known = mine[np.isfinite(mine)]
+    middle = float(np.median(known))
     for j in range(9):
         # a column that shows its neighbour's peak stands off by the distance of their references
         if j != k and bits[rows, j].mean() > 0.5 and np.isfinite(shift[rows, j]).any():
-            apart = float(np.median(known)) + float(np.nanmedian(shift[rows, j]))
-            if abs(float(np.median(known))) > _SWAPPED_NM and abs(apart) < 0.3 * abs(float(np.median(known))):
+            apart = middle + float(np.nanmedian(shift[rows, j]))
+            if abs(middle) > _SWAPPED_NM and abs(apart) < 0.3 * abs(middle):
                 return f"shows the peak of {FIBRES[j]}, which shows its"
     if (np.diff(known) == 0).mean() > _REPEATED:
         return "is stuck or saturated: it repeats one number"
@@ -89,8 +73,9 @@ def _what(k: int, rows: Bools, shift: Floats, bits: Bools) -> str:
 
 # -- The estimate ----------------------------------------------------------------------------------------------------
 
-#: Places of the columns of a measurement.
+#: Places of the columns of a measurement, and of depth and tip in the state of both.
 _FORCE, _DEPTH, _DEPTH_VARIANCE = slice(1, 3), 7, 8
+DEPTH_PART, TIP_PART = slice(0, 1), slice(1, 4)
 #: A filter that stands off its gratings for longer, s, has left them.
 _AWAY_S = 0.5
 #: Two-sided band for the mean NIS.
@@ -110,6 +95,10 @@ class Track:
     status: NDArray[np.uint8]
     nis: Floats
     degrees: NDArray[np.uint8]
+
+    def part(self, columns: slice) -> Track:
+        """Some of the columns."""
+        return replace(self, value=self.value[:, columns], covariance=self.covariance[:, columns, columns])
 
     @property
     def std(self) -> Floats:
@@ -136,11 +125,9 @@ class Consistency:
         """``consistent``, ``overconfident``, ``too careful``, or ``unknown`` where nothing was measured."""
         if not np.isfinite(self.ratio):
             return "unknown"
-        return (
-            "consistent"
-            if self.low <= self.ratio <= self.high
-            else ("overconfident" if self.ratio > self.high else "too careful")
-        )
+        if self.ratio > self.high:
+            return "overconfident"
+        return "consistent" if self.low <= self.ratio else "too careful"
 
 
 def consistency(total: float, degrees: int) -> Consistency:
@@ -211,8 +198,15 @@ class Estimate(Shown):
     @cached_property
     def faults(self) -> tuple[GratingFault, ...]:
         """Gratings that were left out for a while, and what they did."""
-        run = self.run
-        return faults_of(run.time_s, run.wavelengths_nm, np.array(self.tool.reference_nm), self.faulty)
+        bits = (self.faulty[:, None] >> np.arange(9)) & 1 > 0
+        shift = self.run.wavelengths_nm - np.array(self.tool.reference_nm)
+        found = []
+        for k, rows in enumerate(bits.T):
+            at = self.run.time_s[rows]
+            if len(at) >= _LASTING_ROWS:
+                what = _what(k, rows, shift, bits)
+                found.append(GratingFault(FIBRES[k], float(at[0]), float(at[-1]), len(at), what))
+        return tuple(found)
 
     @cached_property
     def away(self) -> list[tuple[float, float]]:
@@ -227,6 +221,14 @@ class Estimate(Shown):
         edges = np.flatnonzero(np.diff(side, prepend=0, append=0))
         spans = [(time[a], time[b - 1]) for a, b in pairwise(edges) if side[a] != 0]
         return [(float(a), float(b)) for a, b in spans if b - a > _AWAY_S]
+
+    @cached_property
+    def pictures(self) -> tuple[Floats, Floats]:
+        """Of the camera's pictures inside the robot's time: their moments (k,) by the robot's clock, and where the tip
+        was seen (k, 3), robot's base."""
+        time, moments = self.run.time_s, self.run.camera_time_s - self.tool.camera_delay_s
+        inside = (moments >= time[0]) & (moments <= time[-1])
+        return moments[inside], self.tool.in_base(self.run.camera_mm[inside])
 
     @property
     def depth_std_mm(self) -> Floats:
@@ -279,7 +281,7 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     row has wavelengths, or whose wavelengths are in another unit or of another tool.
     """
     waves = np.where(run.lost_fibres[:, None], np.nan, run.wavelengths_nm)
-    reading = _readings(run)
+    reading = run.new_readings(np.asarray(np.isfinite(run.wavelengths_nm).any(axis=1)))
     if not reading.any():
         raise MeasurementError(f"{run.source}: no row has wavelengths; there is nothing to estimate from")
     check_wavelengths(waves, np.array(tool.reference_nm), run.source)
@@ -292,29 +294,17 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     told["covariance"][:, [1, 2, 3], [1, 2, 3]] += goes[:, None]
     together = _track(told)
     # the paper's measurement is of the row that it came in
-    there = np.ascontiguousarray(run.present)
-    paper = _track(tool.paper_filter(start, pose).run(run.time_s, run.poses, run.time_s, waves, there))
+    paper = _track(tool.paper_filter(start, pose).run(run.time_s, run.poses, run.time_s, waves, run.present))
     chosen = together if tool.noise == "propagated" else paper
-    depth = replace(chosen, value=chosen.value[:, :1], covariance=chosen.covariance[:, :1, :1])
-    tip = replace(chosen, value=chosen.value[:, 1:], covariance=chosen.covariance[:, 1:, 1:])
     inner = told["inner"]
     return Estimate(
-        tool, run, measured, told["misfit"], depth, tip, together, told["faulty"], told["arc_mm"], paper, inner[:, 2:6],
-        inner[:, 10], inner[:, 11], inner[:, 12],
+        tool, run, measured, told["misfit"], chosen.part(DEPTH_PART), chosen.part(TIP_PART), together, told["faulty"],
+        told["arc_mm"], paper, inner[:, 2:6], inner[:, 10], inner[:, 11], inner[:, 12],
     )  # fmt: skip
 
 
 def _track(told: dict[str, Any]) -> Track:
     return Track(told["state"], told["covariance"], told["status"], told["nis"], told["degrees"])
-
-
-def _readings(run: ToolRun) -> Bools:
-    """Rows (n,) with a wavelength, and no reading that an earlier row has already, where the pose is known."""
-    some = np.isfinite(run.wavelengths_nm).any(axis=1) & ~run.lost_fibres & ~run.lost_pose
-    if run.fibre_time_s is None:
-        return np.asarray(some)
-    before = np.maximum.accumulate(np.where(some, run.fibre_times_s, -np.inf))
-    return np.asarray(some & (run.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
 
 
 def status_in_words(track: Track) -> dict[str, int]:

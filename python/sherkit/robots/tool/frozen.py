@@ -8,9 +8,7 @@ tool is bent as far meanwhile as it is by the robot's motion and the robot stopp
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -65,69 +63,55 @@ class Frozen:
     until_s: float
 
 
-def frozen_fibres(time_s: Floats, again: Bools) -> list[Frozen]:
-    """Stretches of rows (n,) that hold the reading of the row before, again and again."""
-    return _stretches(time_s, again)
+def frozen_stretches(time_s: Floats, same: Bools) -> list[Frozen]:
+    """Stretches of rows (n,) that hold the ``same`` as the row before, again and again."""
+    if not same.any():
+        return []
+    usual = float(np.median(np.diff(time_s[~same]))) if int((~same).sum()) > 1 else np.inf
+    long_s = max(_LONG_S, _STEPS * usual)
+    return [one for one in _stretches(time_s, same) if one.until_s - one.since_s >= long_s]
+
+
+def _stretches(time_s: Floats, rows: Bools) -> list[Frozen]:
+    edges = np.flatnonzero(np.diff(rows.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    return [Frozen(int(a), int(b) - 1, float(time_s[a - 1]), float(time_s[b - 1])) for a, b in edges]
 
 
 def frozen_pose(time_s: Floats, position_mm: Floats, turn_rad: Floats, wavelengths_nm: Floats) -> list[Frozen]:
     """Stretches in which the robot's place or turn (n, 3) repeats itself though the tool moved; ``wavelengths_nm``
     (n, 9) are NaN where nothing was read."""
-    both = (position_mm, turn_rad)
-    same = [np.concatenate([[False], (np.diff(values, axis=0) == 0).all(axis=1)]) for values in both]
-    paths = [_Path(time_s, *one) for one in zip(both, same, strict=True)]
-    out = [one for path in paths for one in _stretches(time_s, path.same) if path.jumps(one)]
-    for one in _stretches(time_s, same[0] & same[1]):
+    paths = [_Path(time_s, one) for one in (position_mm, turn_rad)]
+    out = [one for path in paths for one in frozen_stretches(time_s, path.same) if path.jumps(one)]
+    for one in frozen_stretches(time_s, paths[0].same & paths[1].same):
         if any(path.stops(one) for path in paths) and _bent(wavelengths_nm, one):
             out.append(one)
-    return _joined(out)
-
-
-def _stretches(time_s: Floats, same: Bools) -> list[Frozen]:
-    if not same.any():
-        return []
-    usual = float(np.median(np.diff(time_s[~same]))) if int((~same).sum()) > 1 else np.inf
-    long_s = max(_LONG_S, _STEPS * usual)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
-    spans = [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
-    found = [Frozen(a, b, float(time_s[a - 1]), float(time_s[b])) for a, b in spans]
-    return [one for one in found if one.until_s - one.since_s >= long_s]
-
-
-def _joined(found: list[Frozen]) -> list[Frozen]:
-    """Stretches that overlap as one."""
-    out: list[Frozen] = []
-    for one in sorted(found, key=lambda f: f.first):
-        if out and one.first <= out[-1].last:
-            last = out.pop()
-            one = Frozen(last.first, max(last.last, one.last), last.since_s, max(last.until_s, one.until_s))
-        out.append(one)
-    return out
+    return _stretches(time_s, rows_of(out, len(time_s)))
 
 
 class _Path:
-    """A place or a turn over time: how fast it goes from new row to new row where these follow each other as usual."""
+    """A place or a turn over time: where it is the ``same`` as in the row before, and how fast it goes from new row to
+    new row where these follow each other as usual."""
 
-    def __init__(self, time_s: Floats, values: Floats, same: Bools) -> None:
-        self.time_s, self.values, self.same = time_s, values, same
-        here = np.flatnonzero(~same)
+    def __init__(self, time_s: Floats, values: Floats) -> None:
+        self.time_s, self.values = time_s, values
+        self.same = np.append(False, (np.diff(values, axis=0) == 0).all(axis=1))
+        here = np.flatnonzero(~self.same)
         step = np.diff(time_s[here])
         self.usual_s = float(np.median(step)) if len(step) else np.inf
         follows = step < min(_LONG_S, _STEPS * self.usual_s)
         moved = np.linalg.norm(np.diff(values[here], axis=0), axis=1)
-        self.speed = moved[follows] / step[follows]
+        speed = moved[follows] / step[follows]
+        known = len(speed) >= _FEWEST
+        self.usual, self.fastest = (float(of(speed)) if known else np.inf for of in (np.median, np.max))
 
     def jumps(self, one: Frozen) -> bool:
         """Whether it is elsewhere at once after a stretch."""
         after = one.last + 1
-        return after < len(self.time_s) and self._speed(one.last, after) > _AT_ONCE * self._usual(np.max)
+        return after < len(self.time_s) and self._speed(one.last, after) > _AT_ONCE * self.fastest
 
     def stops(self, one: Frozen) -> bool:
         """Whether it stood from one row to the next."""
-        return one.first > 1 and self._speed(one.first - 2, one.first - 1) > _STOPPED * self._usual(np.median)
-
-    def _usual(self, of: Callable[[Floats], Any]) -> float:
-        return float(of(self.speed)) if len(self.speed) >= _FEWEST else np.inf
+        return one.first > 1 and self._speed(one.first - 2, one.first - 1) > _STOPPED * self.usual
 
     def _speed(self, a: int, b: int) -> float:
         gap = max(float(self.time_s[b] - self.time_s[a]), self.usual_s)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -31,7 +31,7 @@ from .alignment import at_times
 from .effects import TOOL_CATALOGUE, ToolEffect
 from .places import TipPlaces
 from .runs import ToolRun, check_camera, check_wavelengths, require_camera, warn_frozen
-from .tool import FlexibleTool, rotation_of
+from .tool import FlexibleTool, nested, rotation_of
 
 # -- As it is drawn -----------------------------------------------------------------------------------------------
 
@@ -227,24 +227,18 @@ class ToolModel(Saved):
 
     def _adding(self, effect: ToolEffect) -> Callable[[EffectRows, SimpleNamespace], Floats]:
         """What the effect adds on rows of this run, remembered for the values asked last."""
-        places, names = self._places, [p.name for p in effect.parameters]
-        farthest = _FARTHEST * np.array([p.size for p in effect.parameters])
-        last: dict[tuple[float, ...], Floats] = {}
+        places, known = self._places, effect.parameters
 
-        def adds(rows: EffectRows, p: SimpleNamespace) -> Floats:
-            values = tuple(float(getattr(p, name)) for name in names)
-            if (np.abs(values) > farthest).any():
+        @lru_cache(4 * len(known) + 8)
+        def moved(*values: float) -> Floats:
+            if any(abs(value) > _FARTHEST * p.size for value, p in zip(values, known, strict=True)):
                 raise FitError(f"{effect.name}: a step of {_FARTHEST:g} plausible sizes and more")
-            if values not in last:
-                if len(last) > 4 * len(names) + 8:
-                    last.clear()
-                try:
-                    last[values] = effect.places(places, np.array(values)) - places.tip_mm
-                except RobotError as error:  # a step so long that it leaves what is a tool
-                    raise FitError(f"{effect.name}: {error}") from None
-            return last[values][rows[_PICTURE].astype(np.int64)]
+            try:
+                return effect.places(places, np.array(values)) - places.tip_mm
+            except RobotError as error:  # a step so long that it leaves what is a tool
+                raise FitError(f"{effect.name}: {error}") from None
 
-        return adds
+        return lambda rows, p: moved(*(float(getattr(p, one.name)) for one in known))[rows[_PICTURE].astype(np.int64)]
 
 
 # -- Into the tool file -------------------------------------------------------------------------------------------
@@ -290,32 +284,23 @@ def applied(model: ToolModel, fit: Fit) -> Applied:
     The camera saw the tip at m + R (tip - m) + c, with the middle m of the run's places, the turn R of ``registration``
     and the offset c; its frame is turned and moved back by that.
     """
-    tool, written, kept_out, why = model.tool, [], [], []
-    turn = np.eye(3)
+    tool, turn, why = model.tool, np.eye(3), {}
     for effect in fit.model.effects:
         values = fit.values[fit.model.owns(effect)]
         known = TOOL_CATALOGUE.get(effect.name)
         if effect.name == "registration":
             turn = rotation_of(values)[0]
         elif known is None or known.tool is None:
-            kept_out.append(effect.name)
-            why.append(f"{effect.name} has no key in a tool file. {known.remedy if known else ''}".strip())
-            continue
+            why[effect.name] = f"{effect.name} has no key in a tool file. {known.remedy if known else ''}".strip()
         else:
             try:
                 tool = known.tool(tool, values)
             except RobotError as error:
-                kept_out.append(effect.name)
-                why.append(f"{effect.name} cannot be written: {error}")
-                continue
-        written.append(effect.name)
+                why[effect.name] = f"{effect.name} cannot be written: {error}"
     offset = fit.values[: len(model.parameters)]
     middle = model.predict(model.readings, np.zeros(len(model.parameters))).mean(axis=0)
     shift = turn.T @ (np.array(tool.camera_translation_mm) - offset - middle) + middle
     rotation = scipy.spatial.transform.Rotation.from_matrix(turn.T @ tool.camera_rotation).as_rotvec()
-    tool = replace(
-        tool,
-        camera_rotation_rad=tuple(rotation.tolist()),
-        camera_translation_mm=tuple(shift.tolist()),
-    )
-    return Applied(tool, tuple(written), tuple(kept_out), tuple(why))
+    tool = replace(tool, camera_rotation_rad=nested(rotation), camera_translation_mm=nested(shift))
+    written = tuple(e.name for e in fit.model.effects if e.name not in why)
+    return Applied(tool, written, tuple(why), tuple(why.values()))

@@ -1,16 +1,21 @@
-"""An estimate over time: the filter's value with its band, the raw sensor, the truth, and the force below."""
+"""An estimate over time: the filter's value with its band, the raw sensor, the truth, and the force below; and the page
+of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from bokeh.models import Span
 from numpy.typing import NDArray
 
+from ...base.answer import Answer
 from ...base.types import Floats
+from ...diagnosis import Diagnosis
+from ...report.notebook import telling_pictures
+from ...report.page import Made, Section, html_sentences, write_page
 from ...report.picture import (
     ADDED,
     COLOURS,
@@ -101,19 +106,16 @@ def estimate_picture(state: EstimateOverTime, headline: str = "") -> Picture[Est
     # what blows up where the force is small must not squeeze the rest
     made.y_range.start, made.y_range.end = _window(state)
     figures = [made]
-    if state.force_mN is not None:
-        lower = figure(height=_BELOW, sizing_mode="stretch_width", x_range=made.x_range)
-        lower.yaxis.axis_label = "force, mN"
-        lower.line("t", "force", source=sources["run"], color=COLOURS[1], line_width=2)
-        if state.threshold_mN is not None:
-            lower.add_layout(Span(location=state.threshold_mN, dimension="width", line_color=MUTED, line_dash="dotted"))
-        figures.append(lower)
-    if state.innovation is not None:
-        lowest = figure(height=_BELOW, sizing_mode="stretch_width", x_range=made.x_range)
-        lowest.yaxis.axis_label = "innovation²"
-        lowest.line("t", "innovation", source=sources["run"], color=COLOURS[0], line_width=2)
-        lowest.add_layout(Span(location=1.0, dimension="width", line_color=MUTED, line_dash="dotted"))
-        figures.append(lowest)
+    for column, label, colour, level in (
+        ("force", "force, mN", COLOURS[1], state.threshold_mN), ("innovation", "innovation²", COLOURS[0], 1.0)
+    ):  # fmt: skip
+        if column in sources["run"].data:
+            lower = figure(height=_BELOW, sizing_mode="stretch_width", x_range=made.x_range)
+            lower.yaxis.axis_label = label
+            lower.line("t", column, source=sources["run"], color=colour, line_width=2)
+            if level is not None:
+                lower.add_layout(Span(location=level, dimension="width", line_color=MUTED, line_dash="dotted"))
+            figures.append(lower)
     figures[-1].xaxis.axis_label = "time, s"
     n = len(state.time_s)
     few = f" Of {n} steps the first, lowest and highest of equal stretches are drawn." if n > _MOST else ""
@@ -138,20 +140,15 @@ def _window(state: EstimateOverTime) -> tuple[float, float]:
 
 def _tables(state: EstimateOverTime) -> Tables:
     band = _TWO_SIDED_95 * state.std
-    lines = [state.estimate, state.estimate - band, state.estimate + band, *state.others.values()]
-    keep = _drawn([*lines, state.force_mN] if state.force_mN is not None else lines)
-    table: dict[str, Any] = {
-        "t": state.time_s[keep],
-        "estimate": state.estimate[keep],
-        "low": (state.estimate - band)[keep],
-        "high": (state.estimate + band)[keep],
-    }
-    table |= {f"other_{k}": v[keep] for k, v in enumerate(state.others.values())}
+    lines = {"estimate": state.estimate, "low": state.estimate - band, "high": state.estimate + band}
+    lines |= {f"other_{k}": v for k, v in enumerate(state.others.values())}
     if state.force_mN is not None:
-        table["force"] = state.force_mN[keep]
+        lines["force"] = state.force_mN
+    keep = _drawn(list(lines.values()))
+    lines["t"] = state.time_s
     if state.innovation is not None:
-        table["innovation"] = state.innovation[keep]
-    return {"run": table}
+        lines["innovation"] = state.innovation
+    return {"run": {name: values[keep] for name, values in lines.items()}}
 
 
 def _drawn(lines: Sequence[Floats]) -> NDArray[np.int64]:
@@ -170,3 +167,21 @@ def _drawn(lines: Sequence[Floats]) -> NDArray[np.int64]:
             stretch = np.searchsorted(starts, hit, side="right")
             keep.append(hit[np.unique(stretch, return_index=True)[1]])
     return np.unique(np.concatenate(keep))
+
+
+def write_estimate(
+    path: Path, answer: Answer, over_time: EstimateOverTime, tables: Sequence[str], made: Made,
+    found: Diagnosis | None = None,
+) -> None:  # fmt: skip
+    """Depth and tip over a run, ``tables`` of their errors, and what a diagnosis ``found``, where one was asked. Raises
+    :class:`~sherkit.errors.NotWritten`."""
+    drawn = estimate_picture(over_time)
+    sections = [Section(f"{over_time.name.capitalize()} over the run", "", drawn.root, drawn.note)]
+    if any(tables):
+        sections.append(Section("Errors", "".join(tables)))
+    for k, picture in enumerate(telling_pictures(found) if found is not None else ()):
+        title = "What is missing" if not k else f"What the camera sees, {k}"
+        sections.append(Section(title, "", picture.root, picture.note))
+    if found is not None:
+        sections.append(Section("What the verdict rests on", html_sentences(*map(str, found.checks))))
+    write_page(path, answer, sections, made)

@@ -147,41 +147,51 @@ class TipPlaces:
         Where what is felt moves, the rope is tight. Where it stands still, the true force goes from one side to the
         other: as the hole pushes, within the rope's reach, or, where no hole is known, evenly.
         """
-        way, hole = self._dragged
-        if hole is None:
+        way, moving = self._motion
+        if self._hole_beyond is None:
             return width_mn * way
-        reach = np.maximum(np.linalg.norm(hole, axis=1), abs(width_mn))[:, None]
-        return width_mn * np.where(self._moves[1][:, None], way, hole / np.where(reach > 0, reach, 1.0))
+        reach = np.maximum(np.linalg.norm(self._hole_beyond, axis=1), abs(width_mn))[:, None]
+        beyond = self._hole_beyond / np.where(reach > 0, reach, 1.0)
+        return width_mn * np.where(moving[:, None], way, beyond)
 
     @cached_property
-    def _moves(self) -> tuple[Floats, Bools]:
-        return _motion(self.run.time_s, self.felt)
-
-    @cached_property
-    def _dragged(self) -> tuple[Floats, Floats | None]:
-        """Ways of the felt force (n, 2), and how far ahead of it that of the hole is (n, 2)."""
+    def _hole_beyond(self) -> Floats | None:
+        """How far ahead of the felt force that of the hole is (n, 2), where there is one."""
         felt, hole = self.felt, self.hole
-        return self._ways, None if hole is None else hole.force(self.tool, self.run, felt.depth_mm) - felt.force_mn
-
-    @cached_property
-    def _ways(self) -> Floats:
-        """Along which the force moves (n, 2), and at rest from one side to the other."""
-        moved, moving = self._moves
-        at, time = np.flatnonzero(moving), self.run.time_s
-        if not len(at):
-            return np.zeros_like(moved)
-        way = moved[at] / np.linalg.norm(moved[at], axis=1, keepdims=True)
-        return np.column_stack([np.interp(time, time[at], way[:, k]) for k in range(2)])
+        return None if hole is None else hole.force(self.tool, self.run, felt.depth_mm) - felt.force_mn
 
     @cached_property
     def hole(self) -> Hole | None:
         """The hole, where one that stands still explains the force."""
         felt = self.felt
-        return find_hole(self.tool, self.run, felt.force_mn, felt.depth_mm, self._ways, self._moves[1])
+        return find_hole(self.tool, self.run, felt.force_mn, felt.depth_mm, *self._motion)
+
+    @cached_property
+    def _motion(self) -> tuple[Floats, Bools]:
+        """Along which the force moves (n, 2), and at rest from one side to the other; and where it moves (n,): changes
+        over some hundredths of a second by more than noise."""
+        force_mn, time = self.felt.force_mn, self.run.time_s
+        half = max(1, round(_SMOOTHING_S / float(np.median(np.diff(time))) / 2))
+        total = np.cumsum(np.vstack([np.zeros((1, 2)), force_mn]), axis=0)
+        n = len(force_mn)
+        here = np.arange(n)
+        ahead, behind = (np.clip(here + k, 0, n) for k in (2 * half + 1, -2 * half))
+        later = (total[ahead] - total[here]) / np.maximum(ahead - here, 1)[:, None]
+        before = (total[here] - total[behind]) / np.maximum(here - behind, 1)[:, None]
+        before[behind == here] = force_mn[behind == here]
+        moved = later - before
+        size = np.linalg.norm(moved, axis=1)
+        # the scatter that noise alone gives such a difference, from what neighbouring rows differ by
+        scatter = np.median(np.linalg.norm(np.diff(self.felt.noisy_mn, axis=0), axis=1)) / np.sqrt(half)
+        moving = size > _MOVES * scatter
+        if not moving.any():
+            return np.zeros_like(moved), moving
+        way = moved[moving] / size[moving, None]
+        return np.column_stack([np.interp(time, time[moving], one) for one in way.T]), moving
 
     def feel(self, tool: FlexibleTool, wavelengths_nm: Floats | None = None) -> Felt:
         """Force and smoothed depth as another tool, or from other wavelengths (n, 9); lost ones are bridged."""
-        return self._felt(tool, self.waves_nm if wavelengths_nm is None else wavelengths_nm, self._around)
+        return self._felt(tool, self.waves_nm if wavelengths_nm is None else wavelengths_nm, *self._around)
 
     @cached_property
     def waves_nm(self) -> Floats:
@@ -209,7 +219,7 @@ class TipPlaces:
         variances and the steps of a depth are taken at, whatever the effect."""
         run, tool = self.run, self.tool
         led = run.insertion_mm_s[1:] * np.diff(run.time_s)
-        felt = self._felt(tool, self.waves_nm, (np.full(len(run), 0.5 * tool.distances_mm[0]), led))
+        felt = self._felt(tool, self.waves_nm, np.full(len(run), 0.5 * tool.distances_mm[0]), led)
         size = np.linalg.norm(felt.force_mn, axis=1)
         arc = (tool.length_mm - felt.depth_mm).clip(0.0)
         bend = size * arc**2 / tool.stiffness_mn_mm2
@@ -223,14 +233,15 @@ class TipPlaces:
         along = np.einsum("ni,ni->n", np.diff(run.position_mm, axis=0), middle)
         return felt.depth_mm, along - swept - np.diff(longer)
 
-    def _felt(self, tool: FlexibleTool, waves_nm: Floats, around: tuple[Floats, Floats]) -> Felt:
-        """From wavelengths (n, 9), NaN where they were lost."""
+    def _felt(self, tool: FlexibleTool, waves_nm: Floats, around_mm: Floats, led: Floats) -> Felt:
+        """From wavelengths (n, 9), NaN where they were lost; the depth is about ``around_mm`` (n,), and goes with the
+        robot by ``led`` (n - 1,)."""
         run, (near, far) = self.run, tool.distances_mm
-        lower, upper = (_moments(tool, waves_nm, section) for section in range(2))
-        there = np.isfinite(lower).all(axis=1) & np.isfinite(upper).all(axis=1)
-        around_mm, led = around
+        lower, upper = tool.sensor.measure_batch(run.time_s, tool.as_if_cold(waves_nm))[1].transpose(1, 0, 2)
+        there = np.isfinite(lower[:, 0])
         force = (upper - lower) / (far - near)
-        noise = [tool.noise_nm**2 * float((_own_gains(tool, s) ** 2).sum()) / 2.0 for s in range(2)]
+        gains = np.array(tool.gains)
+        noise = tool.noise_nm**2 / 2.0 * ((gains - gains.mean(axis=2, keepdims=True)) ** 2).sum(axis=(1, 2))
         # the moments' share in the depth, by Eq. 2 to first order
         share = (far - around_mm) / (far - near)
         variance = noise[1] * (1.0 - share) ** 2 + noise[0] * share**2
@@ -274,24 +285,6 @@ class _Seen:
         self.place = self.between @ run.position_mm
 
 
-def _motion(time_s: Floats, felt: Felt) -> tuple[Floats, Bools]:
-    """How the force changes (n, 2), mN over some hundredths of a second, and where that is more than noise (n,)."""
-    force_mn, noisy_mn = felt.force_mn, felt.noisy_mn
-    step = float(np.median(np.diff(time_s)))
-    half = max(1, round(_SMOOTHING_S / step / 2))
-    total = np.cumsum(np.vstack([np.zeros((1, 2)), force_mn]), axis=0)
-    n = len(force_mn)
-    ahead, behind = (np.clip(np.arange(n) + k, 0, n) for k in (2 * half + 1, -2 * half))
-    here = np.arange(n)
-    later = (total[ahead] - total[here]) / np.maximum(ahead - here, 1)[:, None]
-    before = (total[here] - total[behind]) / np.maximum(here - behind, 1)[:, None]
-    before[behind == here] = force_mn[behind == here]
-    moved = later - before
-    # the scatter that noise alone gives such a difference, from what neighbouring rows differ by
-    scatter = np.median(np.linalg.norm(np.diff(noisy_mn, axis=0), axis=1)) / np.sqrt(half)
-    return moved, np.linalg.norm(moved, axis=1) > _MOVES * scatter
-
-
 def calmed(time_s: Floats) -> csr_array:
     """Takes forces at times (n,) to those without most of their noise, (n, n): a local parabola (Savitzky and Golay
     1964). A picture lies between rows, and a delay that is fitted would else choose rows whose noise suits it."""
@@ -319,21 +312,6 @@ def _between(time_s: Floats, moments_s: Floats) -> csr_array:
         [-first, (1.0 + 2.0 * share) * rest**2 + second, share**2 * (3.0 - 2.0 * share) + first, -second]
     )
     return csr_array((weights.ravel(), (np.repeat(np.arange(m), 4), rows.ravel())), shape=(m, n))
-
-
-def _own_gains(tool: FlexibleTool, section: int) -> Floats:
-    """Gains (2, 3) that ignore what the three fibres have in common."""
-    gains = np.array(tool.gains[section])
-    return gains - gains.mean(axis=1, keepdims=True)
-
-
-def _moments(tool: FlexibleTool, wavelengths_nm: Floats, section: int) -> Floats:
-    """Bending moments (n, 2), mN·mm (Eq. 1)."""
-    fibres = slice(3 * section, 3 * section + 3)
-    own = _own_gains(tool, section)
-    # a part of the mean is what warmth makes of the differences
-    own = own - (own @ np.array(tool.warmth[section]))[:, None] / 3.0
-    return np.asarray((wavelengths_nm[:, fibres] - np.array(tool.reference_nm)[fibres]) @ own.T)
 
 
 def _smoothed(tool: FlexibleTool, run: ToolRun, weight: Floats, seen: Floats, led: Floats) -> Floats:

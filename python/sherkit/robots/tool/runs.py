@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from ...data.columns import TIME
 from ...data.reader import checked
 from ...data.tables import read_table, write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
-from .frozen import Frozen, frozen_fibres, frozen_pose, repeats, rows_of, sentences
+from .frozen import Frozen, frozen_pose, frozen_stretches, repeats, rows_of, sentences
 from .tool import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN, rotation_of
 
 # -- What numbers cannot be: other units, another clock, another tool, a camera that saw something else -----------
@@ -73,22 +73,19 @@ def check_wavelengths(wavelengths_nm: Floats, reference_nm: Floats, source: str)
         )
 
 
-def check_clocks(time_s: Floats, stamps_s: Floats | None, source: str) -> None:
-    """Raises :class:`~sherkit.errors.MeasurementError` for rows (n,) of a robot that are too far apart, and for stamps
-    (n,; NaN without a reading) by another clock."""
+def check_clocks(time_s: Floats, later_s: Floats | None, source: str) -> None:
+    """Raises :class:`~sherkit.errors.MeasurementError` for rows (n,) of a robot that are too far apart, and for
+    readings that are stamped so much ``later_s`` (k,) than their rows, by another clock."""
     step = float(np.median(np.diff(time_s)))
     if step > _SLOWEST_S:
         raise MeasurementError(
             f"{source}: rows of the robot are {step:g} s apart; expected {_SLOWEST_S:g} s or less: is time_s in "
             "another unit?"
         )
-    if stamps_s is None:
-        return
-    apart = np.abs(stamps_s - time_s)
-    apart = apart[np.isfinite(apart)]
-    if len(apart) and float(np.median(apart)) > _STRANGE_CLOCK_S:
+    apart = float(np.median(np.abs(later_s))) if later_s is not None and len(later_s) else 0.0
+    if apart > _STRANGE_CLOCK_S:
         raise MeasurementError(
-            f"{source}: {FIBRE_TIME} lies {np.median(apart):.3g} s from time_s; expected seconds by the robot's clock"
+            f"{source}: {FIBRE_TIME} lies {apart:.3g} s from time_s; expected seconds by the robot's clock"
         )
 
 
@@ -252,16 +249,11 @@ class ToolRun:
         return np.ascontiguousarray(np.hstack([self.rotations.reshape(-1, 9), self.position_mm]))
 
     @cached_property
-    def velocities_mm_s(self) -> Floats:
-        """Velocity of the unbent tip (n, 3) since the row before, base frame; zero at the first."""
+    def insertion_mm_s(self) -> Floats:
+        """Velocity along the shaft since the row before (n,), positive into the eye (Eq. 8); zero at the first."""
         step = np.diff(self.time_s)
         moved = np.diff(self.position_mm, axis=0) / np.where(step > 0, step, np.inf)[:, None]
-        return np.vstack([np.zeros((1, 3)), moved])
-
-    @cached_property
-    def insertion_mm_s(self) -> Floats:
-        """Velocity along the shaft (n,), positive into the eye (Eq. 8)."""
-        return np.asarray(np.einsum("ni,ni->n", self.velocities_mm_s, self.rotations[:, :, 2]))
+        return np.append(0.0, np.einsum("ni,ni->n", moved, self.rotations[1:, :, 2]))
 
     @cached_property
     def fibre_times_s(self) -> Floats:
@@ -272,13 +264,17 @@ class ToolRun:
 
     @cached_property
     def present(self) -> Bools:
-        """Rows (n,) with all wavelengths of sections I and II, and no reading that an earlier row has already, where
-        the robot's pose is known."""
-        whole = np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1) & ~self.lost_fibres & ~self.lost_pose
+        """Rows (n,) with all wavelengths of sections I and II that are :meth:`new_readings`."""
+        return self.new_readings(np.asarray(np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1)))
+
+    def new_readings(self, read: Bools) -> Bools:
+        """Those of the rows ``read`` (n,) that hold no reading which an earlier one has already, where the robot's pose
+        is known."""
+        read = read & ~self.lost_fibres & ~self.lost_pose
         if self.fibre_time_s is None:
-            return np.asarray(whole)
-        before = np.maximum.accumulate(np.where(whole, self.fibre_times_s, -np.inf))
-        return np.asarray(whole & (self.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
+            return read
+        before = np.maximum.accumulate(np.where(read, self.fibre_times_s, -np.inf))
+        return np.asarray(read & (self.fibre_times_s > np.concatenate([[-np.inf], before[:-1]])))
 
     @cached_property
     def again(self) -> Bools:
@@ -288,7 +284,7 @@ class ToolRun:
     @cached_property
     def frozen_fibres(self) -> list[Frozen]:
         """Stretches in which one reading came again and again."""
-        return frozen_fibres(self.time_s, self.again)
+        return frozen_stretches(self.time_s, self.again)
 
     @cached_property
     def frozen_pose(self) -> list[Frozen]:
@@ -310,12 +306,6 @@ class ToolRun:
     def froze(self) -> list[str]:
         """A sentence on each stream that stood still while the others went on."""
         return sentences(self.frozen_fibres, self.frozen_pose)
-
-    def without_fibres(self, rows: Bools) -> ToolRun:
-        """The same run with these wavelengths lost."""
-        waves = self.wavelengths_nm.copy()
-        waves[rows] = np.nan
-        return replace(self, wavelengths_nm=waves)
 
     def save(self, path: str | Path) -> None:
         """Writes CSV or Parquet that :func:`read_tool_run` reads: rows of the robot and of the camera by time."""
@@ -351,22 +341,19 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
             _refuse(np.isinf(values), f"{source}: row {{}}, column '{name}': expected a finite number, or nothing")
     time = columns[TIME]
     _refuse(~np.isfinite(time), f"{source}: row {{}}, column '{TIME}': expected a time, s")
-    pose = np.column_stack([columns[n] for n in (*POSITION, *TURN)])
-    there = np.isfinite(pose)
-    _refuse(
-        there.any(axis=1) & ~there.all(axis=1),
-        f"{source}: row {{}}: a pose needs all of {listed((*POSITION, *TURN), 6)}",
-    )
-    robot = there.all(axis=1)
-    camera_all = np.column_stack([columns.get(n, np.full(len(time), np.nan)) for n in CAMERA])
-    seen = np.isfinite(camera_all)
-    _refuse(
-        seen.any(axis=1) & ~seen.all(axis=1),
-        f"{source}: row {{}}: a place of the camera needs all of {listed(CAMERA, 3)}",
-    )
-    camera = seen.all(axis=1)
+
+    def together(names: tuple[str, ...], what: str) -> tuple[Floats, Bools]:
+        values = np.column_stack([columns.get(n, np.full(len(time), np.nan)) for n in names])
+        there = np.isfinite(values)
+        half = there.any(axis=1) & ~there.all(axis=1)
+        _refuse(half, f"{source}: row {{}}: {what} needs all of {listed(names)}")
+        return values, there.all(axis=1)
+
+    pose, robot = together((*POSITION, *TURN), "a pose")
+    places, camera = together(CAMERA, "a place of the camera")
     waves = np.column_stack([columns[n] for n in FIBRES])
-    _refuse(~robot & np.isfinite(waves).any(axis=1), f"{source}: row {{}}: wavelengths without the robot's pose")
+    read = np.asarray(np.isfinite(waves).any(axis=1))
+    _refuse(~robot & read, f"{source}: row {{}}: wavelengths without the robot's pose")
     if int(robot.sum()) < _LEAST:
         raise MeasurementError(f"{source}: holds {int(robot.sum())} rows with a pose; expected {_LEAST} or more")
     for rows, who in ((robot, "the robot"), (camera, "the camera")):
@@ -376,10 +363,10 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
             raise MeasurementError(f"{source}: row {row + 1}: the time of {who} does not grow")
     stamps = columns.get(FIBRE_TIME)
     if stamps is not None:
-        lacking = robot & np.isfinite(waves).any(axis=1) & ~np.isfinite(stamps)
+        lacking = robot & read & ~np.isfinite(stamps)
         _refuse(lacking, f"{source}: row {{}}, column '{FIBRE_TIME}': expected when its wavelengths were taken, s")
-    taken = None if stamps is None else np.where(np.isfinite(waves).any(axis=1), stamps, np.nan)[robot]
-    check_clocks(time[robot], taken, source)
+        stamps = stamps[robot]
+    check_clocks(time[robot], None if stamps is None else stamps[read[robot]] - time[robot & read], source)
     check_turn(pose[robot, 3:], source)
     depth = columns.get(DEPTH)
     depth = None if depth is None or not np.isfinite(depth[robot]).any() else depth[robot]
@@ -391,10 +378,10 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
         turn_rad=pose[robot, 3:],
         wavelengths_nm=np.ascontiguousarray(waves[robot]),
         camera_time_s=time[camera],
-        camera_mm=camera_all[camera],
+        camera_mm=places[camera],
         depth_mm=depth,
         source=source,
-        fibre_time_s=None if stamps is None else stamps[robot],
+        fibre_time_s=stamps,
     )
 
 
@@ -407,6 +394,15 @@ def warn_frozen(run: ToolRun) -> None:
     """Warns of streams that stood still while the others went on."""
     for sentence in run.froze:
         warnings.warn(f"{run.source}: {sentence[0].lower()}{sentence[1:]}", SherkitWarning, stacklevel=3)
+
+
+def read_free_motion(path: str | Path) -> ToolRun:
+    """A run in which the free tool was led around before its camera, as :func:`read_tool_run`. Raises as
+    :func:`require_camera`, and warns of streams that froze."""
+    run = read_tool_run(path)
+    require_camera(run)
+    warn_frozen(run)
+    return run
 
 
 def require_camera(run: ToolRun) -> None:

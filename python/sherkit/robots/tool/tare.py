@@ -56,12 +56,12 @@ def tare(tool: FlexibleTool, run: ToolRun, *, untouched: bool = False) -> Tare:
         _unloaded_section(own, before, tool.doubt.warmth, tool.noise_nm)
         for own, before in zip(shift.reshape(-1, 3, 3).transpose(1, 0, 2), known, strict=True)
     ]
-    moved = np.concatenate([one.rest_nm for one in found])
+    moved = np.concatenate([rest for rest, _, _ in found])
     made = replace(
         tool,
-        reference_nm=tuple((np.array(tool.reference_nm) + moved).tolist()),
-        warmth=nested(np.array([one.warmth for one in found[:2]])),
-        doubt=replace(tool.doubt, warmth=max(one.warmth_std for one in found[:2])),
+        reference_nm=nested(np.array(tool.reference_nm) + moved),
+        warmth=nested(np.array([warmth for _, warmth, _ in found[:2]])),
+        doubt=replace(tool.doubt, warmth=max(std for _, _, std in found[:2])),
     )
     if untouched:
         force, std = _forces(made, run)
@@ -73,23 +73,17 @@ def tare(tool: FlexibleTool, run: ToolRun, *, untouched: bool = False) -> Tare:
     return Tare(made, moved, seconds)
 
 
-@dataclass(frozen=True, eq=False)
-class _Section:
+def _unloaded_section(
+    shift_nm: Floats, warmth: Floats, warmth_std: float, noise_nm: float
+) -> tuple[Floats, Floats, float]:
     """Where three unloaded fibres stand without what they have in common (3,), nm, and how much more than their mean
-    each answers to warmth (3,), with one deviation."""
-
-    rest_nm: Floats
-    warmth: Floats
-    warmth_std: float
-
-
-def _unloaded_section(shift_nm: Floats, warmth: Floats, warmth_std: float, noise_nm: float) -> _Section:
-    """From shifts (n, 3) of one section; a fibre that shows nothing leaves it as it is."""
+    each answers to warmth (3,), with one deviation: from shifts (n, 3) of one section. A fibre that shows nothing
+    leaves it as it is."""
     shift = shift_nm[np.isfinite(shift_nm).all(axis=1)]
     n = len(shift)
     if not n or not warmth_std > 0.0:
         rest = (shift - shift.mean(axis=1, keepdims=True)).mean(axis=0) if n else np.zeros(3)
-        return _Section(rest, warmth, warmth_std)
+        return rest, warmth, warmth_std
     common = shift.mean(axis=1)
     own = shift - common[:, None]
     middle, still = float(common.mean()), own.mean(axis=0)
@@ -106,7 +100,7 @@ def _unloaded_section(shift_nm: Floats, warmth: Floats, warmth_std: float, noise
             means = left[: blocks * _LASTING].reshape(blocks, _LASTING, 3).mean(axis=1)
             # two of three are free
             variance = max(noise_nm**2, 1.5 * _LASTING * float((means**2).mean()))
-    return _Section(still - slope * middle, slope, float(1.0 / np.sqrt(precision)))
+    return still - slope * middle, slope, float(1.0 / np.sqrt(precision))
 
 
 def unloaded(tool: FlexibleTool, run: ToolRun) -> Bools:

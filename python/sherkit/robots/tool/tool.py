@@ -8,7 +8,7 @@ sections, nine wavelengths.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -58,6 +58,11 @@ BENDINGS = ("exact", "small")
 _SHIFT_NM_PER_MOMENT = 2.1e-4
 
 
+def nested(values: Floats) -> Any:
+    """An array as tuples of tuples, as a tool keeps it."""
+    return tuple(nested(row) for row in values) if values.ndim > 1 else tuple(values.tolist())
+
+
 def even_gains(shift_nm_per_moment: float = _SHIFT_NM_PER_MOMENT, turn_rad: float = 0.0) -> Floats:
     """Gains K (2, 3), mN·mm/nm, of a section whose three fibres stand evenly around the shaft."""
     angle = turn_rad + 2 * np.pi / 3 * np.arange(3)
@@ -79,10 +84,10 @@ class ToolDoubt:
     """
 
     depth: tuple[Triple, Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    beam: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     deeper_mm: float = 0.0
     turn_rad: float = 0.005
     force: float = 0.0
-    beam: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     reference_nm: float = 0.0
     mean: float = 0.02
     unlike: float = 0.02
@@ -98,7 +103,7 @@ class ToolDoubt:
         names = ("deeper_mm", "turn_rad", "force", "reference_nm", "mean")
         return cls(
             depth=nested(np.reshape(depth, (3, 3))),
-            beam=((beam[0], beam[1]), (beam[2], beam[3])),
+            beam=nested(np.reshape(beam, (2, 2))),
             unlike=table.number("unlike", warmth, least=0.0),
             warmth=warmth,
             **{name: table.number(name, getattr(d, name), least=0.0) for name in names},
@@ -106,14 +111,7 @@ class ToolDoubt:
 
     def to_table(self) -> dict[str, Any]:
         """What :meth:`from_table` reads, without loss."""
-        return {
-            "depth": [x for row in self.depth for x in row],
-            "beam": [x for row in self.beam for x in row],
-            **{
-                name: getattr(self, name)
-                for name in ("deeper_mm", "turn_rad", "force", "reference_nm", "mean", "unlike", "warmth")
-            },
-        }
+        return {**asdict(self), "depth": np.ravel(self.depth).tolist(), "beam": np.ravel(self.beam).tolist()}
 
 
 @dataclass(frozen=True)
@@ -143,8 +141,8 @@ class FlexibleTool(Declared, Saved):
     stiffness_mn_mm2: float = 3.39e6 / 3.0
     distances_mm: tuple[float, float] = (40.0, 50.0)
     gains: tuple[tuple[Triple, Triple], tuple[Triple, Triple]] = (
-        tuple(tuple(row) for row in even_gains().tolist()),  # type: ignore[assignment]
-        tuple(tuple(row) for row in even_gains(turn_rad=0.02).tolist()),
+        nested(even_gains()),
+        nested(even_gains(turn_rad=0.02)),
     )
     reference_nm: tuple[float, ...] = (1531.0, 1531.2, 1530.9, 1545.1, 1545.0, 1544.8, 1559.0, 1559.1, 1558.9)
     noise_nm: float = 1e-3
@@ -220,15 +218,14 @@ class FlexibleTool(Declared, Saved):
 
     def __post_init__(self) -> None:
         _ = self.beam, self.sensor  # refuses numbers that are no tool
-        if self.noise not in NOISES:
-            raise RobotError(f"noise: '{self.noise}' is not known; choose {', '.join(NOISES)}")
+        for name, one, known in (("noise", self.noise, NOISES), ("bending", self.bending, BENDINGS)):
+            if one not in known:
+                raise RobotError(f"{name}: '{one}' is not known; choose {', '.join(known)}")
         if not self.fibre_delay_s >= 0.0:
             raise RobotError(
                 f"[gratings] delay_s: {self.fibre_delay_s:g} s would be readings from the future; expected 0 or more. "
                 "Where the robot's rows are late, put their time_s right"
             )
-        if self.bending not in BENDINGS:
-            raise RobotError(f"bending: '{self.bending}' is not known; choose {', '.join(BENDINGS)}")
 
     def save(self, path: str | Path) -> None:
         """Writes a tool file that :func:`load_tool` reads."""
@@ -244,41 +241,31 @@ class FlexibleTool(Declared, Saved):
     @cached_property
     def sensor(self) -> _core.ToolSensor:
         """The gratings (Eqs. 1 and 2)."""
-        return _core.ToolSensor(
-            np.array(self.gains, dtype=float),
-            np.array(self.distances_mm),
-            np.array(self.reference_nm),
-            self.noise_nm,
-            self.beam,
-        )
+        gratings = (np.array(self.gains), np.array(self.distances_mm), np.array(self.reference_nm))
+        return _core.ToolSensor(*gratings, self.noise_nm, self.beam)
 
-    def tracker(self, time_s: float, pose: Floats, *, depth_mm: float | None = None, std_mm: float | None = None,
-                ) -> _core.ToolFilter:  # fmt: skip
-        """The filter that a control loop runs, started at a time and a pose (12,); depth as in the file if left out."""
-        depth = self.start_depth_mm if depth_mm is None else depth_mm
-        std = self.start_known_mm if std_mm is None else std_mm
+    def tracker(self, time_s: float, pose: Floats) -> _core.ToolFilter:
+        """The filter that a control loop runs, started at a time and a pose (12,)."""
         d = self.doubt
         doubts = (d.deeper_mm, d.turn_rad, d.force, d.reference_nm, d.mean, d.unlike, d.warmth, self.clearance_std_mm)
         return _core.ToolFilter(
-            np.array(self.gains, dtype=float), np.array(self.means, dtype=float), np.array(self.distances_mm),
-            np.array(self.reference_nm), self.noise_nm, np.array(self.warmth, dtype=float), self.beam,
-            np.array(d.depth, dtype=float), np.array(d.beam, dtype=float), doubts, self.clearance_mm,
-            self.per_second_mm2[0], (depth, std**2, time_s), np.ascontiguousarray(pose),
+            self.sensor, np.array(self.means), np.array(self.warmth), np.array(d.depth), np.array(d.beam), doubts,
+            self.clearance_mm, self.per_second_mm2[0], self._start(time_s), np.ascontiguousarray(pose),
         )  # fmt: skip
+
+    def paper_filter(self, time_s: float, pose: Floats) -> _core.PaperFilter:
+        """The paper's own filters, started as :meth:`tracker`."""
+        of_force = self.noise == "ebrahimi_2020_of_force"
+        return _core.PaperFilter(self.sensor, self._start(time_s), np.ascontiguousarray(pose), of_force)
+
+    def _start(self, time_s: float) -> tuple[float, float, float]:
+        return self.start_depth_mm, self.start_known_mm**2, time_s
 
     @property
     def start_known_mm(self) -> float:
         """How well it is known where a run starts, as a standard deviation, mm: a third of the shaft where the file
         says nothing, so that the first force decides."""
         return self.length_mm / 3.0 if self.start_std_mm is None else self.start_std_mm
-
-    def paper_filter(self, time_s: float, pose: Floats) -> _core.PaperFilter:
-        """The paper's own filters, started as :meth:`tracker`."""
-        return _core.PaperFilter(
-            np.array(self.gains, dtype=float), np.array(self.distances_mm), np.array(self.reference_nm), self.noise_nm,
-            self.beam, (self.start_depth_mm, self.start_known_mm**2, time_s), np.ascontiguousarray(pose),
-            self.noise == "ebrahimi_2020_of_force",
-        )  # fmt: skip
 
     def as_if_cold(self, wavelengths_nm: Floats) -> Floats:
         """Wavelengths (n, 9) without what warmth makes of the differences of unlike fibres."""
@@ -308,11 +295,6 @@ def load_tool(path: str | Path) -> FlexibleTool:
     made = FlexibleTool.from_table(table)
     table.finish()
     return made
-
-
-def nested(values: Floats) -> Any:
-    """An array as tuples of tuples, as a tool keeps it."""
-    return tuple(nested(row) for row in values) if values.ndim > 1 else tuple(values.tolist())
 
 
 def rotation_of(vectors_rad: Sequence[float] | Floats) -> Floats:

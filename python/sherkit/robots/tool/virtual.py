@@ -68,63 +68,55 @@ class VirtualTool:
         t = np.arange(round(seconds * _ROBOT_HZ) + 1) / _ROBOT_HZ
         make = {"phantom": self._phantom, "bends": self._bends, "vessels": self._vessels}[experiment]
         position, turn, depth, offset, clearance = make(t, rng)
-        true = self.true or self.tool
-        force = self._force(true, depth, offset, clearance)
+        force = self._force(depth, offset, clearance)
         # where the tool is bent in free space there is no insertion whose depth could be off
         known = None if experiment == "bends" else depth
-        depth = depth - _shortening(true, np.linalg.norm(force, axis=1), true.length_mm - depth)
-        bent = self._tip(true, force, depth) + np.array([*self.shaft_bend_mm, 0.0])
-        tip = position + np.einsum("nij,nj->ni", rotation_of(turn), bent)
-        waves = self._wavelengths(true, force, depth, t, rng)
-        if true.fibre_delay_s:
-            waves = np.column_stack([np.interp(t - true.fibre_delay_s, t, w) for w in waves.T])
+        depth = depth - self._shortening(np.linalg.norm(force, axis=1), depth)
+        waves = self._wavelengths(force, depth, t, rng)
+        if late := self._there.fibre_delay_s:
+            waves = np.column_stack([np.interp(t - late, t, w) for w in waves.T])
         if self.lost > 0:
             waves[rng.random(len(t)) < self.lost] = np.nan
-        camera_t, camera = self._seen(true, t, tip, rng)
-        return ToolRun(t, position, turn, waves, camera_t, camera, known, f"simulated {experiment}")
+        seen = self._seen(t, position, turn, self._tip(force, depth), rng)
+        return ToolRun(t, position, turn, waves, *seen, known, f"simulated {experiment}")
 
     def free_motion(self, *, seconds: float = 20.0, seed: int = 0) -> ToolRun:
         """The unbent tool led around the workspace, as for the registration of the camera (section V.B)."""
         rng = np.random.default_rng([seed, 9])
         t = np.arange(round(seconds * _ROBOT_HZ) + 1) / _ROBOT_HZ
-        true = self.true or self.tool
         position = np.column_stack([_smooth(t, rng, 15.0) for _ in range(3)])
         turn = np.column_stack([_smooth(t, rng, 0.3), _smooth(t, rng, 0.3), _smooth(t, rng, 0.05)])
-        depth = np.zeros(len(t))
-        waves = self._wavelengths(true, np.zeros((len(t), 2)), depth, t, rng)
-        tip = position + rotation_of(turn) @ np.array([*self.shaft_bend_mm, 0.0])
-        camera_t, camera = self._seen(true, t, tip, rng)
-        return ToolRun(t, position, turn, waves, camera_t, camera, None, "simulated free motion")
+        waves = self._wavelengths(np.zeros((len(t), 2)), np.zeros(len(t)), t, rng)
+        seen = self._seen(t, position, turn, np.zeros((len(t), 3)), rng)
+        return ToolRun(t, position, turn, waves, *seen, None, "simulated free motion")
 
     def bench(self, *, loads: int = 80, unloaded: int = 20, deflection_std_mm: float = 0.01, seed: int = 0) -> Loads:
         """Known loads on a bench, from 20 to 250 mN across the clamp's axis, all around the shaft and 0 to 25 mm from
         the
         tip; ``depth_mm`` is how far each stands from the unbent tip along the unbent axis."""
         rng = np.random.default_rng([seed, 5])
-        true = self.true or self.tool
         depth = rng.uniform(0.0, 25.0, loads + unloaded)
         size = np.concatenate([rng.uniform(20.0, 250.0, loads), np.zeros(unloaded)])
         way = rng.uniform(0.0, 2 * np.pi, len(size))
         force = size[:, None] * np.column_stack([np.cos(way), np.sin(way)])
-        a = true.length_mm - depth
+        a = self._there.length_mm - depth
         # the load cell has the part across the clamp's axis; the edge pushes across the bent rod
         pushed = size
         for _ in range(8):
-            pushed = size / np.cos(_angle(true, pushed, a))
+            pushed = size / np.cos(self._angle(pushed, a))
         along = pushed / np.where(size > 0, size, 1.0)
-        waves = self._wavelengths(true, force * along[:, None], depth, np.zeros(len(size)), rng)
-        bent = pushed * _softness(true, pushed, a)
-        depth = depth + a * _bent(true, pushed, a) ** 2 / 15.0
+        waves = self._wavelengths(force * along[:, None], depth, np.zeros(len(size)), rng)
+        bent = pushed * self._softness(pushed, a)
+        depth = depth + a * self._bent(pushed, a) ** 2 / 15.0
         return Loads(force, depth, waves, bent + deflection_std_mm * rng.standard_normal(len(size)), "simulated loads")
 
     def pressed(self, offset_mm: Floats, depth_mm: Floats, clearance_mm: float) -> tuple[Floats, Floats]:
         """Force (n, 2), mN, tool frame, and wavelengths (n, 9), nm, where the hole stands ``offset_mm`` (n, 2) off the
         unbent shaft, ``depth_mm`` (n,) from the tip. Without noise and at the reference's warmth."""
-        true = self.true or self.tool
-        force = self._force(true, depth_mm, offset_mm, clearance_mm)
-        depth_mm = depth_mm - _shortening(true, np.linalg.norm(force, axis=1), true.length_mm - depth_mm)
+        force = self._force(depth_mm, offset_mm, clearance_mm)
+        depth_mm = depth_mm - self._shortening(np.linalg.norm(force, axis=1), depth_mm)
         still = replace(self, noise_nm=0.0)
-        return force, still._wavelengths(true, force, depth_mm, np.zeros(len(force)), np.random.default_rng(0))
+        return force, still._wavelengths(force, depth_mm, np.zeros(len(force)), np.random.default_rng(0))
 
     # -- what the robot does: pose (n, 3), (n, 3), depth (n,), the hole off the shaft (n, 2), clearance --------
 
@@ -177,48 +169,75 @@ class VirtualTool:
         step = np.sqrt(self.wander_mm2_s * np.diff(t, prepend=t[0])) * there
         return np.cumsum(step * rng.standard_normal(len(t)))
 
+    # -- the bent rod, by the first terms of its series beyond the cantilever (Antman, Nonlinear Problems of Elasticity,
+    # -- IV.3; 0.1 % of the bend is left at 300 mN): nothing of it is left where the tool's bending is "small"
+
+    def _bent(self, force: Floats, arc: Floats) -> Floats:
+        """F a² / EI (n,), twice the angle."""
+        return np.asarray(force * arc**2 / self._there.stiffness_mn_mm2) * (self._there.bending == "exact")
+
+    def _softness(self, force: Floats, arc: Floats) -> Floats:
+        """Deflection at the contact per force (n,), mm/mN."""
+        exact = 1.0 - 11.0 / 280.0 * self._bent(force, arc) ** 2
+        return np.asarray(arc**3 / (3.0 * self._there.stiffness_mn_mm2) * exact)
+
+    def _angle(self, force: Floats, arc: Floats) -> Floats:
+        """Angle at the contact (n,), rad."""
+        exact = 1.0 - self._bent(force, arc) ** 2 / 120.0
+        return np.asarray(force * arc**2 / (2.0 * self._there.stiffness_mn_mm2) * exact)
+
+    def _shortening(self, force: Floats, depth: Floats) -> Floats:
+        """How much longer than along the axis the rod is from the clamp to a contact at these depths (n,), mm."""
+        along = arc = self._there.length_mm - depth
+        for _ in range(4):
+            arc = along + arc * self._bent(force, arc) ** 2 / 15.0
+        return np.asarray(arc - along)
+
     # -- mechanics, gratings, camera ----------------------------------------------------------------------
 
-    def _force(self, true: FlexibleTool, depth: Floats, offset: Floats, clearance: float) -> Floats:
+    @property
+    def _there(self) -> FlexibleTool:
+        """The tool in the world."""
+        return self.true or self.tool
+
+    def _force(self, depth: Floats, offset: Floats, clearance: float) -> Floats:
         """Sclera force (n, 2), mN, tool frame."""
         size = np.linalg.norm(offset, axis=1)
         pressed = (size - clearance).clip(0.0) * (depth > 0)
         force = np.zeros(len(depth))
-        for _ in range(12 if true.bending == "exact" else 1):
-            a = true.length_mm - depth + _shortening(true, force, true.length_mm - depth)
-            force = pressed / (np.cos(_angle(true, force, a)) / self.hole_mn_mm + _softness(true, force, a))
+        for _ in range(12 if self._there.bending == "exact" else 1):
+            a = self._there.length_mm - depth + self._shortening(force, depth)
+            force = pressed / (np.cos(self._angle(force, a)) / self.hole_mn_mm + self._softness(force, a))
         way = offset / np.where(size > 0, size, 1.0)[:, None]
         return np.asarray(force[:, None] * way)
 
-    @staticmethod
-    def _tip(true: FlexibleTool, force: Floats, depth: Floats) -> Floats:
+    def _tip(self, force: Floats, depth: Floats) -> Floats:
         """Where the bent tip is (n, 3), mm, tool frame: the contact and the straight rest beyond it, which points along
         the angle there."""
-        a, size = true.length_mm - depth, np.linalg.norm(force, axis=1)
-        angle = _angle(true, size, a)
+        a, size = self._there.length_mm - depth, np.linalg.norm(force, axis=1)
+        angle = self._angle(size, a)
         way = force / np.where(size > 0, size, 1.0)[:, None]
-        if true.bending == "small":
-            return np.column_stack([way * (size * _softness(true, size, a) + angle * depth)[:, None], 0.0 * size])
-        across = size * _softness(true, size, a) + depth * np.sin(angle)
+        if self._there.bending == "small":
+            return np.column_stack([way * (size * self._softness(size, a) + angle * depth)[:, None], 0.0 * size])
+        across = size * self._softness(size, a) + depth * np.sin(angle)
         # here the rod is as long as it is: what the bend takes is counted on the arc
-        taken = a * _bent(true, size, a) ** 2 / 15.0 + depth * (1.0 - np.cos(angle))
+        taken = a * self._bent(size, a) ** 2 / 15.0 + depth * (1.0 - np.cos(angle))
         return np.column_stack([way * across[:, None], -taken])
 
-    def _wavelengths(
-        self, true: FlexibleTool, force: Floats, depth: Floats, t: Floats, rng: np.random.Generator
-    ) -> Floats:
+    def _wavelengths(self, force: Floats, depth: Floats, t: Floats, rng: np.random.Generator) -> Floats:
         """Nine wavelengths (n, 9), nm: the moment at each section bends the fibres, warmth shifts all alike."""
         warm = 0.010 * self.temperature_c * (1 - np.exp(-t / 20.0)) + 0.001 * np.sin(t / 7.0)
-        waves = np.tile(np.array(true.reference_nm), (len(t), 1)) + warm[:, None]
+        waves = np.array(self._there.reference_nm) + warm[:, None]
         waves[:, :6] += np.array(self.bias_nm) + warm[:, None] * np.array(self.leak)
         force = self._felt(force)
         for section in range(2):
-            lever = (true.distances_mm[section] - depth).clip(0.0)
-            moment = force * (lever * (1.0 - _bent(true, np.linalg.norm(force, axis=1), lever) ** 2 / 40.0))[:, None]
+            lever = (self._there.distances_mm[section] - depth).clip(0.0)
+            moment = force * (lever * (1.0 - self._bent(np.linalg.norm(force, axis=1), lever) ** 2 / 40.0))[:, None]
             # the shifts without a common part that this moment makes: the inverse of the calibration on that plane
-            shifts = linalg.pinv(np.array(true.gains[section]))
+            gains = np.array(self._there.gains[section])
+            shifts = linalg.pinv(gains)
             shifts -= shifts.mean(axis=0)
-            back = linalg.inv(np.array(true.gains[section]) @ shifts)
+            back = linalg.inv(gains @ shifts)
             waves[:, 3 * section : 3 * section + 3] += moment @ (shifts @ back).T
         return np.asarray(waves + self.noise_nm * rng.standard_normal(waves.shape))
 
@@ -236,8 +255,12 @@ class VirtualTool:
             felt[k] = here
         return felt
 
-    def _seen(self, true: FlexibleTool, t: Floats, tip: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """Times (m,) by the camera's clock and places (m, 3) in its frame."""
+    def _seen(
+        self, t: Floats, position: Floats, turn: Floats, bent: Floats, rng: np.random.Generator
+    ) -> tuple[Floats, Floats]:
+        """Times (m,) by the camera's clock, and places (m, 3) in its frame of a tip that is bent by (n, 3), mm."""
+        tip = position + np.einsum("nij,nj->ni", rotation_of(turn), bent + np.array([*self.shaft_bend_mm, 0.0]))
+        true = self._there
         moment = np.arange(t[0] + 0.013, t[-1], 1.0 / _CAMERA_HZ)
         place = np.column_stack([np.interp(moment, t, tip[:, k]) for k in range(3)])
         place = (place - np.array(true.camera_translation_mm)) @ true.camera_rotation
@@ -248,7 +271,7 @@ class VirtualTool:
 
     def changed(self, **true: object) -> VirtualTool:
         """The same with a true tool that differs from its file in the given fields."""
-        return replace(self, true=replace(self.true or self.tool, **true))  # type: ignore[arg-type]
+        return replace(self, true=replace(self._there, **true))  # type: ignore[arg-type]
 
 
 def _smooth(t: Floats, rng: np.random.Generator, size: float) -> Floats:
@@ -281,30 +304,3 @@ def _about(
     planned = np.column_stack([lean, -inside])
     seen = planned + turned[:, 2, :] * wander[:, None]
     return -np.einsum("nij,nj->ni", turned, planned), (-seen[:, 2]).clip(0.0), seen[:, :2]
-
-
-# -- the bent rod, by the first terms of its series beyond the cantilever (Antman, Nonlinear Problems of Elasticity,
-# -- IV.3; 0.1 % of the bend is left at 300 mN): nothing of it is left where the tool's bending is "small"
-
-
-def _bent(true: FlexibleTool, force: Floats, arc: Floats) -> Floats:
-    """F a² / EI (n,), twice the angle."""
-    return np.asarray(force * arc**2 / true.stiffness_mn_mm2) * (true.bending == "exact")
-
-
-def _softness(true: FlexibleTool, force: Floats, arc: Floats) -> Floats:
-    """Deflection at the contact per force (n,), mm/mN."""
-    return np.asarray(arc**3 / (3.0 * true.stiffness_mn_mm2) * (1.0 - 11.0 / 280.0 * _bent(true, force, arc) ** 2))
-
-
-def _angle(true: FlexibleTool, force: Floats, arc: Floats) -> Floats:
-    """Angle at the contact (n,), rad."""
-    return np.asarray(force * arc**2 / (2.0 * true.stiffness_mn_mm2) * (1.0 - _bent(true, force, arc) ** 2 / 120.0))
-
-
-def _shortening(true: FlexibleTool, force: Floats, along: Floats) -> Floats:
-    """How much longer than ``along`` (n,) the rod is from the clamp to the contact, mm."""
-    arc = along
-    for _ in range(4):
-        arc = along + arc * _bent(true, force, arc) ** 2 / 15.0
-    return np.asarray(arc - along)

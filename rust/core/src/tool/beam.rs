@@ -5,9 +5,7 @@
 //! tip load below zero, none above h), so that it is continuous and an estimate that strays does no harm; its
 //! derivative by depth is then zero. NaN gives NaN.
 
-use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
-use nalgebra::{Matrix2, Matrix2x5, Vector2, Vector3};
 
 /// Length and stiffness of the shaft.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -105,52 +103,5 @@ impl Beam {
     pub fn contact_compliance(&self, depth_mm: f64) -> f64 {
         let a = self.length_mm - held(depth_mm, self.length_mm);
         a * a * a / (3.0 * self.stiffness)
-    }
-
-    /// Deflection of the tip in the tool frame, mm. Along the shaft it is zero, as the paper takes it to be.
-    #[must_use]
-    pub fn deflection(&self, force_mn: &Vector2<f64>, depth_mm: f64) -> Vector3<f64> {
-        let c = self.compliance(depth_mm).value;
-        Vector3::new(force_mn.x * c, force_mn.y * c, 0.0)
-    }
-
-    /// Derivatives of the deflection's x and y, in mm: by the force's x and y (mN), by depth (mm), length (mm) and
-    /// stiffness (mN·mm²).
-    #[must_use]
-    pub fn deflection_derivatives(&self, force_mn: &Vector2<f64>, depth_mm: f64) -> Matrix2x5<f64> {
-        let c = self.compliance(depth_mm);
-        Matrix2x5::from_columns(&[
-            Vector2::new(c.value, 0.0),
-            Vector2::new(0.0, c.value),
-            force_mn * c.by_depth,
-            force_mn * c.by_length,
-            force_mn * c.by_stiffness,
-        ])
-    }
-
-    /// The tip in the base frame, mm, where `tool` takes tool coordinates there (Eq. 11: `P = R δ + S`).
-    #[must_use]
-    pub fn tip(&self, force_mn: &Vector2<f64>, depth_mm: f64, tool: &Rigid) -> Vector3<f64> {
-        tool.apply(&self.deflection(force_mn, depth_mm))
-    }
-
-    /// Covariance of the deflection's x and y, mm², to first order, from those of force and depth and from how
-    /// they go together (mm·mN).
-    #[must_use]
-    pub fn deflection_covariance(
-        &self,
-        force_mn: &Vector2<f64>,
-        depth_mm: f64,
-        force_covariance: &Matrix2<f64>,
-        depth_variance: f64,
-        with_force: &Vector2<f64>,
-    ) -> Matrix2<f64> {
-        let c = self.compliance(depth_mm);
-        let by_depth = force_mn * c.by_depth;
-        let mixed = by_depth * (with_force * c.value).transpose();
-        force_covariance * (c.value * c.value)
-            + by_depth * by_depth.transpose() * depth_variance
-            + mixed
-            + mixed.transpose()
     }
 }

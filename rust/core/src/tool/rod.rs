@@ -169,17 +169,6 @@ impl Rod {
         }
     }
 
-    /// How much nearer to the clamp a contact at a depth (mm) stands than on the unbent shaft, mm; see [`Shape`].
-    #[must_use]
-    #[inline]
-    pub fn contact_short(&self, force_mn: f64, depth_mm: f64) -> f64 {
-        if self.bending == Bending::Small {
-            return 0.0;
-        }
-        let arc = self.arc(depth_mm);
-        arc * (1.0 - series(&AXIAL, self.q(force_mn, arc)))
-    }
-
     /// Length from the clamp to a contact at a depth, which lies on the shaft.
     #[inline]
     fn arc(&self, depth_mm: f64) -> f64 {

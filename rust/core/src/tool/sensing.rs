@@ -57,17 +57,6 @@ pub enum Depth {
     NoForce,
 }
 
-impl Depth {
-    /// Variance, mm²; infinite without force.
-    #[must_use]
-    pub fn variance(&self) -> f64 {
-        match self {
-            Self::Measured { variance, .. } => *variance,
-            Self::NoForce => f64::INFINITY,
-        }
-    }
-}
-
 /// What one set of wavelengths says.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {

@@ -53,12 +53,6 @@ impl Status {
     pub fn has(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
-
-    /// Whether no measurement was used.
-    #[must_use]
-    pub fn predicted_only(self) -> bool {
-        !self.has(Self::UPDATED)
-    }
 }
 
 impl BitOr for Status {

@@ -30,7 +30,7 @@ pub struct Trusted {
 }
 
 /// What the calibration says of its own errors. All zero: it is exact.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Doubt {
     /// Covariance of `θ₀, θ₁, θ₂`: the depth is off by `θ₀ + θ₁ d/10 + θ₂ (d/10)²`, all in mm.
     pub depth: Matrix3<f64>,
@@ -52,23 +52,6 @@ pub struct Doubt {
     pub warmth: f64,
     /// Standard deviation of the clearance of the hole, mm.
     pub clearance_mm: f64,
-}
-
-impl Default for Doubt {
-    fn default() -> Self {
-        Self {
-            depth: Matrix3::zeros(),
-            deeper_mm: 0.0,
-            turn_rad: 0.0,
-            force: 0.0,
-            beam: Matrix2::zeros(),
-            reference_nm: 0.0,
-            mean: 0.0,
-            unlike: 0.0,
-            warmth: 0.0,
-            clearance_mm: 0.0,
-        }
-    }
 }
 
 impl Trusted {

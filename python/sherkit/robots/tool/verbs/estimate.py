@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
+from itertools import combinations_with_replacement
 from pathlib import Path
 
 import click
@@ -12,27 +13,29 @@ import numpy as np
 import polars as pl
 
 from ....base.answer import AFTER, BEFORE, Bar, ToDo, as_sentence
-from ....base.figures import listed
+from ....base.figures import finite, listed
+from ....base.types import Floats
 from ....cli import output
 from ....cli.file_kinds import PICTURE, TABLE, TOOL
 from ....cli.paths import InputFile, OutputFile
 from ....data.tables import write_table
 from ....diagnosis import Diagnosis
-from ..alignment import Aligned, align
+from ..alignment import Aligned, align_run
 from ..calibration import ToolCalibration, read_loads
 from ..calibration import calibrate_tool as run_calibration
 from ..consistency import ErrorStatistics, NeesConsistency, SignalErrors, judge, known
 from ..filters import Estimate, status_in_words
 from ..filters import estimate as run_filters
 from ..model import Applied
-from ..runs import read_tool_run, require_camera, summary, warn_frozen
-from ..tool import FlexibleTool, load_tool
+from ..runs import read_free_motion, read_tool_run, summary
+from ..tool import load_tool
 from ..trust import trust
 
 #: Filters by the name that a person gives, and by what a tool file calls their noise.
 _FILTERS = {"rod": "propagated", "paper": "ebrahimi_2020", "paper-of-force": "ebrahimi_2020_of_force"}
 #: Beyond this share of the variance a truth says more about the camera than about the tip.
 _COARSE = 0.8
+_KNOWN = "Does the filter know its own errors?"
 _KNOWLEDGE = ("rows", "95 % cover", "NEES", "99 % band", "largest / σ", "verdict")
 
 
@@ -59,16 +62,14 @@ def estimate(
     made = load_tool(tool)
     if which is not None:
         made = made.with_noise(_FILTERS[which])
-    recorded = read_tool_run(run)
-    result = run_filters(made, recorded)
+    result = run_filters(made, read_tool_run(run))
     judged, truths = judge(result), known(result)
     if destination is not None:
         write_table(_frame(result, both=both), destination)
     answer = replace(trust(result, truths).answer, bars=_bars(judged), unit="mm")
     if picture is not None:
         from ....report.page import save_picture
-        from ..page import write_estimate
-        from ..pictures import depth_over_time, estimate_picture
+        from ..pictures import depth_over_time, estimate_picture, write_estimate
 
         if picture.suffix.lower() == ".html":
             write_estimate(picture, answer, depth_over_time(result), _tables(result), output.made_by([tool, run]))
@@ -78,18 +79,29 @@ def estimate(
         output.print_json(_json(result, judged, truths))
         return
     output.show(answer, tool, run)
-    sizes = summary(recorded)
+    sizes = summary(result.run)
     output.say(
         f"{sizes['rows']} rows of the robot at {sizes['robot_hz']:.0f} Hz, {sizes['pictures']} pictures; "
         f"filter: {next(name for name, noise in _FILTERS.items() if noise == made.noise)}"
     )
     for j in judged:
-        _print_errors(j)
+        table = output.table(
+            f"Error of the {j.quantity}, mean, mm", "", "whole run", f"T0 ({100 * j.share_t0:.0f} %)", "T1", "largest",
+            note=f"against {j.truth}; T0: filter and {'gratings' if j.quantity == 'depth' else 'kinematics'} differ by "
+            "more than 0.1 mm",
+        )  # fmt: skip
+        for e in j.errors:
+            table.add_row(e.signal, *_error_cells(e))
+        output.out.print(table)
     if not judged:
         output.say("neither depth_mm nor a camera is in this run: nothing to judge by")
     print_knowledge(truths)
-    _print_noticed(result)
-    output.say(left_gratings(result))
+    for fault in result.faults:
+        output.warn(f"{result.run.source}: {fault}")
+    told = {name: n for name, n in status_in_words(result.depth).items() if n and name != "updated"}
+    if told:
+        output.say("depth was only predicted on rows " + ", ".join(f"{name}: {n}" for name, n in told.items()))
+    output.say(_left_gratings(result))
     if destination is not None:
         output.say(f"estimates written to {destination}")
     if picture is not None:
@@ -105,17 +117,6 @@ def _bars(judged: Sequence[ErrorStatistics]) -> tuple[Bar, ...]:
     )
 
 
-def _print_errors(j: ErrorStatistics) -> None:
-    table = output.table(
-        f"Error of the {j.quantity}, mean, mm", "", "whole run", f"T0 ({100 * j.share_t0:.0f} %)", "T1", "largest",
-        note=f"against {j.truth}; T0: filter and {'gratings' if j.quantity == 'depth' else 'kinematics'} differ by "
-        "more than 0.1 mm",
-    )  # fmt: skip
-    for e in j.errors:
-        table.add_row(e.signal, *_error_cells(e))
-    output.out.print(table)
-
-
 def _error_cells(e: SignalErrors) -> tuple[str, ...]:
     return tuple(f"{v:.3f}" if np.isfinite(v) else "–" for v in (e.total, e.t0, e.t1, e.largest))
 
@@ -125,67 +126,62 @@ def print_knowledge(truths: list[NeesConsistency]) -> None:
     if truths:
         coarse = any(k.of_truth > _COARSE for k in truths)
         table = output.table(
-            "Does the filter know its own errors?", "", *_KNOWLEDGE,
+            _KNOWN, "", *_KNOWLEDGE,
             note="NEES per degree of freedom is 1 where deviations are true"
             + (f"; more than {100 * _COARSE:.0f} % of the tip's is the camera's own std_mm" if coarse else ""),
         )  # fmt: skip
-        for k in truths:
-            if k.signal == "filter" or k.condition == "whole run":
-                table.add_row(*_knowledge_cells(k))
+        for cells in _knowledge_cells(truths):
+            table.add_row(*cells)
         output.out.print(table)
 
 
-def _knowledge_cells(k: NeesConsistency) -> tuple[str, ...]:
-    name = f"{k.quantity}, {k.signal}, {k.condition}"
-    band = f"{k.low:.2f} to {k.high:.2f}"
-    return name, str(k.rows), f"{k.coverage:.3f}", f"{k.nees:.2f}", band, f"{k.largest:.1f}", _of_truth(k)
-
-
-def _print_noticed(e: Estimate) -> None:
-    for fault in e.faults:
-        output.warn(f"{e.run.source}: {fault}")
-    told = {name: n for name, n in status_in_words(e.depth).items() if n and name != "updated"}
-    if told:
-        output.say("depth was only predicted on rows " + ", ".join(f"{name}: {n}" for name, n in told.items()))
-
-
-def _of_truth(k: NeesConsistency) -> str:
-    """The verdict; where the truth is the coarser of both, an error beyond what is stated may as well be its own."""
-    return "overconfident, or the camera" if k.verdict == "overconfident" and k.of_truth > _COARSE else k.verdict
-
-
-def number(v: float) -> float | None:
-    """For JSON, which has no NaN."""
-    return float(v) if np.isfinite(v) else None
+def _knowledge_cells(truths: list[NeesConsistency]) -> Iterator[tuple[str, ...]]:
+    """Rows of the table on it; where the truth is the coarser of both, an error beyond what is stated may as well be
+    its own."""
+    for k in truths:
+        if k.signal == "filter" or k.condition == "whole run":
+            own = ", or the camera" if k.verdict == "overconfident" and k.of_truth > _COARSE else ""
+            yield (
+                f"{k.quantity}, {k.signal}, {k.condition}", str(k.rows), f"{k.coverage:.3f}", f"{k.nees:.2f}",
+                f"{k.low:.2f} to {k.high:.2f}", f"{k.largest:.1f}", f"{k.verdict}{own}",
+            )  # fmt: skip
 
 
 def _json(e: Estimate, judged: list[ErrorStatistics], truths: list[NeesConsistency]) -> dict[str, object]:
     told = trust(e, truths)
     return {
         "noise": e.tool.noise,
-        "run": {k: number(v) for k, v in summary(e.run).items()},
+        "run": {k: finite(float(v)) for k, v in summary(e.run).items()},
         "errors_mm": {
             j.quantity: {
                 "share_t0": j.share_t0,
                 "against": j.truth,
                 **{
-                    x.signal: {k: number(getattr(x, k)) for k in ("total", "t0", "t1", "largest")} for x in j.errors
+                    x.signal: {k: finite(getattr(x, k)) for k in ("total", "t0", "t1", "largest")} for x in j.errors
                 },
             }
             for j in judged
         },
         "trust": {"verdict": told.verdict, "sentence": told.sentence, "to_do": told.to_do,
                   "noticed": list(told.noticed)},
-        "innovations": number(e.depth.consistency.ratio),
-        "knowledge": [{**asdict(k), "verdict": k.verdict} for k in truths],
+        "innovations": finite(e.depth.consistency.ratio),
+        "knowledge": knowledge_json(truths),
         "status": status_in_words(e.depth),
         "faults": [{**asdict(f), "sentence": str(f)} for f in e.faults],
     }  # fmt: skip
 
 
+def knowledge_json(truths: list[NeesConsistency]) -> list[dict[str, object]]:
+    """The same for programs."""
+    return [{**asdict(k), "verdict": k.verdict} for k in truths]
+
+
 def _frame(e: Estimate, *, both: bool = False) -> pl.DataFrame:
     """Estimates by row, with what the gratings alone say, and ``both``: with the paper's filters."""
-    axes = "xyz"
+
+    def along(name: str, places: Floats) -> dict[str, Floats]:
+        return {name.format(axis): values for axis, values in zip("xyz", places.T, strict=True)}
+
     columns = {
         "time_s": e.run.time_s,
         "force_x_mn": e.force_mn[:, 0],
@@ -195,21 +191,19 @@ def _frame(e: Estimate, *, both: bool = False) -> pl.DataFrame:
         "depth_mm": e.depth.value[:, 0],
         "arc_mm": e.arc_mm,
         "depth_std_mm": e.depth.std[:, 0],
-        **{f"tip_{a}_mm": e.tip.value[:, k] for k, a in enumerate(axes)},
-        **{f"tip_{a}_std_mm": e.tip.std[:, k] for k, a in enumerate(axes)},
+        **along("tip_{}_mm", e.tip.value),
+        **along("tip_{}_std_mm", e.tip.std),
         "joint_depth_mm": e.together.value[:, 0],
-        **{f"joint_tip_{a}_mm": e.together.value[:, k + 1] for k, a in enumerate(axes)},
+        **along("joint_tip_{}_mm", e.together.value[:, 1:]),
         **{
             f"covariance_{m}_{n}_mm2": e.together.covariance[:, i, k]
-            for i, m in enumerate(("depth", *axes))
-            for k, n in enumerate(("depth", *axes))
-            if i <= k
+            for (i, m), (k, n) in combinations_with_replacement(enumerate(("depth", *"xyz")), 2)
         },
         **({} if not both else {
             "paper_depth_mm": e.paper.value[:, 0],
             "paper_depth_std_mm": e.paper.std[:, 0],
-            **{f"paper_tip_{a}_mm": e.paper.value[:, k + 1] for k, a in enumerate(axes)},
-            **{f"paper_tip_{a}_std_mm": e.paper.std[:, k + 1] for k, a in enumerate(axes)},
+            **along("paper_tip_{}_mm", e.paper.value[:, 1:]),
+            **along("paper_tip_{}_std_mm", e.paper.std[:, 1:]),
         }),
         "misfit": e.misfit,
         "gated": e.gated,
@@ -221,7 +215,7 @@ def _frame(e: Estimate, *, both: bool = False) -> pl.DataFrame:
     return pl.DataFrame(columns).with_columns(pl.col(pl.Float64).fill_nan(None))
 
 
-def left_gratings(e: Estimate) -> str:
+def _left_gratings(e: Estimate) -> str:
     """One line on where the filter left its own gratings for longer than half a second."""
     spans = e.away
     if not spans:
@@ -281,31 +275,11 @@ def print_calibration(result: ToolCalibration) -> None:
 def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: float) -> None:
     """Frame and clock of the camera from RUN, in which the unbent TOOL was led around freely."""
     made = load_tool(tool)
-    recorded = read_tool_run(run)
-    require_camera(recorded)
-    warn_frozen(recorded)
-    found = align(
-        recorded.time_s, recorded.position_mm, recorded.camera_time_s, recorded.camera_mm, longest_s=longest_delay_s,
-        source=recorded.source,
-    )  # fmt: skip
+    found = align_run(read_free_motion(run), longest_delay_s)
     print_alignment(found)
     if destination is not None:
-        registered(made, found).save(destination)
+        found.in_tool(made).save(destination)
         output.say(f"tool with this camera written to {destination}")
-
-
-def registered(tool: FlexibleTool, found: Aligned) -> FlexibleTool:
-    """The tool with the camera's frame and clock as found."""
-    turn, shift = found.registration.rotation_rad.tolist(), found.registration.translation_mm.tolist()
-    return replace(
-        tool, camera_rotation_rad=tuple(turn), camera_translation_mm=tuple(shift), camera_delay_s=found.delay_s
-    )
-
-
-def say_applied(told: Applied) -> None:
-    """What was written into a tool file, and what has no place there."""
-    for sentence in sentences_of(told):
-        output.say(f"   {sentence}")
 
 
 def sentences_of(told: Applied) -> list[str]:
@@ -318,8 +292,7 @@ def write_tool_report(
     path: Path, found: Diagnosis, e: Estimate, told: Applied, sources: Sequence[Path], written: Path | None = None
 ) -> None:  # fmt: skip
     """The story of a run as one HTML file: what was missing, then depth and tip with that in the tool."""
-    from ..page import write_estimate
-    from ..pictures import depth_over_time  # Bokeh takes a second to load
+    from ..pictures import depth_over_time, write_estimate  # Bokeh takes a second to load
 
     depth = trust(e, known(e)).answer
     sure = (f"{depth.verdict}: {depth.sure[0]}", *depth.sure[1:], *sentences_of(told), *map(str, e.faults))
@@ -337,10 +310,9 @@ def _tables(e: Estimate) -> list[str]:
     from ....report.page import html_table
 
     errors = [(f"{j.quantity}, {x.signal}", *_error_cells(x)) for j in judge(e) for x in j.errors]
-    truths = [_knowledge_cells(k) for k in known(e) if k.signal == "filter" or k.condition == "whole run"]
     tables = (
         ("Mean error, mm", ("", "whole run", "T0", "T1", "largest"), errors),
-        ("Does the filter know its own errors?", ("", *_KNOWLEDGE), truths),
+        (_KNOWN, ("", *_KNOWLEDGE), list(_knowledge_cells(known(e)))),
     )
     return [html_table(heads, rows, caption) for caption, heads, rows in tables if rows]
 
@@ -353,11 +325,13 @@ def print_alignment(found: Aligned) -> None:
         "Camera in the robot's base", "", "value", "± std", note=f"{len(r.residuals_mm)} pictures, mean error "
         f"{r.mean_error_mm:.3f} mm (paper: 0.67 mm)",
     )  # fmt: skip
-    for k, axis in enumerate("xyz"):
-        table.add_row(f"turn {axis}, rad", f"{r.rotation_rad[k]:+.5f}", f"{std[k]:.1g}")
-    for k, axis in enumerate("xyz"):
-        table.add_row(f"shift {axis}, mm", f"{r.translation_mm[k]:+.3f}", f"{std[3 + k]:.1g}")
-    table.add_row("delay, s", f"{found.delay_s:+.4f}", f"{found.delay_std_s:.1g}")
+    cells = (
+        *((f"turn {axis}, rad", f"{v:+.5f}") for axis, v in zip("xyz", r.rotation_rad, strict=True)),
+        *((f"shift {axis}, mm", f"{v:+.3f}") for axis, v in zip("xyz", r.translation_mm, strict=True)),
+        ("delay, s", f"{found.delay_s:+.4f}"),
+    )
+    for (name, value), known_to in zip(cells, (*std, found.delay_std_s), strict=True):
+        table.add_row(name, value, f"{known_to:.1g}")
     output.out.print(table)
     errors = found.errors
     if errors.size_mm > 0:

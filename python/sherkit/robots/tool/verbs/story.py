@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
+from ....base.figures import finite
 from ....cli import output
 from ....cli.file_kinds import TOOL
 from ....cli.paths import InputFile, OutputFile
@@ -16,7 +17,7 @@ from ....diagnosis import Diagnosis
 from ....diagnosis import diagnose as run_diagnosis
 from ....errors import MeasurementError
 from ....fit.identify import identify
-from ..alignment import Aligned, align
+from ..alignment import Aligned, align_run
 from ..calibration import ToolCalibration, read_loads
 from ..calibration import calibrate_tool as run_calibration
 from ..consistency import judge, known
@@ -24,16 +25,15 @@ from ..filters import Estimate
 from ..filters import estimate as run_filters
 from ..model import Applied, ToolModel, mended
 from ..places import TipPlaces
-from ..runs import ToolRun, read_tool_run, require_camera, warn_frozen
+from ..runs import ToolRun, read_free_motion, read_tool_run, require_camera
 from ..tare import Tare, tare
 from ..tool import FlexibleTool, load_tool
 from .estimate import (
-    number,
+    knowledge_json,
     print_alignment,
     print_calibration,
     print_knowledge,
-    registered,
-    say_applied,
+    sentences_of,
     write_tool_report,
 )
 
@@ -60,18 +60,14 @@ def tool_story(
         output.require_view()
     with output.steps(16) as step:
         step("reading")
-        loads, led, recorded = read_loads(bench), read_tool_run(free), read_tool_run(run)
-        require_camera(led)
-        warn_frozen(led)
+        loads, led, recorded = read_loads(bench), read_free_motion(free), read_tool_run(run)
         require_camera(recorded)
         step("gains, stiffness and length")
         calibration = run_calibration(load_tool(drawing) if drawing else FlexibleTool(), loads)
         step("the camera's frame and clock")
-        found = align(
-            led.time_s, led.position_mm, led.camera_time_s, led.camera_mm, longest_s=longest_delay_s, source=led.source
-        )
+        found = align_run(led, longest_delay_s)
         step("unloaded seconds")
-        tares = _tared(registered(calibration.tool, found), led, recorded)
+        tares = _tared(found.in_tool(calibration.tool), led, recorded)
         hole = TipPlaces(tares[-1].tool, recorded, recorded.time_s[:1]).hole
         made = tares[-1].tool if hole is None else hole.in_tool(tares[-1].tool)
         step("depth and tip")
@@ -107,7 +103,8 @@ def tool_story(
     for finding in diagnosis.findings:
         if finding.about in ("tie", "note"):
             output.say(f"   {finding.answer}")
-    say_applied(told)
+    for sentence in sentences_of(told):
+        output.say(f"   {sentence}")
     _say("5. Depth and tip", run)
     _print_errors(before, after)
     print_knowledge(known(after))
@@ -150,7 +147,7 @@ def _json(
     before: Estimate, after: Estimate,
 ) -> dict[str, Any]:  # fmt: skip
     errors = {
-        name: {q: {s: number(v) for s, v in one.items()} for q, one in _errors(e).items()}
+        name: {q: {s: finite(v) for s, v in one.items()} for q, one in _errors(e).items()}
         for name, e in (("before", before), ("after", after))
     }
     return {
@@ -164,6 +161,6 @@ def _json(
         "written": list(told.written),
         "kept_out": list(told.kept_out),
         "errors_mm": errors,
-        "knowledge": [{**asdict(k), "verdict": k.verdict} for k in known(after)],
+        "knowledge": knowledge_json(known(after)),
         "tool": told.tool.to_tables(),
     }  # fmt: skip

@@ -1,10 +1,17 @@
-//! Whether the hole goes along with the shaft: what readings correct of the depth, beside how the shaft slid meanwhile.
+//! How the hole moves along the shaft, by what readings correct of the depth: by itself, and with the shaft.
 //!
-//! Of a hole that stays, corrections are by chance. Of one that the shaft takes along they are a share of each slide, the other
+//! Corrections beside how the shaft slid meanwhile say whether it goes along. Of a hole that stays, corrections are by chance. Of one that the shaft takes along they are a share of each slide, the other
 //! way; a zero of the bench, a pace of straying or a late robot are none.
 
 use crate::numbers::math::sqrt;
 
+/// Innovations that pull one way: over this time, s; how far the logarithm of the hole's drift follows; the largest
+/// product that counts; the first drift and the fastest over the slowest.
+const INNOVATIONS_S: f64 = 0.2;
+const FOLLOWS: f64 = 0.1;
+const MOST_ALIKE: f64 = 16.0;
+const FIRST_DRIFT: f64 = 4.0;
+const FASTEST: f64 = 256.0;
 /// Slides are compared over this time, s; a longer one without a depth is left out, s.
 const OVER_S: f64 = 0.5;
 const GAP_S: f64 = 0.1;
@@ -14,6 +21,47 @@ const SHARE: f64 = 0.04;
 const BEYOND: f64 = 3.0;
 const LEAST: f64 = 20.0;
 const SETTLES: f64 = 10.0;
+
+/// Sums of innovations and of one over their variances; since when; what the last sum was over its deviation; the process
+/// noise to use, mm²/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Drift {
+    pub(super) sum: f64,
+    pub(super) weight: f64,
+    pub(super) since_s: f64,
+    pub(super) before: f64,
+    pub(super) per_second: f64,
+}
+
+impl Drift {
+    pub(super) fn new(since_s: f64, slowest: f64) -> Self {
+        let (sum, weight, before, per_second) = (0.0, 0.0, 0.0, FIRST_DRIFT * slowest);
+        Self {
+            sum,
+            weight,
+            since_s,
+            before,
+            per_second,
+        }
+    }
+
+    /// How fast the hole strays along the shaft: where the process noise is right, innovations are independent, and the sum
+    /// of those of one moment has nothing to do with that of the next (Mehra, *IEEE Trans. Automatic Control* 15, 1970).
+    #[inline]
+    pub(super) fn add(&mut self, innovation: f64, variance: f64, time_s: f64, slowest: f64) {
+        self.sum += innovation / variance;
+        self.weight += 1.0 / variance;
+        let now = self.sum / sqrt(self.weight);
+        if time_s - self.since_s < INNOVATIONS_S {
+            return;
+        }
+        let now = if now.is_finite() { now } else { 0.0 };
+        let alike = (now * self.before).clamp(-MOST_ALIKE, MOST_ALIKE);
+        let next = self.per_second * libm::exp(FOLLOWS * alike);
+        self.per_second = next.min(slowest * FASTEST).max(slowest);
+        (self.sum, self.weight, self.since_s, self.before) = (0.0, 0.0, time_s, now);
+    }
+}
 
 /// Of the present window: since when, the slide and the correction, mm. Over all windows: how many, products of both, squares
 /// of slides and of corrections, mm².

@@ -4,13 +4,23 @@
 //! tenth of a second the edge is compared with where the motion alone has it: that tells clearance, give and turn, and what
 //! is left is its pace.
 
-use super::ToolFilter;
-use super::learnt::Then;
-use super::state::{CLEARANCE, GIVES, L, N, State, TURN};
+use super::reading::Said;
+use super::state::{CLEARANCE, GIVES, L, N, Row, State, TURN};
 use crate::numbers::math::sqrt;
 use crate::tool::poses::Posed;
+use crate::tool::rod::Shaft;
 use nalgebra::{Vector2, Vector3};
 
+/// Of the edge the first pace squared, (mm/s)², and for how long that counts, s.
+const FIRST_PACE: f64 = 0.04;
+const GUESSED_S: f64 = 0.01;
+/// How long the robot's lateness is looked at, and over which time its sign is taken, s; how late one may be, s; what strays
+/// over that time before anything is known of them, mm²; the odds that one is late at all.
+const LATE_S: f64 = 30.0;
+const COMPARED_S: f64 = 0.5;
+const MAY_BE_S: f64 = 0.04;
+const STRAYS_MM2: f64 = 0.04;
+const ODDS: f64 = 1.0 / 3.0;
 /// The pace is taken over this time, and remembered for the other, s.
 const OVER_S: f64 = 0.1;
 const KEPT_S: f64 = 5.0;
@@ -27,11 +37,84 @@ fn quarter(v: &Vector2<f64>) -> Vector2<f64> {
     Vector2::new(-v.y, v.x)
 }
 
-impl ToolFilter {
+/// What was learnt of the edge: mean square pace of a coordinate, (mm/s)², and how much is known of it, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Edge {
+    pub(super) mean: f64,
+    pub(super) known_s: f64,
+    pub(super) since: Option<Then>,
+    /// Since when strays add up, to what, and the hole's motion aside then, mm/s; sums by which the robot's rows are late: of
+    /// strays by how that motion changed, of its squares, of squares of strays, mm, and of ones.
+    pub(super) strays: Option<(f64, Vector2<f64>, Vector2<f64>)>,
+    pub(super) late: [f64; 4],
+}
+
+/// The edge a tenth of a second ago: where the tool was, what was known, the force and its noise, what the shaft alone gave
+/// way for it, whether it told a depth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Then {
+    pub(super) at: Posed,
+    pub(super) x: Row,
+    pub(super) force: Vector2<f64>,
+    pub(super) noise: f64,
+    pub(super) gives: f64,
+    pub(super) tells: bool,
+}
+
+impl Default for Edge {
+    fn default() -> Self {
+        Self {
+            mean: FIRST_PACE,
+            known_s: GUESSED_S,
+            since: None,
+            strays: None,
+            late: [0.0; 4],
+        }
+    }
+}
+
+impl Edge {
+    /// By how much the robot is late, s, and the square of its deviation, s²: it is late or it is not, one robot in four before
+    /// anything was seen (Jeffreys, *Theory of Probability*, V), so that what the strays exclude is not doubted on.
+    pub(super) fn late(&self) -> (f64, f64) {
+        let [with, own, square, n] = self.late;
+        let before = MAY_BE_S * MAY_BE_S;
+        let told = before * (n + 1.0) / (square + STRAYS_MM2);
+        let variance = before / (1.0 + own * told);
+        let mean = with * told / before * variance;
+        let evidence = libm::exp((0.5 * mean * mean / variance).min(50.0));
+        let odds = ODDS * sqrt(variance / before) * evidence;
+        let is = odds / (1.0 + odds);
+        (is * mean, is * (variance + (1.0 - is) * mean * mean))
+    }
+
+    /// Strays over half a second beside how the motion of the hole aside changed in it: tremor is over by then.
+    #[inline]
+    fn strays(&mut self, strayed: &Vector2<f64>, sideways: &Vector2<f64>, time_s: f64) {
+        let Some((since_s, sum, before)) = self.strays else {
+            self.strays = Some((time_s, Vector2::zeros(), *sideways));
+            return;
+        };
+        let sum = sum + strayed;
+        self.strays = Some((since_s, sum, before));
+        if time_s - since_s < COMPARED_S {
+            return;
+        }
+        self.strays = Some((time_s, Vector2::zeros(), *sideways));
+        let faster = sideways - before;
+        let keeps = (1.0 - (time_s - since_s) / LATE_S).max(0.0);
+        let [with, own, square, n] = self.late.map(|x| x * keeps);
+        let [more, squared] = [sum.dot(&faster), 0.5 * sum.norm_squared()];
+        self.late = [
+            with + more,
+            own + faster.norm_squared(),
+            square + squared,
+            n + 1.0,
+        ];
+    }
     /// A force was felt whose components have this variance, where shaft and hole give way so much (mm/mN).
     #[inline]
-    pub(super) fn edge(&mut self, noise: f64, gives: f64, tells: bool) {
-        let s = &self.state;
+    pub(super) fn felt(&mut self, s: &mut State, noise: f64, gives: f64, tells: bool) {
         let (force, gives, x) = (s.way * s.size, gives - s.x[GIVES], s.x);
         let at = Posed {
             time_s: s.time_s,
@@ -45,19 +128,18 @@ impl ToolFilter {
             gives,
             tells,
         };
-        if let Some(then) = self.edge.since {
+        if let Some(then) = self.since {
             if now.at.time_s - then.at.time_s < OVER_S {
                 return;
             }
-            self.compare_edges(&then, &now);
+            self.compare(s, &then, &now);
         }
-        self.edge.since = Some(now);
+        self.since = Some(now);
     }
 
     #[inline(never)]
-    fn compare_edges(&mut self, then: &Then, now: &Then) {
+    fn compare(&mut self, s: &mut State, then: &Then, now: &Then) {
         let tells = then.tells && now.tells;
-        let (e, s) = (&mut self.edge, &mut self.state);
         let (x, elapsed) = (s.x, now.at.time_s - then.at.time_s);
         // the edge of then by what is known now, seen from where the tool is
         let (was, is) = (&then.at.pose, &now.at.pose);
@@ -86,9 +168,9 @@ impl ToolFilter {
             return;
         }
         if tells {
-            e.strays(&strayed, &s.sideways, now.at.time_s);
+            self.strays(&strayed, &s.sideways, now.at.time_s);
         } else {
-            e.strays = None;
+            self.strays = None;
         }
         // tissue hardens: what it gives for more force is not quite what it gave for less
         let hard = HARDENS * x[GIVES] * (sizes[1] - sizes[0]);
@@ -98,7 +180,7 @@ impl ToolFilter {
             h[CLEARANCE] = on.dot(&(way - ways[1]));
             h[GIVES] = on.dot(&(way * sizes[0] - now.force));
             h[TURN] = on.dot(&quarter(&(way * offs[0] - here)));
-            let seen = s.see(&h, e.mean * elapsed * elapsed + noise + hard * hard);
+            let seen = s.see(&h, self.mean * elapsed * elapsed + noise + hard * hard);
             let mut innovation = on.dot(&strayed);
             for k in 0..N {
                 innovation -= h[k] * (s.x[k] - x[k]);
@@ -107,34 +189,39 @@ impl ToolFilter {
                 s.take(&seen, innovation);
             }
         }
-        e.known_s = (e.known_s + elapsed).min(KEPT_S);
+        self.known_s = (self.known_s + elapsed).min(KEPT_S);
         let pace = square / (elapsed * elapsed);
-        e.mean = (e.mean + (pace - e.mean) * (elapsed / e.known_s).min(1.0)).max(0.0);
+        self.mean = (self.mean + (pace - self.mean) * (elapsed / self.known_s).min(1.0)).max(0.0);
     }
 
-    /// By how much the robot's rows are later than the gratings, s, where that is not by chance: a robot that is late has not
-    /// yet gone where the shaft leans, in proportion to its speed.
-    #[must_use]
-    pub fn late_s(&self) -> f64 {
-        let (late, variance) = self.edge.late();
+    /// By how much the robot is late, s, where that is not by chance.
+    pub(super) fn late_s(&self) -> f64 {
+        let (late, variance) = self.late();
         let sure = late * late > BEYOND * BEYOND * variance;
         if sure { late } else { 0.0 }
     }
 
-    /// Variance of a component of the force of a state that was carried on from the last one, mN².
-    pub(super) fn strayed(&self, s: &State) -> f64 {
-        let Some((at_s, felt)) = &self.felt else {
+    /// Variance of a component of the force of a state that was carried on from the last one, mN², beside what was felt, and
+    /// when.
+    pub(super) fn strayed(
+        &self,
+        felt: Option<&(f64, Said)>,
+        shaft: &Shaft,
+        last: &State,
+        s: &State,
+    ) -> f64 {
+        let Some((at_s, felt)) = felt else {
             return UNREAD_MN * UNREAD_MN;
         };
-        let (gives, waited) = (s.gives(&self.shaft), s.time_s - at_s);
+        let (gives, waited) = (s.gives(shaft), s.time_s - at_s);
         if !(gives > 0.0) {
             return 0.0;
         }
         // what is not read for long has no pace that was ever learnt
-        let edge = self.edge.mean * waited * waited.min(OVER_S) * (1.0 + waited.min(2.0));
+        let edge = self.mean * waited * waited.min(OVER_S) * (1.0 + waited.min(2.0));
         let give = s.p[GIVES][GIVES] * (s.way * s.size - felt.way * felt.size).norm_squared();
         // noise across a small force turns the edge about the middle of the hole
-        let moved = sqrt((s.aside - self.state.aside).norm_squared());
+        let moved = sqrt((s.aside - last.aside).norm_squared());
         let clear = s.x[CLEARANCE];
         let gone = moved.min(clear) * moved.min(clear);
         let turned = clear * clear * felt.noise / (felt.size * felt.size);

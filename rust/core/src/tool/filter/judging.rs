@@ -7,12 +7,13 @@
 //! it, all is in order again.
 
 use super::ToolFilter;
-use super::learnt::{HYPOTHESES, Said};
 use super::moments::{GRATINGS, Moments, Shifts, of_section, tells};
 use super::offsets::APART_NM;
+use super::reading::{Said, say};
 use super::slips::Slips;
 use super::state::{L, OFFSETS, State, TURN};
 use super::tip::DEEP_MM;
+use super::watch::HYPOTHESES;
 use crate::tool::sensing::FIBRES;
 use crate::tool::status::{Set, Status};
 
@@ -74,6 +75,13 @@ impl ToolFilter {
             .read(shifts, out, &x[OFFSETS..OFFSETS + 4], x[TURN])
     }
 
+    /// What they say beside the state.
+    #[inline]
+    fn say(&self, m: &Moments) -> Said {
+        let (t, g) = (&self.trusted, &self.gratings);
+        say(t, &self.shaft, g, &self.tip, &self.offsets, &self.state, m)
+    }
+
     /// Squares of the comparisons over their variances: means of I and II, of III and both, two bends of III, none where a
     /// grating of them is left out.
     #[inline]
@@ -124,7 +132,13 @@ impl ToolFilter {
         let told = self.compared(shifts, m, out);
         let jump = (said.way * said.size - here.way * here.size).norm_squared();
         let own = JUMP_SHARE * said.size;
-        let may = 2.0 * (said.noise + self.strayed(here) + JUMP_MN * JUMP_MN) + own * own;
+        let may = 2.0
+            * (said.noise
+                + self
+                    .edge
+                    .strayed(self.felt.as_ref(), &self.shaft, &self.state, here)
+                + JUMP_MN * JUMP_MN)
+            + own * own;
         // the most for NaN
         let mut score = (jump / may).min(MOST);
         for x in told.into_iter().filter(|x| !x.is_nan()) {
@@ -146,20 +160,27 @@ impl ToolFilter {
         if silent == ALL {
             return Status::NOT_FINITE;
         }
-        let third = tells(out, 2) && self.state.x[L] > DEEP_MM;
-        self.feel_tip(&shifts, third, elapsed);
+        let (d, g, whole) = (&self.trusted.doubt, &self.gratings, tells(out, 2));
+        let deep = self.state.x[L] > DEEP_MM;
+        let (o, zero) = (&mut self.offsets, d.reference_nm);
+        self.tip.feel(g, o, zero, &shifts, (whole, deep), elapsed);
+        let third = whole && deep;
         let mut m = self.moments(&shifts, out);
         let told = self.compared(&shifts, &m, out);
         let mut open = told.iter().any(|x| *x > FAILS);
         if !open {
-            self.unsettle(&m, elapsed);
+            let (o, g, s) = (&mut self.offsets, &self.gratings, &mut self.state);
+            o.unsettle(s, g, self.trusted.doubt.warmth, &m, elapsed);
             if m.whole[0] && m.whole[1] {
                 if !told[..2].iter().any(|x| *x > IN_ORDER) {
-                    let [x, y, z] = shifts[2];
-                    self.learn_lag(&m, third.then_some((x + y + z) / 3.0), elapsed);
+                    let mean = (shifts[2][0] + shifts[2][1] + shifts[2][2]) / 3.0;
+                    let jitter = self.watch.jitter;
+                    o.learn_lag(g, jitter, &m, third.then_some(mean), elapsed);
                 }
-                if !self.tip.on {
-                    self.rest(&m, third.then_some(&shifts[2]));
+                if !self.tip.on
+                    && let Some(zero) = o.rest(s, g, &m, third.then_some(&shifts[2]))
+                {
+                    (self.tip.zero, self.tip.bent) = (zero, 0.0);
                 }
             }
         }
@@ -167,7 +188,7 @@ impl ToolFilter {
         if watched || told.iter().any(|x| *x > IN_ORDER) {
             self.suspect(&shifts, silent, elapsed);
         }
-        let mut said = self.say(&self.state, &m);
+        let mut said = self.say(&m);
         self.look.misfit = said.misfit;
         if open {
             (m, said, open) = self.doubt(&shifts, out, m, said);
@@ -196,7 +217,7 @@ impl ToolFilter {
             }
             self.state.p[L] = Default::default();
             self.state.p[L][L] = mm * mm + seen.total;
-            said = self.say(&self.state, &m);
+            said = self.say(&m);
         }
         self.take(&said)
     }
@@ -219,7 +240,7 @@ impl ToolFilter {
             let of = out | hypothesis(h);
             if of != out {
                 let moments = self.moments(shifts, of);
-                let told = self.say(&self.state, &moments);
+                let told = self.say(&moments);
                 let (score, fails) = self.misfits(&here, shifts, of, &moments, &told);
                 sum = (self.watch.sums[h] + base - score - 0.5).max(0.0);
                 if sum > most {

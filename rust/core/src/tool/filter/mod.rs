@@ -17,7 +17,6 @@
 mod along;
 mod edge;
 mod judging;
-mod learnt;
 mod moments;
 mod offsets;
 mod reading;
@@ -25,6 +24,7 @@ mod slips;
 mod state;
 mod tip;
 mod told;
+mod watch;
 
 pub use super::status::{Consistency, Counts, Look, Set, Status, Told};
 pub use super::trusted::{Doubt, Trusted};
@@ -36,7 +36,7 @@ use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
 use nalgebra::{Vector2, Vector3};
-use state::{BENCH, N, State};
+use state::{BENCH, CLEARANCE, DEEPER, L, N, State};
 
 /// A stamp further ahead of the present than this is a wild number and no clock, s; a step is no longer than the other.
 const AHEAD_S: f64 = 0.3;
@@ -45,6 +45,9 @@ const LONGEST_S: f64 = 1e6;
 const FARTHEST_MM: f64 = 1e6;
 /// What a hole gives way before that is felt, and its deviation, mm/mN: tissue is as soft as a fortieth of this per mN.
 const GIVES: [f64; 2] = [0.005, 0.01];
+
+/// Numbers that are learnt.
+pub const LEARNT: usize = 13;
 
 /// The filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,13 +58,13 @@ pub struct ToolFilter {
     poses: Poses,
     state: State,
     /// The last force that was read, and when.
-    felt: Option<(f64, learnt::Said)>,
-    offsets: learnt::Offsets,
-    drift: learnt::Drift,
+    felt: Option<(f64, reading::Said)>,
+    offsets: offsets::Offsets,
+    drift: along::Drift,
     along: along::Along,
-    edge: learnt::Edge,
-    tip: learnt::Tip,
-    watch: learnt::Watch,
+    edge: edge::Edge,
+    tip: tip::Tip,
+    watch: watch::Watch,
     used_s: f64,
     look: Look,
     counts: Counts,
@@ -143,12 +146,12 @@ impl ToolFilter {
                 slid: 0.0,
             },
             felt: None,
-            offsets: learnt::Offsets::default(),
-            drift: learnt::Drift::new(time_s, t.per_second_mm2),
+            offsets: offsets::Offsets::default(),
+            drift: along::Drift::new(time_s, t.per_second_mm2),
             along: along::Along::default(),
-            edge: learnt::Edge::default(),
-            tip: learnt::Tip::default(),
-            watch: learnt::Watch::new(gratings.noise),
+            edge: edge::Edge::default(),
+            tip: tip::Tip::default(),
+            watch: watch::Watch::new(gratings.noise),
             used_s: f64::NEG_INFINITY,
             look: Look::default(),
             counts: Counts::default(),
@@ -191,7 +194,7 @@ impl ToolFilter {
         let Some(then) = then else {
             return Status::LATE;
         };
-        self.state.go(at, &then, self.per_second_mm2());
+        self.state.go(at, &then, self.drift.per_second);
         // a single wild stamp must not make all that follow late
         self.used_s = if stamp_s < now + AHEAD_S {
             stamp_s
@@ -201,6 +204,57 @@ impl ToolFilter {
         let status = self.fold(w);
         if !status.has(Status::UPDATED) {
             self.state.lean(&self.shaft);
+        }
+        status
+    }
+
+    /// Takes a reading into the state.
+    #[inline]
+    fn take(&mut self, said: &reading::Said) -> Status {
+        let (s, mut status) = (&mut self.state, Status::UPDATED);
+        let mut moved = 0.0;
+        if let Some((mm, seen)) = &said.off {
+            let before = s.x[L] + s.x[DEEPER];
+            if !s.take(seen, *mm) {
+                return Status::NOT_FINITE;
+            }
+            let gain = (seen.with[L] / seen.total).clamp(0.0, 1.0);
+            s.lasting += gain * (sqrt(said.lasting) - s.lasting);
+            moved = s.x[L] + s.x[DEEPER] - before;
+            self.along.add(s.time_s, s.slid, moved);
+            s.slid = 0.0;
+            let white = seen.total - (reading::LASTS - 1.0) * said.lasting;
+            self.consistency.add(mm * mm / white);
+            let slowest = self.trusted.per_second_mm2;
+            self.drift.add(*mm, seen.total, s.time_s, slowest);
+        } else {
+            status = status | Status::NO_FORCE;
+        }
+        if !(said.noise > 0.0 && said.size.is_finite()) {
+            s.lean(&self.shaft);
+            return status;
+        }
+        s.size = (said.size + said.by_depth * (moved - said.ahead)).max(0.0);
+        (s.way, s.short, s.relief) = (said.way, said.short, said.relief);
+        self.felt = Some((
+            s.time_s,
+            reading::Said {
+                size: s.size,
+                ..*said
+            },
+        ));
+        s.touched |= said.off.is_some();
+        s.free = !said.leans;
+        if said.leans && s.touched {
+            let (gives, tells) = (s.gives(&self.shaft), said.off.is_some());
+            self.edge.felt(s, said.noise, gives, tells);
+            s.aside = s.way * (s.x[CLEARANCE] + gives * s.size);
+        } else {
+            let far = sqrt(s.aside.norm_squared());
+            if far > s.x[CLEARANCE] {
+                s.aside *= s.x[CLEARANCE] / far;
+            }
+            (self.edge.since, self.edge.strays) = (None, None);
         }
         status
     }
@@ -223,42 +277,21 @@ impl ToolFilter {
         &self.consistency
     }
 
-    /// Time of the estimate, s.
+    /// What was learnt: process noise of the depth (mm²/s), mean square pace at which the edge of the hole strays from where
+    /// the motion of the tool has it ((mm/s)²), clearance of the hole (mm), what it gives way (mm/mN), the gratings' turn
+    /// (rad), how much deeper they count (mm), the moments of no force (4, mN·mm), the share of its slides by which the shaft
+    /// takes the hole along, how much fibres lag behind their bends, over the bend, and by how much the robot's rows are later
+    /// than the gratings (s). The share and what is late are zero where that may be chance.
     #[must_use]
-    pub fn time_s(&self) -> f64 {
-        self.poses.now().time_s
-    }
-
-    /// Mean square pace at which the edge of the hole strays from where the motion of the tool has it, (mm/s)².
-    #[must_use]
-    pub fn pace(&self) -> f64 {
-        self.edge.mean
-    }
-
-    /// Process noise of the depth at present, mm²/s.
-    #[must_use]
-    pub fn per_second_mm2(&self) -> f64 {
-        self.drift.per_second
-    }
-
-    /// What was learnt: clearance of the hole (mm), what it gives way (mm/mN), the gratings' turn (rad), how much deeper they
-    /// count (mm), the moments of no force (mN·mm).
-    #[must_use]
-    pub fn learnt(&self) -> [f64; 8] {
+    pub fn learnt(&self) -> [f64; LEARNT] {
         let [_, c, g, t, a, b, d, e, deeper, ..] = self.state.x;
-        [c, g, t, deeper, a, b, d, e]
-    }
-
-    /// How much fibres lag behind their bends, over the bend: what all of them have in common.
-    #[must_use]
-    pub fn lags(&self) -> f64 {
-        sqrt(self.offsets.lag)
-    }
-
-    /// The share of its slides by which the shaft was seen to take the hole along; zero where it was not.
-    #[must_use]
-    pub fn goes_along(&self) -> f64 {
-        self.along.share()
+        let (drift, pace) = (self.drift.per_second, self.edge.mean);
+        let (along, lags, late) = (
+            self.along.share(),
+            sqrt(self.offsets.lag),
+            self.edge.late_s(),
+        );
+        [drift, pace, c, g, t, deeper, a, b, d, e, along, lags, late]
     }
 }
 

@@ -4,10 +4,8 @@
 //! stand from where an earlier rest had them says how references creep. Fibres that lag show in the means of their sections:
 //! each lags by a share of its own. What lags is considered: all fibres alike put the force off, each by itself the depth.
 
-use super::ToolFilter;
-use super::learnt::Rest;
-use super::moments::Moments;
-use super::state::{N, OFFSETS};
+use super::moments::{Gratings, Moments};
+use super::state::{N, OFFSETS, State};
 use crate::numbers::math::sqrt;
 use crate::tool::sensing::FIBRES;
 use nalgebra::Vector2;
@@ -48,22 +46,60 @@ const LEAST: f64 = 4e-8;
 const MOST: f64 = 1e-2;
 pub(super) const APART_NM: f64 = 1e-3;
 
-impl ToolFilter {
+/// Sums over a rest: of moments and of their squares over their variances, of section III, and how many.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Rest {
+    pub(super) moments: [f64; 4],
+    pub(super) squares: f64,
+    pub(super) third: Vector2<f64>,
+    pub(super) count: f64,
+}
+
+/// What was learnt of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Offsets {
+    pub(super) now: Rest,
+    /// The last rest that was compared, and its time, s; squares of changes from one to the next, nm², and of the times in
+    /// which they came, s².
+    pub(super) last: Option<(f64, [f64; 4])>,
+    pub(super) moved: f64,
+    pub(super) waited: f64,
+    /// How far a reference may have crept since the last rest, nm²; warmth then, nm.
+    pub(super) crept: f64,
+    pub(super) warm: f64,
+    /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
+    pub(super) bent: [f64; 2],
+    pub(super) lag: f64,
+    /// Differences of means, of I and II and of III and both: smoothed, where they go from, nm, and since when they are known,
+    /// s. Their squares beyond noise over bends squared, nm⁴ s, and bends to the fourth.
+    pub(super) means: [[f64; 3]; 2],
+    pub(super) shows: f64,
+    pub(super) by_bend: f64,
+}
+
+impl Offsets {
     /// What the means of sections say of a lag: each fibre lags by a share of its own, and so they do not add up to nothing.
     #[inline]
-    pub(super) fn learn_lag(&mut self, m: &Moments, third: Option<f64>, elapsed_s: f64) {
+    pub(super) fn learn_lag(
+        &mut self,
+        g: &Gratings,
+        jitter: f64,
+        m: &Moments,
+        third: Option<f64>,
+        elapsed_s: f64,
+    ) {
         let [one, two, _] = m.means_nm;
-        let [p, q] = self.gratings.bends(m);
-        let white = self.gratings.noise.min(self.watch.jitter) / 3.0;
-        let (o, mut shows) = (&mut self.offsets, 0.0);
+        let [p, q] = g.bends(m);
+        let white = g.noise.min(jitter) / 3.0;
+        let mut shows = 0.0;
         let apart = [Some(one - two), third.map(|x| x - 0.5 * (one + two))];
         let share = (elapsed_s / SMOOTH_S).min(1.0);
         for (k, noise) in [4.0, 3.0].into_iter().enumerate() {
             let Some(nm) = apart[k] else {
-                o.means[k] = [0.0; 3];
+                self.means[k] = [0.0; 3];
                 continue;
             };
-            let [quick, warm, known_s] = &mut o.means[k];
+            let [quick, warm, known_s] = &mut self.means[k];
             *known_s = (*known_s + elapsed_s).min(WARMTH_S);
             *quick += (nm - *quick) * (elapsed_s / known_s.min(SMOOTH_S)).min(1.0);
             *warm += (nm - *warm) * (elapsed_s / *known_s).min(1.0);
@@ -73,103 +109,117 @@ impl ToolFilter {
             }
         }
         let (keeps, bend) = ((1.0 - elapsed_s / LAG_S).max(0.0), sqrt(p * q));
-        o.shows = o.shows * keeps + shows * bend * elapsed_s;
-        o.by_bend = o.by_bend * keeps + bend * bend * elapsed_s;
-        let told = SHOWS * o.shows + BEFORE * BEFORE_NM4_S;
-        o.lag = (told / (o.by_bend + BEFORE_NM4_S)).clamp(LEAST, MOST) - LEAST;
+        self.shows = self.shows * keeps + shows * bend * elapsed_s;
+        self.by_bend = self.by_bend * keeps + bend * bend * elapsed_s;
+        let told = SHOWS * self.shows + BEFORE * BEFORE_NM4_S;
+        self.lag = (told / (self.by_bend + BEFORE_NM4_S)).clamp(LEAST, MOST) - LEAST;
     }
 
     /// Variance of a component of a section's moment by what its fibres lag, (mN·mm)².
     #[inline]
-    fn lagging_moment(&self, section: usize) -> f64 {
-        self.offsets.lag * self.offsets.bent[section] * self.gratings.per_nm[section]
+    fn lagging_moment(&self, g: &Gratings, section: usize) -> f64 {
+        self.lag * self.bent[section] * g.per_nm[section]
     }
 
     /// By what they lag unlike those of the other section.
     #[inline]
-    pub(super) fn lagging(&self, section: usize) -> f64 {
-        UNLIKE * self.lagging_moment(section)
+    pub(super) fn lagging(&self, g: &Gratings, section: usize) -> f64 {
+        UNLIKE * self.lagging_moment(g, section)
     }
 
     /// Variance of a component of a force, mN², that counts moments so, by what all fibres lag alike.
     #[inline]
-    pub(super) fn lagging_force(&self, by_moments: [f64; 2]) -> f64 {
-        let of = |i: usize| by_moments[i] * sqrt(self.lagging_moment(i));
+    pub(super) fn lagging_force(&self, g: &Gratings, by_moments: [f64; 2]) -> f64 {
+        let of = |i: usize| by_moments[i] * sqrt(self.lagging_moment(g, i));
         (of(0) + of(1)) * (of(0) + of(1))
     }
 
-    /// A reading's bends and warmth: the moments of no force are known less by what these bring.
+    /// A reading's bends and warmth: the moments of no force are known less by what these bring; `doubt` is what is not known
+    /// of a fibre's own answer to warmth.
     #[inline]
-    pub(super) fn unsettle(&mut self, m: &Moments, elapsed_s: f64) {
-        let (o, g) = (&mut self.offsets, &self.gratings);
+    pub(super) fn unsettle(
+        &mut self,
+        s: &mut State,
+        g: &Gratings,
+        doubt: f64,
+        m: &Moments,
+        elapsed_s: f64,
+    ) {
         let bends = g.bends(m);
         let keeps = (1.0 - 2.0 * elapsed_s / BENT_S).max(0.0);
-        let warmer = (0.5 * (m.means_nm[0] + m.means_nm[1]) - o.warm) * self.trusted.doubt.warmth;
-        let waited = o.last.map_or(0.0, |(at, _)| self.state.time_s - at);
-        o.crept = o.moved * (waited * waited / o.waited.max(1e-9)).min(1.0);
+        let warmer = (0.5 * (m.means_nm[0] + m.means_nm[1]) - self.warm) * doubt;
+        let waited = self.last.map_or(0.0, |(at, _)| s.time_s - at);
+        self.crept = self.moved * (waited * waited / self.waited.max(1e-9)).min(1.0);
         for i in 0..2 {
-            o.bent[i] = (o.bent[i] * keeps).max(bends[i].min(64.0));
-            let most = (o.crept + warmer * warmer + LEFT * o.lag * o.bent[i]) * g.per_nm[i];
+            self.bent[i] = (self.bent[i] * keeps).max(bends[i].min(64.0));
+            let most =
+                (self.crept + warmer * warmer + LEFT * self.lag * self.bent[i]) * g.per_nm[i];
             for k in [OFFSETS + 2 * i, OFFSETS + 2 * i + 1] {
-                let own = &mut self.state.p[k][k];
+                let own = &mut s.p[k][k];
                 *own += (most - *own).max(0.0) * (elapsed_s / LAGS_S).min(1.0);
             }
         }
     }
 
-    /// A reading of a whole tool: where moments are small and stand still, nothing touches.
+    /// A reading of a whole tool: where moments are small and stand still, nothing touches. The moment of section III then,
+    /// where a rest is over and III told it.
     #[inline]
-    pub(super) fn rest(&mut self, m: &Moments, third: Option<&[f64; FIBRES]>) {
-        let (s, o, g) = (&mut self.state, &mut self.offsets, &self.gratings);
+    pub(super) fn rest(
+        &mut self,
+        s: &mut State,
+        g: &Gratings,
+        m: &Moments,
+        third: Option<&[f64; FIBRES]>,
+    ) -> Option<Vector2<f64>> {
         let variance = g.per_nm.map(|v| v * g.noise);
         for k in 0..4 {
             let felt = m.m[k / 2][k % 2] + s.x[OFFSETS + k];
-            let most = RESTS_NM2 + RESTS_NOISE * (g.noise + o.lag.max(MAY_LAG) * o.bent[k / 2]);
+            let most =
+                RESTS_NM2 + RESTS_NOISE * (g.noise + self.lag.max(MAY_LAG) * self.bent[k / 2]);
             if !(felt * felt < g.per_nm[k / 2] * most) {
-                o.now = Rest::default();
-                return;
+                self.now = Rest::default();
+                return None;
             }
-            o.now.moments[k] += felt;
-            o.now.squares += felt * felt / variance[k / 2];
+            self.now.moments[k] += felt;
+            self.now.squares += felt * felt / variance[k / 2];
         }
-        o.now.third += third.map_or(Vector2::repeat(f64::NAN), |s| g.of_third(s));
-        o.now.count += 1.0;
-        if o.now.count < COMPARED {
-            return;
+        self.now.third += third.map_or(Vector2::repeat(f64::NAN), |s| g.of_third(s));
+        self.now.count += 1.0;
+        if self.now.count < COMPARED {
+            return None;
         }
-        let told = o.now.moments.map(|sum| sum / COMPARED);
-        let (third, mut within) = (o.now.third / COMPARED, o.now.squares / COMPARED);
-        o.now = Rest::default();
+        let told = self.now.moments.map(|sum| sum / COMPARED);
+        let (third, mut within) = (self.now.third / COMPARED, self.now.squares / COMPARED);
+        self.now = Rest::default();
         for k in 0..4 {
             within -= told[k] * told[k] / variance[k / 2];
         }
         if within > 4.0 * STILL {
-            return;
+            return None;
         }
-        if third.x.is_finite() {
-            (self.tip.zero, self.tip.bent) = (third, 0.0);
-        }
+        let third = third.x.is_finite().then_some(third);
         for k in 0..4 {
             let mut h = [0.0; N];
             h[OFFSETS + k] = 1.0;
             let seen = s.see(&h, NOISE * variance[k / 2]);
             s.take(&seen, told[k] - s.x[OFFSETS + k]);
         }
-        o.warm = 0.5 * (m.means_nm[0] + m.means_nm[1]);
-        if let Some((at_s, before)) = o.last {
+        self.warm = 0.5 * (m.means_nm[0] + m.means_nm[1]);
+        if let Some((at_s, before)) = self.last {
             let waited = s.time_s - at_s;
             if waited < APART_S {
-                return;
+                return third;
             }
             let mut moved = -BEYOND * BEYOND * 2.0 / COMPARED * g.noise;
             for k in 0..4 {
                 moved += 0.25 * (told[k] - before[k]) * (told[k] - before[k]) / g.per_nm[k / 2];
             }
             // what does not move adds up to no credit
-            o.moved = (KEEPS * o.moved + moved).max(0.0);
-            let more = KEEPS * o.waited + waited * waited;
-            o.waited = if o.moved > 0.0 { more } else { 0.0 };
+            self.moved = (KEEPS * self.moved + moved).max(0.0);
+            let more = KEEPS * self.waited + waited * waited;
+            self.waited = if self.moved > 0.0 { more } else { 0.0 };
         }
-        o.last = Some((s.time_s, told));
+        self.last = Some((s.time_s, told));
+        third
     }
 }

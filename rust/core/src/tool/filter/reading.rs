@@ -5,13 +5,13 @@
 //! are least squares over what the gratings say: to first order the paper's Eqs. 1 and 2, but no ratio of two noisy numbers,
 //! and a section of which a grating is lost still counts.
 
-use super::ToolFilter;
-use super::learnt::Said;
-use super::moments::Moments;
-use super::offsets::APART_NM;
-use super::state::{BENCH, CLEARANCE, DEEPER, L, N, OFFSETS, Row, State};
+use super::moments::{Gratings, Moments};
+use super::offsets::{APART_NM, Offsets};
+use super::state::{BENCH, DEEPER, L, N, OFFSETS, Row, Seen, State};
+use super::tip::Tip;
 use crate::numbers::math::sqrt;
-use crate::tool::status::Status;
+use crate::tool::rod::Shaft;
+use crate::tool::trusted::Trusted;
 use nalgebra::{Matrix2, Vector2};
 
 /// Deviations of the force below which it does not tell a depth.
@@ -22,7 +22,38 @@ const NEAREST_MM: f64 = 2.0;
 const VAGUE_MM: f64 = 5.0;
 const AGAIN: usize = 6;
 /// Readings over which an error that lasts is alike.
-const LASTS: f64 = 50.0;
+pub(super) const LASTS: f64 = 50.0;
+
+/// What a reading says beside the expected state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Said {
+    pub(super) size: f64,
+    pub(super) way: Vector2<f64>,
+    /// How much deeper than expected the hole stands where the reading was looked at again, what the bend takes from `l`
+    /// there, mm, and from the moments.
+    pub(super) ahead: f64,
+    pub(super) short: f64,
+    pub(super) relief: [f64; 2],
+    /// Variance of the force's components by noise, mN²; the force by the moments of I and II and by the depth.
+    pub(super) noise: f64,
+    pub(super) by_moments: [f64; 2],
+    pub(super) by_depth: f64,
+    /// Variance of the depth by what lasts, mm².
+    pub(super) lasting: f64,
+    /// Whether there is a force at all.
+    pub(super) leans: bool,
+    /// How far the depth is from the expected one, mm, where the force tells it.
+    pub(super) off: Option<(f64, Seen)>,
+    /// Square of what the moments say across the force over its variance.
+    pub(super) misfit: f64,
+}
+
+impl Said {
+    /// Square of how far the depth is off over its variance; zero where it is not told.
+    pub(super) fn far(&self) -> f64 {
+        self.off.map_or(0.0, |(mm, seen)| mm * mm / seen.total)
+    }
+}
 
 /// By how much the hole stands deeper than where moments were looked at with a force, mm, least squares; how well that is told
 /// where the force is not known either, 1/mm²; what of it goes with the force, and with the moments.
@@ -46,150 +77,104 @@ fn deeper(
     (-(left(0) + left(1)) / told, told, turned, by_moments)
 }
 
-impl ToolFilter {
-    /// What moments say beside a state.
-    #[inline]
-    pub(super) fn say(&self, s: &State, m: &Moments) -> Said {
-        let [near, far] = self.trusted.calibration.distances_mm;
-        let (m, shaft, g) = (&self.tip.off(m, [near, far]), &self.shaft, &self.gratings);
-        // first with the shape of the last reading, for the shape of this one; where the depth is hardly known, on to where the
-        // reading itself has the hole: from far away its moments are no straight line
-        let vague = s.p[L][L] > VAGUE_MM * VAGUE_MM;
-        let rounds = if vague { AGAIN } else { 1 };
-        let held = |depth: f64| depth.min(near - NEAREST_MM);
-        let (mut depth, mut relief, mut short) = (held(s.arc()), s.relief, s.short);
-        let (mut c, mut f, mut v) = ([0.0; 2], Vector2::zeros(), Matrix2::zeros());
-        let mut ahead = 0.0;
-        for round in 0..=rounds {
-            c = [(near - depth) / relief[0], (far - depth) / relief[1]];
-            let precision = m.j[0] * (c[0] * c[0]) + m.j[1] * (c[1] * c[1]);
-            v = precision.try_inverse().unwrap_or_default();
-            f = v * (m.z[0] * c[0] + m.z[1] * c[1]);
-            let squared = f.norm_squared();
-            // where nothing is felt there is nothing to look at again
-            let leans = squared > DETECTED * DETECTED * 0.5 * v.trace();
-            if round == rounds || (round > 0 && !leans) {
-                break;
-            }
-            let found = depth + deeper(m, &relief, &c, &f, &v).0;
-            relief = [near, far].map(|at| shaft.relief(squared, at - depth));
-            short = shaft.short(squared, shaft.arc(depth));
-            let expected = s.x[L] + s.x[DEEPER] - short;
-            if round == 0 {
-                depth = held(expected);
-            } else {
-                depth = held(found.max(0.0));
-                ahead = depth - expected;
-            }
+/// What moments say beside a state.
+#[inline]
+pub(super) fn say(
+    trusted: &Trusted,
+    shaft: &Shaft,
+    g: &Gratings,
+    tip: &Tip,
+    o: &Offsets,
+    s: &State,
+    m: &Moments,
+) -> Said {
+    let [near, far] = trusted.calibration.distances_mm;
+    let m = &tip.off(m, [near, far]);
+    // first with the shape of the last reading, for the shape of this one; where the depth is hardly known, on to where the
+    // reading itself has the hole: from far away its moments are no straight line
+    let vague = s.p[L][L] > VAGUE_MM * VAGUE_MM;
+    let rounds = if vague { AGAIN } else { 1 };
+    let held = |depth: f64| depth.min(near - NEAREST_MM);
+    let (mut depth, mut relief, mut short) = (held(s.arc()), s.relief, s.short);
+    let (mut c, mut f, mut v) = ([0.0; 2], Vector2::zeros(), Matrix2::zeros());
+    let mut ahead = 0.0;
+    for round in 0..=rounds {
+        c = [(near - depth) / relief[0], (far - depth) / relief[1]];
+        let precision = m.j[0] * (c[0] * c[0]) + m.j[1] * (c[1] * c[1]);
+        v = precision.try_inverse().unwrap_or_default();
+        f = v * (m.z[0] * c[0] + m.z[1] * c[1]);
+        let squared = f.norm_squared();
+        // where nothing is felt there is nothing to look at again
+        let leans = squared > DETECTED * DETECTED * 0.5 * v.trace();
+        if round == rounds || (round > 0 && !leans) {
+            break;
         }
-        let (size, noise) = (sqrt(f.norm_squared()), 0.5 * v.trace());
-        let by_moments = [0, 1].map(|i| 0.5 * c[i] * (m.j[i] * v).trace());
-        let way = if size > 0.0 {
-            f / size
+        let found = depth + deeper(m, &relief, &c, &f, &v).0;
+        relief = [near, far].map(|at| shaft.relief(squared, at - depth));
+        short = shaft.short(squared, shaft.arc(depth));
+        let expected = s.x[L] + s.x[DEEPER] - short;
+        if round == 0 {
+            depth = held(expected);
         } else {
-            Vector2::new(1.0, 0.0)
-        };
-        let (mut misfit, mut by_depth, mut off, mut lasting) = (0.0, 0.0, None, 0.0);
-        // moments of no force, and gratings that differ in warmth, push nobody
-        let (mut unsure, mut apart) = (noise + self.tip.unsure(), 0.0);
-        for i in 0..2 {
-            let w = by_moments[i] * by_moments[i];
-            unsure += s.p[OFFSETS + 2 * i][OFFSETS + 2 * i] * w;
-            apart += APART_NM * APART_NM * g.per_nm[i] * w;
-        }
-        let over = size * size / (DETECTED * DETECTED);
-        let leans = over > unsure && noise > 0.0;
-        if leans && over > unsure + apart {
-            if m.whole[0] && m.whole[1] {
-                let contrast = m.m[0] * c[1] - m.m[1] * c[0];
-                let across = contrast.y * way.x - contrast.x * way.y;
-                let variance = (g.per_nm[0] * c[1] * c[1] + g.per_nm[1] * c[0] * c[0]) * g.noise;
-                misfit = across * across / variance;
-            }
-            let (delta, told, turned, on) = deeper(m, &relief, &c, &f, &v);
-            // false for NaN: what acts further from here than a shaft is long is no force
-            if told > 0.0 && delta.abs() < self.trusted.rod.beam.length_mm() {
-                let mut h: Row = [0.0; N];
-                (h[L], h[DEEPER]) = (1.0, 1.0);
-                for k in 0..4 {
-                    h[OFFSETS + k] = on[k / 2][k % 2];
-                }
-                let d = 0.1 * depth;
-                h[BENCH..].copy_from_slice(&[1.0, d, d * d]);
-                // what lasts: fibres lag, and a force at the tip is known as well as section III tells it
-                lasting = self.tip.lasting() * (depth / size) * (depth / size);
-                lasting += on[0].norm_squared() * self.lagging(0);
-                lasting += on[1].norm_squared() * self.lagging(1);
-                by_depth = turned.dot(&way);
-                let beyond = s.x[L] + s.x[DEEPER] - short - depth;
-                off = Some((delta - beyond, s.see(&h, 1.0 / told + LASTS * lasting)));
-            }
-        }
-        Said {
-            size,
-            way,
-            ahead,
-            short,
-            relief,
-            noise,
-            by_moments,
-            by_depth,
-            lasting,
-            leans,
-            off,
-            misfit,
+            depth = held(found.max(0.0));
+            ahead = depth - expected;
         }
     }
-
-    /// Takes a reading into the state.
-    #[inline]
-    pub(super) fn take(&mut self, said: &Said) -> Status {
-        let (s, mut status) = (&mut self.state, Status::UPDATED);
-        let mut moved = 0.0;
-        if let Some((mm, seen)) = &said.off {
-            let before = s.x[L] + s.x[DEEPER];
-            if !s.take(seen, *mm) {
-                return Status::NOT_FINITE;
+    let (size, noise) = (sqrt(f.norm_squared()), 0.5 * v.trace());
+    let by_moments = [0, 1].map(|i| 0.5 * c[i] * (m.j[i] * v).trace());
+    let way = if size > 0.0 {
+        f / size
+    } else {
+        Vector2::new(1.0, 0.0)
+    };
+    let (mut misfit, mut by_depth, mut off, mut lasting) = (0.0, 0.0, None, 0.0);
+    // moments of no force, and gratings that differ in warmth, push nobody
+    let (mut unsure, mut apart) = (noise + tip.unsure(), 0.0);
+    for i in 0..2 {
+        let w = by_moments[i] * by_moments[i];
+        unsure += s.p[OFFSETS + 2 * i][OFFSETS + 2 * i] * w;
+        apart += APART_NM * APART_NM * g.per_nm[i] * w;
+    }
+    let over = size * size / (DETECTED * DETECTED);
+    let leans = over > unsure && noise > 0.0;
+    if leans && over > unsure + apart {
+        if m.whole[0] && m.whole[1] {
+            let contrast = m.m[0] * c[1] - m.m[1] * c[0];
+            let across = contrast.y * way.x - contrast.x * way.y;
+            let variance = (g.per_nm[0] * c[1] * c[1] + g.per_nm[1] * c[0] * c[0]) * g.noise;
+            misfit = across * across / variance;
+        }
+        let (delta, told, turned, on) = deeper(m, &relief, &c, &f, &v);
+        // false for NaN: what acts further from here than a shaft is long is no force
+        if told > 0.0 && delta.abs() < trusted.rod.beam.length_mm() {
+            let mut h: Row = [0.0; N];
+            (h[L], h[DEEPER]) = (1.0, 1.0);
+            for k in 0..4 {
+                h[OFFSETS + k] = on[k / 2][k % 2];
             }
-            let gain = (seen.with[L] / seen.total).clamp(0.0, 1.0);
-            s.lasting += gain * (sqrt(said.lasting) - s.lasting);
-            moved = s.x[L] + s.x[DEEPER] - before;
-            self.along.add(s.time_s, s.slid, moved);
-            s.slid = 0.0;
-            self.consistency
-                .add(mm * mm / (seen.total - (LASTS - 1.0) * said.lasting));
-            self.drift
-                .add(*mm, seen.total, s.time_s, self.trusted.per_second_mm2);
-        } else {
-            status = status | Status::NO_FORCE;
+            let d = 0.1 * depth;
+            h[BENCH..].copy_from_slice(&[1.0, d, d * d]);
+            // what lasts: fibres lag, and a force at the tip is known as well as section III tells it
+            lasting = tip.lasting() * (depth / size) * (depth / size);
+            lasting += on[0].norm_squared() * o.lagging(g, 0);
+            lasting += on[1].norm_squared() * o.lagging(g, 1);
+            by_depth = turned.dot(&way);
+            let beyond = s.x[L] + s.x[DEEPER] - short - depth;
+            off = Some((delta - beyond, s.see(&h, 1.0 / told + LASTS * lasting)));
         }
-        if !(said.noise > 0.0 && said.size.is_finite()) {
-            s.lean(&self.shaft);
-            return status;
-        }
-        s.size = (said.size + said.by_depth * (moved - said.ahead)).max(0.0);
-        (s.way, s.short, s.relief) = (said.way, said.short, said.relief);
-        self.felt = Some((
-            s.time_s,
-            Said {
-                size: s.size,
-                ..*said
-            },
-        ));
-        s.touched |= said.off.is_some();
-        s.free = !said.leans;
-        if said.leans && s.touched {
-            let (gives, tells) = (s.gives(&self.shaft), said.off.is_some());
-            self.edge(said.noise, gives, tells);
-            let s = &mut self.state;
-            s.aside = s.way * (s.x[CLEARANCE] + gives * s.size);
-        } else {
-            let far = sqrt(s.aside.norm_squared());
-            if far > s.x[CLEARANCE] {
-                s.aside *= s.x[CLEARANCE] / far;
-            }
-            (self.edge.since, self.edge.strays) = (None, None);
-        }
-        status
+    }
+    Said {
+        size,
+        way,
+        ahead,
+        short,
+        relief,
+        noise,
+        by_moments,
+        by_depth,
+        lasting,
+        leans,
+        off,
+        misfit,
     }
 }

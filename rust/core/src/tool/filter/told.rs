@@ -19,9 +19,10 @@ impl ToolFilter {
             return self.told_of(&self.state, 0.0);
         }
         let mut s = self.state;
-        s.go(now.time_s, &now.pose, self.per_second_mm2());
+        s.go(now.time_s, &now.pose, self.drift.per_second);
         s.lean(&self.shaft);
-        self.told_of(&s, self.strayed(&s))
+        let (felt, shaft) = (self.felt.as_ref(), &self.shaft);
+        self.told_of(&s, self.edge.strayed(felt, shaft, &self.state, &s))
     }
 
     /// Of a state, with the variance of a component of its force that was not read.
@@ -34,7 +35,7 @@ impl ToolFilter {
         // the force along and across itself by what is known of the state: moments that nothing makes are taken off it
         let (mut white, mut by_depth, [mut a, mut b]) = (stray, 0.0, [0.0; 2]);
         if let Some((_, felt)) = &self.felt {
-            white += felt.noise + self.lagging_force(felt.by_moments);
+            white += felt.noise + self.offsets.lagging_force(&self.gratings, felt.by_moments);
             (by_depth, [a, b]) = (felt.by_depth, felt.by_moments);
         }
         let p = SMatrix::<f64, 6, 6>::from_fn(|i, j| s.p[KNOWN[i]][KNOWN[j]]);
