@@ -9,7 +9,7 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -337,7 +337,7 @@ def _read(text: str, count: int) -> tuple[float, ...]:
     return places
 
 
-def _places(names: tuple[str, ...] | list[str], places: tuple[float, ...], unit: str) -> str:
+def _places(names: Sequence[str], places: Sequence[float], unit: str) -> str:
     return listed(
         [f"{name.rpartition('_')[0] or name} = {q:.4g} {unit}" for name, q in zip(names, places, strict=True)]
     )
