@@ -17,7 +17,7 @@ import numpy as np
 
 from ...base.figures import listed, nearest
 from ...errors import Disconnected, Garbled, InstrumentError, NotReferenced, OutOfRange, ShapeError, Timeout
-from .transport import Transport, open_port
+from .transport import Transport, deadline_in, open_port
 
 T = TypeVar("T")
 E = TypeVar("E", bound=InstrumentError)
@@ -185,6 +185,17 @@ class Instrument(ABC):
                 raise Disconnected("is not connected; call connect() first")
             yield self._transport
 
+    def _exchange(self, sent: bytes, receive: Callable[[Transport, float], T]) -> tuple[T, float]:
+        """What ``receive`` takes from the port, until a deadline, after this was sent; and the host's time of it.
+
+        What waited there before is thrown away: every lost or garbled answer ended with a new connection.
+        """
+        with self._exchanging(sent) as port:
+            port.drain()
+            deadline = deadline_in(self.timeout_s)
+            port.write(sent, deadline)
+            return receive(port, deadline), port.arrived_s
+
     def _repeat(self, ask: Callable[[], T]) -> T:
         """Asks, and asks again where an answer was lost: only for questions that change nothing."""
         with self._lock:
@@ -205,6 +216,8 @@ class Instrument(ABC):
 
 # -- axes -------------------------------------------------------------------------------------------------------------
 
+#: Where axes are to go: by their letters or names, or all in order.
+Target = Mapping[str, float] | Sequence[float]
 #: The letters that axes of a controller have.
 LETTERS = "ABCDEFGH"
 #: An axis that stands may be read so many times further from where it was left than an axis that arrives.
@@ -303,7 +316,7 @@ class AxisController(Instrument):
     def home(self) -> AxisReference:
         """Drives all axes to their home switches and sets the reference there. Raises where it cannot."""
 
-    def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
+    def check(self, target: Target) -> dict[str, float]:
         """The target by letters, in their unit. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
         if not isinstance(target, Mapping):
             if len(target) != len(self.axes):
@@ -329,7 +342,7 @@ class AxisController(Instrument):
         return targets
 
     @abstractmethod
-    def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
+    def move(self, target: Target) -> Reading:
         """Moves there and returns where the encoders then are. Nothing moves without :meth:`require_reference`."""
 
     @abstractmethod

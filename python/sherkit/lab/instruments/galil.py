@@ -15,7 +15,7 @@ from dataclasses import KW_ONLY, dataclass
 
 from ...base.figures import listed
 from ...errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, Timeout
-from .base import LETTERS, Axis, AxisReference, Reading, middle_of
+from .base import LETTERS, Axis, AxisReference, Reading, Target, middle_of
 from .galil_line import LARGEST_COUNT, ZEROED, GalilLine
 from .transport import deadline_in
 
@@ -132,7 +132,7 @@ class Galil(GalilLine):
         self.left_at = {}
         self._tell(f"MO{self._letters}")
 
-    def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
+    def check(self, target: Target) -> dict[str, float]:
         """The target by letters, in their unit. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
         targets = super().check(target)
         for letter, value in targets.items():
@@ -144,7 +144,7 @@ class Galil(GalilLine):
                 )
         return targets
 
-    def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
+    def move(self, target: Target) -> Reading:
         """Moves the named axes (all, by a sequence) to ``target`` and returns where the encoders then are.
 
         Raises :class:`~sherkit.errors.OutOfRange` and :class:`~sherkit.errors.NotReferenced` before anything moves;

@@ -16,7 +16,7 @@ import numpy as np
 from ...base.types import Floats
 from ...errors import Garbled, InstrumentError, OutOfRange, Refused
 from .base import Identity, Instrument, Reading
-from .transport import deadline_in
+from .transport import Transport
 
 _LENGTH_DIGITS = 10
 _HEADER_BYTES = 88
@@ -169,13 +169,10 @@ class Sm130(_Interrogator):
             return parse_peaks(payload), time_s
 
     def _ask(self, sent: bytes) -> tuple[bytes, float]:
-        with self._exchanging(sent) as port:
-            # nothing may be waiting here: every lost or garbled answer ended with a new connection
-            port.drain()
-            deadline = deadline_in(self.timeout_s)
-            port.write(sent, deadline)
-            length = parse_length(port.read_exactly(_LENGTH_DIGITS, deadline))
-            return port.read_exactly(length, deadline), port.arrived_s
+        return self._exchange(
+            sent,
+            lambda port, end: port.read_exactly(parse_length(port.read_exactly(_LENGTH_DIGITS, end)), end),
+        )
 
 
 class Hyperion(_Interrogator):
@@ -198,11 +195,8 @@ class Hyperion(_Interrogator):
 
     def _ask(self, command: str) -> tuple[bytes, float]:
         text = command.encode()
-        sent = _HYPERION.pack(0, 0, len(text), 0) + text
-        with self._exchanging(sent) as port:
-            port.drain()
-            deadline = deadline_in(self.timeout_s)
-            port.write(sent, deadline)
+
+        def receive(port: Transport, deadline: float) -> bytes:
             raw = port.read_exactly(_HYPERION.size, deadline)
             status, message_bytes, content_bytes = parse_hyperion_header(raw)
             message = port.read_exactly(message_bytes, deadline)
@@ -210,4 +204,6 @@ class Hyperion(_Interrogator):
             if status:
                 why = message.decode("ascii", "replace")
                 raise Refused(f"refused {command}: {status} {why}", status, why, received=raw + message)
-            return content, port.arrived_s
+            return content
+
+        return self._exchange(_HYPERION.pack(0, 0, len(text), 0) + text, receive)

@@ -12,7 +12,6 @@ from dataclasses import KW_ONLY, dataclass
 
 from ...errors import Garbled, InstrumentError, OutOfRange, ShapeError
 from .base import Identity, Instrument, Reading
-from .transport import deadline_in
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 #: SCPI 1999, volume 1, 7.2.1.4 and 5: infinity and "not a number" are numbers beyond any reading.
@@ -86,11 +85,4 @@ class Scpi(Instrument):
         return Reading(self.name, tuple(self.names), values, (self.unit,) * len(values), time_s)
 
     def _ask(self, question: str) -> tuple[bytes, float]:
-        sent = f"{question}\n".encode("ascii")
-        with self._exchanging(sent) as port:
-            deadline = deadline_in(self.timeout_s)
-            # nothing may be waiting here: every lost or garbled answer ended with a new connection
-            port.drain()
-            port.write(sent, deadline)
-            raw = port.read_until(b"\n", deadline)
-            return raw, port.arrived_s
+        return self._exchange(f"{question}\n".encode("ascii"), lambda port, deadline: port.read_until(b"\n", deadline))

@@ -30,7 +30,7 @@ from typing import Any, ClassVar, Self
 from ...base.extensions import INSTRUMENTS
 from ...base.figures import listed, nearest
 from ...errors import Disconnected, ExperimentError, Garbled, InstrumentError, OutOfRange, Timeout
-from .base import Axis, AxisController, AxisReference, Identity, Instrument, Reading
+from .base import Axis, AxisController, AxisReference, Identity, Instrument, Reading, Target
 from .devices import begun, error_of, is_done, waited
 from .transport import now_s
 
@@ -298,7 +298,7 @@ class OwnAxes(_Own, AxisController):
         self.left_at = {}
         return self.reference()
 
-    def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
+    def move(self, target: Target) -> Reading:
         """Moves there, and returns where the axes then stand. Any error, also Ctrl-C, stops them first."""
         targets = self.check(target)
         self.require_reference(limits=False)
