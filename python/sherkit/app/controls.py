@@ -62,8 +62,7 @@ class Notices:
     def clear(self) -> None:
         """What was wrong before is no longer of interest."""
         for div in self.place.values():
-            if div.visible:
-                div.visible = False
+            div.visible = False
 
 
 # -- The rows that a person chose -------------------------------------------------------------------------------------
@@ -92,13 +91,7 @@ class Selection:
         self.put_back.on_click(lambda: do(bench.put_back))
         self._typed = TextInput(name="typed_rows", width=450, stylesheets=[TYPE])
         self._typed.on_change("value", lambda attr, old, new: self._select_typed())
-        buttons = row(
-            self._typed,
-            self._mark,
-            align="end",
-            sizing_mode="stretch_width",
-            styles={"flex-wrap": "wrap"},
-        )
+        buttons = row(self._typed, self._mark, align="end", sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
         self.root = column(buttons, notices.place[ROWS], self._list, sizing_mode="stretch_width")
 
     def show(self, page_state: PageState) -> None:
@@ -122,45 +115,28 @@ class Selection:
             source.selected.on_change("indices", self._brush(source))
 
     def _brush(self, source: Any) -> Callable[[str, Any, list[int]], None]:
-        return lambda attr, old, new: self._brushed(source, new)
+        def brushed(attr: str, old: Any, indices: list[int]) -> None:
+            if not self._filling:
+                members = _members(source)
+                self.select([row for k in indices for row in members[k]], source)
 
-    def _brushed(self, source: Any, indices: list[int]) -> None:
-        if self._filling:
-            return
-        data = source.data
-        if "rows" in data:
-            rows = [r for k in indices for r in data["rows"][k]]
-        else:
-            rows = [int(data["row"][k]) for k in indices]
-        self.select(rows, source)
+        return brushed
 
     def select(self, rows: Sequence[int], brushed: Any = None) -> None:
         """Takes rows as chosen, lists them, and shows them in every picture but the one they were brushed in."""
-        self._rows = tuple(sorted(set(rows)))
-        chosen = set(self._rows)
+        chosen = set(rows)
+        self._rows = tuple(sorted(chosen))
         self._filling = True
         for source in self._brushable:
-            if source is brushed:
-                continue
-            data = source.data
-            if not chosen:
-                indices = []
-            elif "rows" in data:
-                indices = [k for k, members in enumerate(data["rows"]) if not chosen.isdisjoint(members)]
-            else:
-                indices = np.flatnonzero(np.isin(data["row"], self._rows)).tolist()
-            if source.selected.indices != indices:
-                source.selected.indices = indices
+            if source is not brushed:
+                found = enumerate(_members(source)) if chosen else ()
+                source.selected.indices = [k for k, members in found if not chosen.isdisjoint(members)]
         self._filling = False
-        self._tell()
-        self._draw()
-
-    def _tell(self) -> None:
-        """Shows the workspace which poses are chosen: it knows each by one of its lines."""
+        # shows the workspace which poses are chosen: it knows each by one of its lines
         data = None if self._page_state is None else self._page_state.data
-        poses = [] if data is None else data.line[np.isin(data.groups, data.groups[list(self._rows)])].tolist()
-        if self._list.tags != poses:
-            self._list.tags = poses
+        here = [] if data is None else data.line[np.isin(data.groups, data.groups[list(self._rows)])].tolist()
+        self._list.tags = here
+        self._draw()
 
     def _select_typed(self) -> None:
         """Rows given by their numbers in the file."""
@@ -192,9 +168,13 @@ class Selection:
     def _draw(self) -> None:
         self._mark.disabled = not self._rows
         page_state = self._page_state
-        said = _NOTHING if page_state is None or not self._rows else _table(page_state, self._rows)
-        if self._list.text != said:
-            self._list.text = said
+        self._list.text = _NOTHING if page_state is None or not self._rows else _table(page_state, self._rows)
+
+
+def _members(source: Any) -> Sequence[Sequence[int]]:
+    """The rows of each mark in a picture."""
+    data = source.data
+    return data["rows"] if "rows" in data else np.asarray(data["row"])[:, None].tolist()
 
 
 def _table(page_state: PageState, chosen: Sequence[int]) -> str:

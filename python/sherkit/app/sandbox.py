@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -128,11 +129,8 @@ class Sandbox:
 
     def _effect(self, described: _Described) -> Effect:
         name = described.effect.name
-        return replace(
-            described.effect,
-            function=_RemoteFunction(self, name, "function"),
-            derivative=_RemoteFunction(self, name, "derivative") if described.has_derivative else None,
-        )
+        derivative = partial(self.ask, name, "derivative") if described.has_derivative else None
+        return replace(described.effect, function=partial(self.ask, name, "function"), derivative=derivative)
 
     def ask(self, name: str, which: str, rows: EffectRows, p: SimpleNamespace) -> Floats:
         """What a function of the lines gives. Raises :class:`~sherkit.errors.EffectError` where it gives nothing."""
@@ -150,17 +148,6 @@ class Sandbox:
         except BaseException:  # a person no longer wants it
             self.end()
             raise
-
-
-class _RemoteFunction:
-    """A function that is elsewhere."""
-
-    def __init__(self, apart: Sandbox, name: str, which: str) -> None:
-        self._sandbox, self._name, self._which = apart, name, which
-        self.__qualname__ = name
-
-    def __call__(self, rows: EffectRows, p: SimpleNamespace) -> Floats:
-        return self._sandbox.ask(self._name, self._which, rows, p)
 
 
 @dataclass(frozen=True)

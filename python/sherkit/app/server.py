@@ -52,10 +52,7 @@ def is_loopback(address: str) -> bool:
     """Whether only this machine can reach ``address``."""
     if address == "localhost":
         return True
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return False
+    return _is_address(address) and ipaddress.ip_address(address).is_loopback
 
 
 class PageServer:
@@ -90,7 +87,7 @@ class PageServer:
                 extra_patterns=[(f"/{name}", _Download, {**shared, "name": name}) for name, _ in _LINKS],
                 extra_websocket_origins=[f"{host}:{port}" for host in origins],
                 transforms=[_Locked], session_token_expiration=3600, websocket_max_message_size_bytes=200 * 2**20,
-                default_handler_class=_Elsewhere, default_handler_args={"command": command},
+                default_handler_class=_Elsewhere,
             )  # fmt: skip
             http = HTTPServer(_ByName(tornado, address, trusted))
             http.add_sockets(sockets)
@@ -170,27 +167,32 @@ def _is_address(name: str) -> bool:
     return True
 
 
-class _Refused(RequestHandler):
+class _Saying(RequestHandler):
+    """Answers in words."""
+
+    def say(self, status: int, words: str) -> None:
+        self.set_status(status)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(words)
+
+
+class _Refused(_Saying):
     """To a name that is not this machine's."""
 
     def prepare(self) -> None:
-        self.set_status(421)
-        self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish("This server does not answer to that name; open the page by the address that sherkit app printed.")
+        self.say(
+            421, "This server does not answer to that name; open the page by the address that sherkit app printed."
+        )
 
 
-class _Elsewhere(RequestHandler):
+class _Elsewhere(_Saying):
     """Where there is no page: most often the address of a page that was started anew since."""
 
-    def initialize(self, command: str) -> None:
-        self.command = command
-
     def prepare(self) -> None:
-        self.set_status(404)
-        self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish(
+        self.say(
+            404,
             "There is no page here. Each start of sherkit app has an address of its own: open the one that it printed "
-            "last in its terminal. Nothing is lost; the study is in its folder."
+            "last in its terminal. Nothing is lost; the study is in its folder.",
         )
 
 
@@ -219,7 +221,7 @@ def _make(document: Document, bench: Workbench, links: str, command: str, follow
         document.add_periodic_callback(look, _FOLLOW_MS)
 
 
-class _Download(RequestHandler):
+class _Download(_Saying):
     """Files made from the study as it stands."""
 
     def initialize(self, bench: Workbench, command: str, name: str) -> None:
@@ -232,9 +234,7 @@ class _Download(RequestHandler):
         except Exception as error:
             # a browser does not show what comes instead of a file that it was to save
             self.bench.tell(error)
-            self.set_status(409)
-            self.set_header("Content-Type", "text/plain; charset=utf-8")
-            self.finish(str(error))
+            self.say(409, str(error))
             return
         self.set_header("Content-Disposition", f'attachment; filename="{self.name}"')
         self.set_header("Content-Type", "application/octet-stream")

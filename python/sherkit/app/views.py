@@ -87,15 +87,13 @@ class EffectList(_Folding):
             self._would = {c.effect: c.held_out_rms for c in page_state.diagnosis.candidates}
             self._idle = idle(page_state.diagnosis)
         every = ordered(page_state, self._would)
-        folded = [name for name in every if name in self._idle and name not in (*page_state.effects, *page_state.own)]
+        folded = self._idle.intersection(every).difference(page_state.effects, page_state.own)
         names = every if self._all else [name for name in every if name not in folded]
         self.unfold.visible = bool(folded)
-        count = f"{len(folded)} that would not help"
-        self.unfold.label = f"Hide {count}" if self._all else f"Show {count}"
+        self.unfold.label = f"{'Hide' if self._all else 'Show'} {len(folded)} that would not help"
         while len(self._places) < len(names):
             self._places.append(_Place(self._pressed))
-        if len(self._list.children) != len(names):
-            self._list.children = [place.root for place in self._places[: len(names)]]
+        self._list.children = [place.root for place in self._places[: len(names)]]
         for name, place in zip(names, self._places, strict=False):
             place.show(name, page_state)
 
@@ -148,21 +146,13 @@ class _Place:
         found, inside = page_state.diagnosis, name in page_state.effects
         known, self._name = name == self._name, name
         lead = found is not None and name in found.effects
-        label = f"✓ {name}" if inside else f"+ {name}"
-        if self._button.label != label:
-            self._button.label = label
-        kind = "primary" if inside else "success" if lead else "default"
-        if self._button.button_type != kind:
-            self._button.button_type = kind
+        self._button.label = f"✓ {name}" if inside else f"+ {name}"
+        self._button.button_type = "primary" if inside else "success" if lead else "default"
         self._button.disabled = not inside and found is not None and name in found.untestable
-        said = _said(name, page_state)
-        if self._text.text != said:
-            self._text.text = said
-        if known and found is None:
-            return  # a card that is being read stays until there is more to say
-        shown = _card(page_state.known[name], page_state, opened=lead)
-        if self._card.text != shown:
-            self._card.text = shown
+        self._text.text = _said(name, page_state)
+        # a card that is being read stays until there is more to say
+        if not known or found is not None:
+            self._card.text = _card(page_state.known[name], page_state, opened=lead)
 
 
 def _card(effect: Effect, page_state: PageState, *, opened: bool) -> str:
@@ -217,15 +207,45 @@ _SCALES = [("shared", "one scale for both"), ("own", "each its own scale"), ("no
 _MARKED, _MARKED_SHORT = " marked as outliers", " marked"
 
 
+#: What a canvas shows, for those who do not see it.
+_CALLED = {
+    "map": "maps of the error at every pose, before and after",
+    "against": "what is left against a chosen column",
+    "fall": "the fall of the error, step by step",
+    "parameters": "identified parameters with their intervals",
+}
+
+
+class _Frame:
+    """The place of a picture, and what the picture was built for: for anything else it is built anew."""
+
+    def __init__(self, name: str, **size: Any) -> None:
+        self.name = name
+        self.place = column(name=name, **size)
+        self.picture: Picture[Any] | None = None
+        self._built_for: object = None
+
+    def show(self, state: Any, built_for: object, build: Callable[[], Picture[Any]], note: str | None = "") -> bool:
+        """Draws a state, above a note (that of the picture where it is None); returns whether it was built anew."""
+        if self.picture is not None and self._built_for == built_for:
+            self.picture.show(state)
+            return False
+        self.picture, self._built_for = build(), built_for
+        self.picture.root.html_attributes = {"role": "group", "aria-label": _CALLED[self.name]}
+        said = self.picture.note if note is None else note
+        below = [Div(text=escape(said), width=_WIDTH, styles={"font-size": "14px", "color": MUTED})] if said else []
+        self.place.children = [self.picture.root, *below]
+        return True
+
+
 class Maps:
     """Two states of the study beside one another, as a person chose them."""
 
     def __init__(self, selected: Callable[[], None], watch: Callable[[dict[str, Picture[Any]]], None]) -> None:
         self._selected, self._watch = selected, watch
         self._page_state: PageState | None = None
-        self._pictures: dict[str, Picture[Any]] = {}
-        #: What the pictures were built for; other rows need new ones.
-        self._built_for: tuple[Any, ...] = ()
+        self._map, self._against = _Frame("map", width=_WIDTH), _Frame("against", width=_WIDTH)
+        self.map, self.against = self._map.place, self._against.place
         self._drawn: tuple[Any, ...] = ()
         self._history: tuple[Any, ...] = ()
         self._filling = False
@@ -237,12 +257,8 @@ class Maps:
         self._variable = Select(title="Residual against", name="variable", width=200, stylesheets=[TYPE])
         for one in (self._before, self._after, self._scale, self._variable):
             one.on_change("value", lambda attr, old, new: self._draw())
-        self.choices = row(
-            self._before, self._after, self._scale, styles={"flex-wrap": "wrap"}, visible=False
-        )  # fmt: skip
-        self.map = column(name="map", width=_WIDTH)
+        self.choices = row(self._before, self._after, self._scale, styles={"flex-wrap": "wrap"}, visible=False)
         self.variable = row(self._variable)
-        self.against = column(name="against", width=_WIDTH)
 
     def show(self, page_state: PageState) -> None:
         """Goes to the state of a moment, where that is another one."""
@@ -256,8 +272,7 @@ class Maps:
         steps = [(str(k), state.title) for k, state in page_state.states.items()]
         self._before.options, self._after.options = steps, steps
         # one state alone is compared with nothing
-        if self.choices.visible != (len(steps) > 1):
-            self.choices.visible = len(steps) > 1
+        self.choices.visible = len(steps) > 1
         self._quiet(self._before, steps[0][0])
         self._quiet(self._after, steps[-1][0])
         variables = list(page_state.now.variables)
@@ -290,26 +305,15 @@ class Maps:
         change = Change(before, after, _short(one.title), _short(other.title), str(self._scale.value))
         lines = ResidualAgainst(after, str(self._variable.value), before if before is not after else None)
         key = (len(after), tuple(after.names), tuple(after.place))
-        if self._built_for != key:
-            self._built_for = key
-            self._place("map", self.map, residual_map(change, planes_across=True, width_px=_WIDTH - _BESIDE))
-            self._place("against", self.against, residual_against(lines))
-            self._watch(self._pictures)
-        else:
-            self._pictures["map"].show(change)
-            self._pictures["against"].show(lines)
-        for made in self._pictures["map"].before:
-            if made.visible != (before is not after):
-                made.visible = before is not after
+        width = _WIDTH - _BESIDE
+        anew = self._map.show(change, key, lambda: residual_map(change, planes_across=True, width_px=width), None)
+        anew |= self._against.show(lines, key, lambda: residual_against(lines), against_note(page_state.now))
+        pictures = {one.name: one.picture for one in (self._map, self._against) if one.picture is not None}
+        if anew:
+            self._watch(pictures)
+        for made in pictures["map"].before:
+            made.visible = before is not after
         self._selected()
-
-    def _place(self, name: str, place: Any, picture: Picture[Any]) -> None:
-        self._pictures[name] = picture
-        note = against_note(self._page_state.now) if name == "against" and self._page_state else picture.note
-        _name(picture, name)
-        place.children = [
-            picture.root, Div(text=escape(note), width=_WIDTH, styles={"font-size": "14px", "color": MUTED})
-        ]  # fmt: skip
 
 
 class Fall(_Folding):
@@ -317,12 +321,8 @@ class Fall(_Folding):
 
     def __init__(self) -> None:
         super().__init__("unfold", 250)
-        self._pictures: dict[str, Picture[Any]] = {}
-        #: What the pictures were built for; other readings or units need new ones.
-        self._fall_for: bool | None = None
-        self._parameters_for: tuple[str, ...] | None = None
-        self.fall = column(name="fall", sizing_mode="stretch_width")
-        self.parameters = column(name="parameters", width=_WIDTH)
+        self._fall, self._known = _Frame("fall", sizing_mode="stretch_width"), _Frame("parameters", width=_WIDTH)
+        self.fall, self.parameters = self._fall.place, self._known.place
 
     def show(self, page_state: PageState) -> None:
         """Draws the fall of a moment."""
@@ -337,42 +337,14 @@ class Fall(_Folding):
         left = page_state.now
         noise = left.noise_size if left.noise_origin != "unknown" else None
         state = ErrorHistory(steps, noise, left.unit, page_state.required_um if left.unit == "µm" else None)
-        if self._fall_for != (noise is None):
-            self._fall_for = noise is None
-            self._put("fall", self.fall, error_history(state, height_px=_FALL_HEIGHT, room_px=_FALL_ROOM))
-        else:
-            self._pictures["fall"].show(state)
+        # other readings need another picture
+        self._fall.show(state, noise is None, lambda: error_history(state, height_px=_FALL_HEIGHT, room_px=_FALL_ROOM))
 
     def show_parameters(self, page_state: PageState) -> None:
         """Draws how well the parameters of a moment are known."""
-        fit = page_state.history[-1].fit
-        if fit is None:
-            return
-        units = tuple(dict.fromkeys(p.unit for p in fit.parameters))
-        if self._parameters_for != units:
-            self._parameters_for = units
-            self._put("parameters", self.parameters, parameters(fit))
-        else:
-            self._pictures["parameters"].show(fit)
-
-    def _put(self, name: str, place: Any, picture: Picture[Any]) -> None:
-        self._pictures[name] = picture
-        _name(picture, name)
-        place.children = [picture.root]
+        if (fit := page_state.history[-1].fit) is not None:
+            self._known.show(fit, tuple(dict.fromkeys(p.unit for p in fit.parameters)), lambda: parameters(fit))
 
 
 def _short(action: str) -> str:
     return action.replace(_MARKED, _MARKED_SHORT)
-
-
-#: What a canvas shows, for those who do not see it.
-_CALLED = {
-    "map": "maps of the error at every pose, before and after",
-    "against": "what is left against a chosen column",
-    "fall": "the fall of the error, step by step",
-    "parameters": "identified parameters with their intervals",
-}
-
-
-def _name(picture: Picture[Any], name: str) -> None:
-    picture.root.html_attributes = {"role": "group", "aria-label": _CALLED[name]}

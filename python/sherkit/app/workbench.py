@@ -92,10 +92,12 @@ class Workbench:
         sources = [robot, run, *files]
         if folder.exists() and not folder.is_dir():
             raise SherkitError(f"{folder}: is a file, expected the folder of a study; give --study with another name")
-        if (folder / "study.json").exists() and not fresh:
-            data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
+        known = (folder / "study.json").exists() and not fresh
+        data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
+        if known:
             require_same(folder, robot, run, follow=follow)
-            held = hold(folder)
+        held = hold(folder)
+        if known:
             again = lines.again() if run_typed else ()
             try:
                 require_effects(folder, {e.name for e in (*own, *again)}, lines.path)
@@ -108,9 +110,7 @@ class Workbench:
                     "give --fresh to begin anew there"
                 ) from error
         else:
-            data = read_so_far(run, columns) if follow else read_measurements(run, columns=columns)
             study = Study(nominal, data, effects=own)
-            held = hold(folder)
             try:
                 write_whole(folder / SOURCES, json.dumps(begun_from(robot, run, follow=follow)))
                 study.save(folder)
@@ -270,9 +270,8 @@ class Workbench:
 
     def toggle(self, effect: str) -> Future[None]:
         """Adds an effect, or takes it out where it is in the model."""
-        if effect in self.page_state.effects:
-            return self.change(f"removing {effect}", lambda study, _: study.remove(effect), about=effect)
-        return self.change(f"adding {effect}", lambda study, _: study.add(effect), about=effect)
+        what, work = ("removing", Study.remove) if effect in self.page_state.effects else ("adding", Study.add)
+        return self.change(f"{what} {effect}", lambda study, _: work(study, effect), about=effect)
 
     def undo(self) -> Future[None]:
         """Takes the last change back."""

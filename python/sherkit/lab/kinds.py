@@ -98,61 +98,60 @@ class InstrumentKind:
 
     def emulator_class(self) -> Any:
         """The emulator, imported now."""
-        if ":" in self.emulator:
-            module, _, name = self.emulator.partition(":")
-            return getattr(import_module(module), name)
-        module, name = self.emulator.split(".")
-        return getattr(import_module(f".emulators.{module}", __package__), name)
+        module, of_package, name = self.emulator.partition(":")
+        if not of_package:
+            module, name = self.emulator.split(".")
+            module = f"{__package__}.emulators.{module}"
+        return getattr(import_module(module), name)
 
 
 # -- motion ----------------------------------------------------------------------------------------------------
 
 
-def _galil_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
-    del address
-    unit, joints = robot.joint_unit, len(kind_of(robot).layout.joints)
-    counts = f"counts_per_{unit}"
-    per_unit = table.number(counts)
-    if per_unit == 0:
-        raise table.fail(counts, "a number other than 0")
+def _motion_settings(table: Table, unit: str) -> dict[str, Any]:
+    """What all axes have: how they move, and how near a target counts as there."""
     speed, acceleration, within = _MOTION[unit]
-    home_at = f"home_at_{unit}"
     return {
-        "counts_per_unit": per_unit,
-        "zero_counts": list(table.numbers("zero_counts", joints, (0.0,) * joints)),
         "speed": table.number(f"speed_{unit}_s", speed, positive=True),
         "acceleration": table.number(f"acceleration_{unit}_s2", acceleration, positive=True),
         "arrived_within": table.number(f"arrived_within_{unit}", within, positive=True),
-        "settle_s": table.number("settle_s", 2.0, positive=True),
-        "poll_s": table.number("poll_s", 0.05, positive=True),
-        "poll_timeout_s": table.number("poll_timeout_s", 0.5, positive=True),
-        "stop_timeout_s": table.number("stop_timeout_s", 5.0, positive=True),
+    }
+
+
+def _galil_settings(table: Table, robot: Robot, _: str) -> dict[str, Any]:
+    unit, joints = robot.joint_unit, len(kind_of(robot).layout.joints)
+    counts, home_at = f"counts_per_{unit}", f"home_at_{unit}"
+    per_unit = table.number(counts)
+    if per_unit == 0:
+        raise table.fail(counts, "a number other than 0")
+    seconds = {"settle_s": 2.0, "poll_s": 0.05, "poll_timeout_s": 0.5, "stop_timeout_s": 5.0}
+    return {
+        "counts_per_unit": per_unit,
+        "zero_counts": list(table.numbers("zero_counts", joints, (0.0,) * joints)),
+        **_motion_settings(table, unit),
+        **{name: table.number(name, usual, positive=True) for name, usual in seconds.items()},
         "home_at": list(table.numbers(home_at, joints)) if table.has(home_at) else None,
-        "home_speed": table.number(f"home_speed_{unit}_s", 0.2 * speed, positive=True),
+        "home_speed": table.number(f"home_speed_{unit}_s", 0.2 * _MOTION[unit][0], positive=True),
     }
 
 
 def _galil(one: InstrumentSettings, robot: Robot) -> Galil:
     settings = dict(one.settings)
-    scale, zeros = settings.pop("counts_per_unit"), settings.pop("zero_counts")
-    return Galil(one.address, _axes_of(robot, one.name, scale, zeros), name=one.name, **settings)
+    axes = _axes_of(robot, one.name, settings.pop("counts_per_unit"), settings.pop("zero_counts"))
+    return Galil(one.address, axes, name=one.name, **settings)
 
 
 def _emulated_galil(table: Table, robot: Robot) -> dict[str, Any]:
-    unit = robot.joint_unit
+    unit, joints = robot.joint_unit, len(kind_of(robot).layout.joints)
     settings: dict[str, Any] = {
         "counts_per_unit": table.number(f"counts_per_{unit}", 10000.0, positive=True),
-        "lag_s": table.number("lag_s", 0.0),
-        "noise_counts": table.number("noise_counts", 0.0),
-        "chatty": table.number("chatty", 0.0),
+        **{name: table.number(name, 0.0) for name in ("lag_s", "noise_counts", "chatty")},
         # as one that was zeroed by somebody, or as after a power cut
         "variables": {ZEROED: 1.0} if table.flag("zeroed", True) else {},
     }
-    joints = len(kind_of(robot).layout.joints)
     if table.has(f"home_{unit}"):
         settings["home"] = table.numbers(f"home_{unit}", joints)
-    travel = table.heights(f"travel_{unit}")
-    if travel is not None:
+    if (travel := table.heights(f"travel_{unit}")) is not None:
         settings["travel"] = [travel] * joints
     return settings
 
@@ -168,61 +167,10 @@ def _axes_of(robot: Robot, name: str, counts_per_unit: float, zeros: Sequence[fl
     ]
 
 
-# -- lasers ----------------------------------------------------------------------------------------------------
-
-
-def _keyence_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
-    del robot, address
-    return {
-        "outputs": [int(k) for k in table.some_numbers("outputs", (1.0, 2.0, 3.0))],
-        "method": table.text("method", ("MS", "MM", "MA"), "MS"),
-        "unit": table.text("unit", ("mm", "um"), "mm"),
-    }
-
-
-def _keyence(one: InstrumentSettings, robot: Robot) -> Keyence:
-    del robot
-    settings = dict(one.settings)
-    return Keyence(one.address, settings.pop("outputs"), names=one.columns, name=one.name, **settings)
-
-
-def _emulated_keyence(table: Table, robot: Robot) -> dict[str, Any]:
-    del robot
-    return {
-        "noise_mm": table.number("noise_mm", 0.0),
-        "noise_of_place": table.flag("noise_of_place", False),
-        "decimals": table.whole("decimals", 4, least=0),
-        "range_mm": table.number("range_mm", 1000.0, positive=True),
-    }
-
-
-# -- instruments that answer one question ----------------------------------------------------------------------
-
-
-def _scpi_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
-    del robot, address
-    return {"question": table.words("ask", "READ?"), "unit": table.words("unit", "mm")}
-
-
-def _scpi(one: InstrumentSettings, robot: Robot) -> Scpi:
-    del robot
-    return Scpi(one.address, names=one.columns, name=one.name, **one.settings)
-
-
-def _emulated_scpi(table: Table, robot: Robot) -> dict[str, Any]:
-    del robot
-    return {
-        "question": table.words("ask", "READ?"),
-        "outputs": tuple(int(k) for k in table.some_numbers("outputs", (1.0, 2.0, 3.0))),
-        "noise_mm": table.number("noise_mm", 0.0),
-    }
-
-
 # -- the user's own --------------------------------------------------------------------------------------------
 
 
-def _own_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
-    del robot
+def _own_settings(table: Table, _: Robot, address: str) -> dict[str, Any]:
     given = table.free("with") | ({"address": address} if address else {})
     return {"make": table.words("make"), "with": given}
 
@@ -233,13 +181,10 @@ def _sensor_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]
 
 def _axes_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
     unit = robot.joint_unit
-    speed, acceleration, within = _MOTION[unit]
     return {
         **_own_settings(table, robot, address),
-        "resolution": table.number(f"resolution_{unit}", 0.1 * within, positive=True),
-        "speed": table.number(f"speed_{unit}_s", speed, positive=True),
-        "acceleration": table.number(f"acceleration_{unit}_s2", acceleration, positive=True),
-        "arrived_within": table.number(f"arrived_within_{unit}", within, positive=True),
+        "resolution": table.number(f"resolution_{unit}", 0.1 * _MOTION[unit][2], positive=True),
+        **_motion_settings(table, unit),
         "settle_s": table.number("settle_s", 10.0, positive=True),
     }
 
@@ -253,8 +198,7 @@ def _made_by(one: InstrumentSettings) -> tuple[Make, dict[str, Any]]:
     return partial(one.make, **given), settings
 
 
-def _own_sensor(one: InstrumentSettings, robot: Robot) -> OwnSensor:
-    del robot
+def _own_sensor(one: InstrumentSettings, _: Robot) -> OwnSensor:
     make, settings = _made_by(one)
     return OwnSensor(make, one.columns, said=one.said, name=one.name, **settings)
 
@@ -265,56 +209,21 @@ def _own_axes(one: InstrumentSettings, robot: Robot) -> OwnAxes:
     return OwnAxes(make, axes, said=one.said, name=one.name, **settings)
 
 
-# -- gratings --------------------------------------------------------------------------------------------------
+# -- sensors ---------------------------------------------------------------------------------------------------
 
 
-def _grating_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
-    del robot, address
-    return {"gratings": [int(k) for k in table.some_numbers("gratings")]}
+def _wholes(table: Table, key: str, *default: tuple[float, ...]) -> list[int]:
+    return [int(k) for k in table.some_numbers(key, *default)]
 
 
-def _interrogator(
-    kind: type[Sm130] | type[Hyperion],
-) -> Callable[[InstrumentSettings, Robot], Instrument]:
-    def made(one: InstrumentSettings, robot: Robot) -> Instrument:
-        del robot
-        settings = dict(one.settings)
-        return kind(one.address, tuple(settings.pop("gratings")), name=one.name, **settings)
-
-    return made
-
-
-def _emulated_gratings(table: Table, robot: Robot) -> dict[str, Any]:
-    del robot
-    return {"noise_nm": table.number("noise_nm", 0.0)}
-
-
-# -- forces ----------------------------------------------------------------------------------------------------
-
-
-def _net_ft(one: InstrumentSettings, robot: Robot) -> NetFT:
-    del robot
+def _net_ft(one: InstrumentSettings, _: Robot) -> NetFT:
     if not one.page:
         raise ExperimentError(f"{one.name}: has no page; give the address of its netftapi2.xml")
     return NetFT(one.address, fetch_scale(one.page), name=one.name, **one.settings)
 
 
-def _emulated_net_ft(table: Table, robot: Robot) -> dict[str, Any]:
-    del robot
-    return {"noise": table.number("noise", 0.0), "rate_hz": table.number("rate_hz", 1000.0, positive=True)}
-
-
-# -- cameras ---------------------------------------------------------------------------------------------------
-
-
-def _camera_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
-    del robot
-    return {"discard": table.whole("discard", 0 if address.startswith("http://") else 4, least=0)}
-
-
-def _camera(one: InstrumentSettings, robot: Robot) -> VideoCamera:
+def _camera(one: InstrumentSettings, _: Robot) -> VideoCamera:
     """A camera with the finder of markers; over HTTP it hands out single pictures."""
-    del robot
     try:
         from ..vision.marker import find_marker
     except ImportError:
@@ -324,23 +233,24 @@ def _camera(one: InstrumentSettings, robot: Robot) -> VideoCamera:
         seen = find_marker(picture)
         return seen.u_px, seen.v_px
 
-    source = None
-    if one.address.startswith("http://"):
-
-        def source() -> Snapshots:
-            return Snapshots(one.address, one.settings["timeout_s"])
-
+    over_http = one.address.startswith("http://")
+    source = partial(Snapshots, one.address, one.settings["timeout_s"]) if over_http else None
     return VideoCamera(one.address, source=source, find=find, name=one.name, **one.settings)
-
-
-def _emulated_camera(table: Table, robot: Robot) -> dict[str, Any]:
-    del robot
-    return {"noise_grey": table.number("noise_grey", 2.0)}
 
 
 # -- the table -------------------------------------------------------------------------------------------------
 
 _SERIAL = ("pty", "tcp")
+
+
+def _interrogator(driver: type[Sm130] | type[Hyperion], emulator: str) -> InstrumentKind:
+    """A kind of interrogator of fibre gratings."""
+    return InstrumentKind(
+        lambda table, *_: {"gratings": _wholes(table, "gratings")},
+        lambda one, _: driver(one.address, name=one.name, **one.settings),
+        emulator, ("tcp",), lambda table, _: {"noise_nm": table.number("noise_nm", 0.0)}, meaning=("gratings",),
+    )  # fmt: skip
+
 
 INSTRUMENTS: Mapping[str, InstrumentKind] = {
     "galil": InstrumentKind(
@@ -348,26 +258,47 @@ INSTRUMENTS: Mapping[str, InstrumentKind] = {
         meaning=("counts_per_unit", "zero_counts"),
     ),
     "keyence": InstrumentKind(
-        _keyence_settings, _keyence, "keyence.KeyenceEmulator", _SERIAL, _emulated_keyence, place_unit="mm",
-        meaning=("outputs", "unit"),
+        lambda table, *_: {
+            "outputs": _wholes(table, "outputs", (1.0, 2.0, 3.0)),
+            "method": table.text("method", ("MS", "MM", "MA"), "MS"),
+            "unit": table.text("unit", ("mm", "um"), "mm"),
+        },
+        lambda one, _: Keyence(one.address, names=one.columns, name=one.name, **one.settings),
+        "keyence.KeyenceEmulator", _SERIAL,
+        lambda table, _: {
+            "noise_mm": table.number("noise_mm", 0.0),
+            "noise_of_place": table.flag("noise_of_place", False),
+            "decimals": table.whole("decimals", 4, least=0),
+            "range_mm": table.number("range_mm", 1000.0, positive=True),
+        },
+        place_unit="mm", meaning=("outputs", "unit"),
     ),
     "scpi": InstrumentKind(
-        _scpi_settings, _scpi, "scpi.ScpiEmulator", ("tcp", "pty"), _emulated_scpi, place_unit="mm",
-        meaning=("question", "unit"),
+        lambda table, *_: {"question": table.words("ask", "READ?"), "unit": table.words("unit", "mm")},
+        lambda one, _: Scpi(one.address, names=one.columns, name=one.name, **one.settings),
+        "scpi.ScpiEmulator", ("tcp", "pty"),
+        lambda table, _: {
+            "question": table.words("ask", "READ?"),
+            "outputs": _wholes(table, "outputs", (1.0, 2.0, 3.0)),
+            "noise_mm": table.number("noise_mm", 0.0),
+        },
+        place_unit="mm", meaning=("question", "unit"),
     ),
-    "sm130": InstrumentKind(
-        _grating_settings, _interrogator(Sm130), "micron_optics.Sm130Emulator", ("tcp",), _emulated_gratings,
-        meaning=("gratings",),
-    ),
-    "hyperion": InstrumentKind(
-        _grating_settings, _interrogator(Hyperion), "micron_optics.HyperionEmulator", ("tcp",), _emulated_gratings,
-        meaning=("gratings",),
-    ),
+    "sm130": _interrogator(Sm130, "micron_optics.Sm130Emulator"),
+    "hyperion": _interrogator(Hyperion, "micron_optics.HyperionEmulator"),
     "net_ft": InstrumentKind(
-        lambda *_: {}, _net_ft, "ati.NetFtEmulator", ("udp",), _emulated_net_ft, has_page=True
+        lambda *_: {}, _net_ft, "ati.NetFtEmulator", ("udp",),
+        lambda table, _: {
+            "noise": table.number("noise", 0.0), "rate_hz": table.number("rate_hz", 1000.0, positive=True),
+        },
+        has_page=True,
     ),
     "camera": InstrumentKind(
-        _camera_settings, _camera, "camera.NetworkCamera", ("http",), _emulated_camera, place_unit="px"
+        lambda table, _, address: {
+            "discard": table.whole("discard", 0 if address.startswith("http://") else 4, least=0)
+        },
+        _camera, "camera.NetworkCamera", ("http",),
+        lambda table, _: {"noise_grey": table.number("noise_grey", 2.0)}, place_unit="px",
     ),
     "python": InstrumentKind(_sensor_settings, _own_sensor, own=True, meaning=("make", "with", "fields")),
     "python_axes": InstrumentKind(_axes_settings, _own_axes, own=True, moves=True, meaning=("make", "with")),

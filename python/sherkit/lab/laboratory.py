@@ -98,11 +98,8 @@ class RobotOnTheBench(StillRobot):
         self.noise_grey = noise_grey
         self.seed = seed
         self.home_joints: Floats = robot.inverse(robot.middle)
-        self._effects = None
-        if hidden is not None and hidden.parameters:
-            self._plain = model_of(robot)
-            self._zero = np.zeros(len(self._plain.parameters))
-            self._effects = hidden.model(self._plain)
+        self._plain = model_of(robot) if hidden is not None and hidden.parameters else None
+        self._effects = None if hidden is None or self._plain is None else hidden.model(self._plain)
         self.left: Callable[[], Floats] = lambda: self.home_joints
         self._last_place: tuple[tuple[float, ...], Floats] | None = None
         self._last_picture: tuple[tuple[float, ...], NDArray[np.uint8]] | None = None
@@ -115,23 +112,22 @@ class RobotOnTheBench(StillRobot):
 
     def wrench(self, joints: Floats, time_s: float) -> Sequence[float]:
         """The force on the tool at its hole, N; no torque."""
-        if self.tool is None:
+        if (felt := self._felt(joints, time_s)) is None:
             return super().wrench(joints, time_s)
-        place = self.position(joints, time_s)
-        if not np.isfinite(place).all():
-            return super().wrench(joints, time_s)
-        force, _ = self.tool.felt(place)
-        return [1e-3 * float(force[0]), 1e-3 * float(force[1]), 0.0, 0.0, 0.0, 0.0]
+        return [*(1e-3 * felt[0]).tolist(), 0.0, 0.0, 0.0, 0.0]
 
     def wavelengths_nm(self, joints: Floats, time_s: float) -> Sequence[Sequence[float]]:
         """The gratings of sections I, II and III on one channel for each of three fibres."""
+        if (felt := self._felt(joints, time_s)) is None:
+            return super().wavelengths_nm(joints, time_s)
+        return [*felt[1].reshape(3, 3).T.tolist(), []]
+
+    def _felt(self, joints: Floats, time_s: float) -> tuple[Floats, Floats] | None:
+        """As :meth:`ToolInHole.felt`; None without a tool, and where the robot cannot be."""
         if self.tool is None:
-            return super().wavelengths_nm(joints, time_s)
+            return None
         place = self.position(joints, time_s)
-        if not np.isfinite(place).all():
-            return super().wavelengths_nm(joints, time_s)
-        _, waves = self.tool.felt(place)
-        return [[float(v) for v in fibre] for fibre in waves.reshape(3, 3).T] + [[]]
+        return self.tool.felt(place) if np.isfinite(place).all() else None
 
     def picture(self, joints: Floats, time_s: float) -> NDArray[np.uint8]:
         """What the camera sees; grey where the robot cannot be."""
@@ -140,13 +136,13 @@ class RobotOnTheBench(StillRobot):
         key = self._key(joints)
         if self._last_picture is not None and self._last_picture[0] == key:
             return self._last_picture[1]
+        columns = {name: np.array([q]) for name, q in zip(self.kind.layout.joints, joints, strict=True)}
+        columns[TIME] = np.zeros(1)
         places = [int(v * 1e6) & 0xFFFFFFFF for v in key]
-        try:
-            columns = {name: np.array([q]) for name, q in zip(self.kind.layout.joints, joints, strict=True)}
-            columns[TIME] = np.zeros(1)
-            seed = int(np.random.SeedSequence([self.seed, *places]).generate_state(1)[0])
-            from ..vision.spherical import pictures_of  # needs OpenCV
+        seed = int(np.random.SeedSequence([self.seed, *places]).generate_state(1)[0])
+        from ..vision.spherical import pictures_of  # needs OpenCV
 
+        try:
             (drawn,) = pictures_of(self.virtual, columns, seed=seed, noise_grey=self.noise_grey)
             picture: NDArray[np.uint8] = drawn.grey
         except OutOfReach:
@@ -158,19 +154,18 @@ class RobotOnTheBench(StillRobot):
     def position(self, joints: Floats, time_s: float) -> Floats:
         """Where it is in truth (k,), in the columns of a run: mm from home, or px; NaN where it cannot be."""
         key = self._key(joints)
-        known = self._last_place
         # three outputs are asked one after the other where nothing moves; time matters to effects alone
-        if known is not None and known[0] == key and self._effects is None:
-            return known[1]
+        if self._last_place is not None and self._last_place[0] == key and self._effects is None:
+            return self._last_place[1]
         try:
             with np.errstate(all="ignore"):
                 place: Floats = self.virtual.noise_free(joints)[0]
         except (OutOfReach, NotFinite, Singular):
             return np.full(len(self.kind.layout.coordinates), np.nan)
-        if self._effects is not None:
-            model, values = self._effects
-            row = self._row(joints, time_s)
-            place = place + (model.predict(row, values) - self._plain.predict(row, self._zero))[0, : len(place)]
+        if self._effects is not None and self._plain is not None:
+            (model, values), row = self._effects, self._row(joints, time_s)
+            drawn = self._plain.predict(row, np.zeros(len(self._plain.parameters)))
+            place = place + (model.predict(row, values) - drawn)[0, : len(place)]
         self._last_place = (key, place)
         return place
 
@@ -240,8 +235,7 @@ def load_laboratory(path: str | Path) -> Laboratory:
 
 def laboratory_from(table: Table, path: Path) -> Laboratory:
     """The laboratory of the table of a file ``path``. Raises as :func:`load_laboratory`."""
-    robot_path = path.parent / table.words("robot")
-    robot = load_robot(robot_path)
+    robot = load_robot(path.parent / table.words("robot"))
     kind = kind_of(robot)
     _ = robot.middle  # refuses a robot that would not know where to begin
     seed = table.whole("seed", 0, least=0)
@@ -253,15 +247,16 @@ def laboratory_from(table: Table, path: Path) -> Laboratory:
         hidden = _hidden_effects(h, robot) if kind.place_unit == "mm" else HiddenEffects()
     has_place = kind.place_unit == "mm" and len(kind.layout.coordinates) == _PLACE
     tool = _tool(table, path.parent) if has_place and table.has("tool") else None
-    instruments: list[EmulatedInstrument] = []
+    instruments: dict[str, EmulatedInstrument] = {}
     for one in table.tables("instrument"):
-        instruments.append(_instrument(one, robot))
-        if instruments[-1].name in {i.name for i in instruments[:-1]}:
+        made = _instrument(one, robot)
+        if made.name in instruments:
             raise one.fail("name", "a name that no other instrument has")
+        instruments[made.name] = made
     table.finish()
     if not instruments:
         raise ExperimentError(f"{path}: has no [[instrument]]; known kinds: {listed(instrument_kinds())}")
-    return Laboratory(robot, virtual, hidden, tuple(instruments), seed, time_scale, host, str(path), tool)
+    return Laboratory(robot, virtual, hidden, tuple(instruments.values()), seed, time_scale, host, str(path), tool)
 
 
 def _hidden_effects(table: Table, robot: Robot) -> HiddenEffects:
@@ -284,9 +279,9 @@ def _tool(table: Table, folder: Path) -> ToolInHole:
 
 def _instrument(table: Table, robot: Robot) -> EmulatedInstrument:
     # of those that see where a robot is, only what sees this one
-    kinds = tuple(name for name, row in instrument_kinds().items() if row.emulator and row.sees(robot))
-    kind = table.text("kind", kinds)
-    row = instrument_kinds()[kind]
+    kinds = {name: row for name, row in instrument_kinds().items() if row.emulator and row.sees(robot)}
+    kind = table.text("kind", tuple(kinds))
+    row = kinds[kind]
     name = table.words("name", kind)
     link = table.text("link", row.links, row.links[0])
     port = table.whole("port", 0, least=0, most=65535)
@@ -318,9 +313,7 @@ class RunningLaboratory:
             laboratory.virtual, laboratory.hidden, laboratory.tool, noise_grey=next(iter(grey), 0.0),
             seed=laboratory.seed,
         )  # fmt: skip
-        self.world = World(
-            [float(q) for q in self.bench.home_joints], robot=self.bench, time_scale=laboratory.time_scale
-        )
+        self.world = World(self.bench.home_joints.tolist(), robot=self.bench, time_scale=laboratory.time_scale)
         self.bench.left = self.world.left
         self.emulators: dict[str, Any] = {}
         self._stack = contextlib.ExitStack()
@@ -339,14 +332,12 @@ class RunningLaboratory:
         lab = self.laboratory
         # every instrument draws for itself, and the same in every run of this file
         seed = 1000 * lab.seed + number
-        emulator = instrument_kinds()[one.kind].emulator_class()
-        faults = Faults(one.faults, seed=seed, stall_s=one.stall_s)
+        made = instrument_kinds()[one.kind].emulator_class()(
+            self.world, link=one.link, host=lab.host, port=one.port, seed=seed,
+            faults=Faults(one.faults, seed=seed, stall_s=one.stall_s), **one.settings,
+        )  # fmt: skip
         try:
-            return stack.enter_context(
-                emulator(
-                    self.world, link=one.link, host=lab.host, port=one.port, faults=faults, seed=seed, **one.settings
-                )
-            )
+            return stack.enter_context(made)
         except OSError as error:
             raise ExperimentError(
                 f"{lab.source}: {one.name} cannot listen on {lab.host}, port {one.port}: {error.strerror}; is another "

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from bokeh.core.properties import value
-from bokeh.models import FactorRange, Range1d, Span, Whisker
+from bokeh.models import FactorRange, Range1d, Whisker
 
 from ..base import linalg
 from ..base.types import Floats
@@ -24,9 +23,8 @@ from ..evidence.settings import unit_columns
 from ..model.effect import Effect
 from .picture import (
     ADDED,
-    FONT,
-    FONT_SIZE,
     INK,
+    LETTERS,
     MUTED,
     PLAIN,
     REFUSED,
@@ -35,9 +33,8 @@ from .picture import (
     figure,
     hover,
     quantity,
-    single,
+    rule,
     sources_of,
-    stacked,
 )
 from .residual_arrows import plane_of_most, round_number
 
@@ -54,10 +51,10 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
     names = _names(found)
     low, high = _reach(found)
     made = figure(
-        height=_ROW_HEIGHT * len(names) + _AROUND, sizing_mode="stretch_width", x_axis_type="log",
-        y_range=FactorRange(*names[::-1]), x_range=Range1d(low, high),
+        f"RMS error {found.error.in_words} on poses held out with it in the model, {found.unit}",
+        height=_ROW_HEIGHT * len(names) + _AROUND, x_axis_type="log", y_range=FactorRange(*names[::-1]),
+        x_range=Range1d(low, high),
     )  # fmt: skip
-    made.xaxis.axis_label = f"RMS error {found.error.in_words} on poses held out with it in the model, {found.unit}"
     made.add_layout(
         Whisker(base="effect", lower="low", upper="high", source=sources["effects"], dimension="width",
                 line_color=MUTED, upper_head=None, lower_head=None, line_width=2)
@@ -66,13 +63,12 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
         "error", "effect", source=sources["effects"], size=13, marker="marker", fill_color="fill", line_color="line",
         line_width=2,
     )  # fmt: skip
-    made.add_layout(Span(location=found.steps[0].error.rms, dimension="height", line_color=INK, line_dash="dashed"))
+    rule(made, "height", found.steps[0].error.rms, line_color=INK, line_dash="dashed")
     noise = _noise(found)
     if noise:
-        made.add_layout(Span(location=noise, dimension="height", line_color=MUTED, line_dash="dotted", line_width=2))
+        rule(made, "height", noise, line_dash="dotted", line_width=2)
     made.segment("x0", "y0", "x1", "y1", source=sources["brackets"], line_color=INK, line_width=2)
-    text: dict[str, Any] = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
-    made.text("x", "y", "text", source=sources["tied"], text_baseline="middle", x_offset=6, **text)
+    made.text("x", "y", "text", source=sources["tied"], text_baseline="middle", x_offset=6, **LETTERS)
     made.add_tools(
         hover([marks], ("effect", "@effect (@link)"), ("held out", f"@error{{0.00}} ± @std{{0.00}} {found.unit}"),
               ("p", "@p{0.0e}"), ("largest parameter", "@largest"), ("size", "@size"))
@@ -89,7 +85,7 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
         f"size. Dashed: the error without any of them.{' Dotted: the noise.' if noise else ''}"
         f"{' Behind a bracket: effects that these rows cannot tell apart.' if found.indistinguishable else ''}"
     )
-    return Picture("candidates", single("candidates", made), sources, _tables, tune, note=note)
+    return Picture.of("candidates", made, sources, _tables, tune, note=note)
 
 
 def _order(found: Diagnosis) -> list[Any]:
@@ -107,9 +103,7 @@ def _names(found: Diagnosis) -> list[str]:
 
 
 def _noise(found: Diagnosis) -> float:
-    if found.noise_origin == "unknown":
-        return 0.0
-    return found.noise_size
+    return 0.0 if found.noise_origin == "unknown" else found.noise_size
 
 
 def _reach(found: Diagnosis) -> tuple[float, float]:
@@ -129,43 +123,39 @@ def _tables(found: Diagnosis) -> Tables:
     order = _order(found)
     high = _reach(found)[1]
     named = set(found.effects)
-    colours = [ADDED if c.effect in named else PLAIN if c.plausible else REFUSED for c in order]
-    table = {
-        "effect": [c.effect for c in order],
-        "link": [c.link for c in order],
-        "error": [min(c.held_out_rms, 0.98 * high) for c in order],
-        "std": [c.held_out_std for c in order],
-        "low": [_lowest(c) for c in order],
-        "high": [min(c.held_out_rms + 2 * c.held_out_std, high) for c in order],
-        "p": [c.p_value for c in order],
-        "largest": [largest(found, c) for c in order],
-        "size": ["plausible" if c.plausible else "implausible" for c in order],
-        "fill": [
-            colour if c.plausible or c.effect in named else "white" for c, colour in zip(order, colours, strict=True)
-        ],
-        "line": colours,
-        "marker": ["circle" if c.plausible or c.effect in named else "x" for c in order],
-    }
-    return {"effects": table} | _brackets(found, [c.effect for c in order])
+    rows = []
+    for c in order:
+        kept = c.plausible or c.effect in named
+        colour = ADDED if c.effect in named else PLAIN if c.plausible else REFUSED
+        rows.append({
+            "effect": c.effect, "link": c.link, "error": min(c.held_out_rms, 0.98 * high), "std": c.held_out_std,
+            "low": _lowest(c), "high": min(c.held_out_rms + 2 * c.held_out_std, high), "p": c.p_value,
+            "largest": largest(found, c), "size": "plausible" if c.plausible else "implausible",
+            "fill": colour if kept else "white", "line": colour, "marker": "circle" if kept else "x",
+        })  # fmt: skip
+    names = [c.effect for c in order]
+    return {"effects": {key: [row[key] for row in rows] for key in rows[0]}} | _brackets(found, names)
 
 
 def _brackets(found: Diagnosis, order: list[str]) -> Tables:
     """A bracket at the right edge for every group that the rows cannot tell apart."""
     low, high = _reach(found)
     stem, tick = (low * (high / low) ** part for part in (0.89, 0.875))
-    lines: list[tuple[float, str, float, str]] = []
-    texts: list[tuple[float, str, str]] = []
+    brackets: Tables = {"brackets": {key: [] for key in ("x0", "y0", "x1", "y1")},
+                        "tied": {key: [] for key in ("x", "y", "text")}}  # fmt: skip
+
+    def add(name: str, *values: Any) -> None:
+        for column, one in zip(brackets[name].values(), values, strict=True):
+            column.append(one)
+
     for tie in found.indistinguishable:
         here = [name for name in order if name in tie]
         if len(here) > 1:
-            lines += [(stem, here[0], stem, here[-1]), *((tick, name, stem, name) for name in here)]
-            texts.append((stem, here[0], "tied"))
-    return {
-        "brackets": dict(zip(("x0", "y0", "x1", "y1"), map(list, zip(*lines, strict=True)), strict=True))
-        if lines
-        else {key: [] for key in ("x0", "y0", "x1", "y1")},
-        "tied": {key: [text[k] for text in texts] for k, key in enumerate(("x", "y", "text"))},
-    }
+            add("brackets", stem, here[0], stem, here[-1])
+            for name in here:
+                add("brackets", tick, name, stem, name)
+            add("tied", stem, here[0], "tied")
+    return brackets
 
 
 # -- What each effect looks like --------------------------------------------------------------------------------------
@@ -289,7 +279,7 @@ def signature_atlas(atlas: Atlas) -> Picture[Atlas]:
     key.segment("x0", "y", "x1", "y", source=sources["scale"], color=INK, line_width=3)
     key.text(
         "x1", "y", "text", source=sources["scale"], text_align="right", text_baseline="bottom", y_offset=-3,
-        text_font_size=FONT_SIZE, text_font=value(FONT), text_color=INK,
+        **LETTERS,
     )  # fmt: skip
     note = (
         f"Errors in {' and '.join(atlas.names[:2])} over {quantity(atlas.across)} and {quantity(atlas.up)}"
@@ -297,7 +287,7 @@ def signature_atlas(atlas: Atlas) -> Picture[Atlas]:
         "after the fitted parameters had their say; the percentage says how much of the squared error it explains. "
         "Each effect is drawn as large as the measured map. Lines start at the pose, which is the dot."
     )
-    return Picture("signature_atlas", stacked("signature_atlas", figures, columns=_PER_ROW), sources, _tiles, note=note)
+    return Picture.of("signature_atlas", figures, sources, _tiles, note=note, columns=_PER_ROW)
 
 
 def _tiles(atlas: Atlas) -> Tables:

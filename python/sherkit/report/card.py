@@ -168,7 +168,7 @@ def _rows(effect: Effect, model: ModelWithEffects, data: Measurements | None) ->
         if effect.search == "time_s" and data.time_s is not None:
             whole = whole[data.time_s[whole] >= np.median(data.time_s)]
         if len(whole):
-            return data.select(whole[np.linspace(0, len(whole) - 1, min(len(whole), _POSES)).astype(int)]), True
+            return data.select(spread_over(whole, _POSES)), True
     if model.robot is None:
         raise SherkitError("no run says where this machine has been")
     kind = kind_of(model.robot)
@@ -186,21 +186,20 @@ def joints_over(robot: Any, kind: Kind) -> Floats:
     that has no simulation; the middle of the workspace where the robot comes nowhere else."""
     if kind.virtual is not None and kind.areas:
         try:
-            poses = next(iter(kind.areas.values()))(robot)
-            poses = poses[np.linspace(0, len(poses) - 1, min(len(poses), _POSES)).astype(int)]
-            without = dict.fromkeys(kind.virtual.OPTIONS, 0.0)
-            return (
-                kind.virtual.simulated(robot, 0, 0.0, without)
-                .measure(poses, repeats=1, order="shuffled", seed=0)
-                .joints
-            )
+            poses = spread_over(next(iter(kind.areas.values()))(robot), _POSES)
+            still = kind.virtual.simulated(robot, 0, 0.0, dict.fromkeys(kind.virtual.OPTIONS, 0.0))
+            return still.measure(poses, repeats=1, order="shuffled", seed=0).joints
         except SherkitError:
-            return np.asarray(robot.inverse(robot.middle))[None]
-    box = getattr(robot, "box", None)
-    if box is None:
-        return np.asarray(robot.inverse(robot.middle))[None]
-    low, high = np.asarray(box).T
-    return np.asarray(np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))
+            pass
+    elif (box := getattr(robot, "box", None)) is not None:
+        low, high = np.asarray(box).T
+        return np.asarray(np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))
+    return np.asarray(robot.inverse(robot.middle))[None]
+
+
+def spread_over(rows: Any, most: int) -> Any:
+    """At most so many of the rows, evenly among them."""
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
 
 
 # -- As a scene -------------------------------------------------------------------------------------------------------
@@ -347,21 +346,20 @@ def _read(shown: Exaggerated, *, fitted: bool) -> str:
 
 def _brings(effect: Effect, found: Diagnosis | None, without: float | None) -> str:
     said = ""
-    if found is not None and effect.name in found.effects:
+    if found is None:
+        return said
+    if effect.name in found.effects:
         k = next((k for k, s in enumerate(found.steps) if s.effect == effect.name), None)
         if k:
             before, after = found.steps[k - 1].error.rms, found.steps[k].error.rms
             said = f"Without it {number(before)} {found.unit}, with it {number(after)} {found.unit}"
-    elif found is not None and without is not None:
+    elif without is not None:
         said = f"Without it {number(without)} {found.unit}"
-    elif found is not None:
-        one = next((c for c in found.candidates if c.effect == effect.name), None)
-        if one is not None:
-            said = (
-                f"Added alone it would leave {number(one.held_out_rms)} of {number(found.steps[0].error.rms)} "
-                f"{found.unit}"
-            )
-            said += "" if one.plausible else ", at a size that is not plausible"
+    elif (one := next((c for c in found.candidates if c.effect == effect.name), None)) is not None:
+        said = (
+            f"Added alone it would leave {number(one.held_out_rms)} of {number(found.steps[0].error.rms)} {found.unit}"
+        )
+        said += "" if one.plausible else ", at a size that is not plausible"
     return f"<h4>What it brings</h4><p>{escape(said)}, on poses held out.</p>" if said else ""
 
 

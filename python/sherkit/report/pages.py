@@ -16,9 +16,9 @@ from ..changes.pooled_fit import Joined
 from ..errors import FitError, SherkitError
 from ..model.drawing import drawing_of_readings
 from ..model.kinds import draw_of
-from .card import growing
+from .card import growing, spread_over
 from .page import Made, Section, html_sentences, html_table, write_page
-from .picture import COLOURS, MUTED, Picture, Tables, figure, legend, padded, quantity, sources_of, stacked
+from .picture import COLOURS, MUTED, Picture, Tables, figure, legend, padded, quantity, sources_of
 from .scene import Scene
 
 _HEIGHT, _WIDE = 260, 460
@@ -53,17 +53,15 @@ def before_and_after(found: Comparison) -> Picture[Comparison]:
         ends = np.concatenate([table[name] for table in tables.values()])
         across = padded(float(ends.min()), float(ends.max()))
         for k, (key, title) in enumerate(zip(tables, titles, strict=True)):
-            made = figure(height=_HEIGHT, width=_WIDE, y_range=(0.0, top), x_range=across)
+            up = f"error, {found.unit}" if not k else None
+            made = figure(quantity(name), up, height=_HEIGHT, width=_WIDE, y_range=(0.0, top), x_range=across)
             made.scatter(name, "error", source=sources[key], size=5, color=COLOURS[k % len(COLOURS)], alpha=0.7)
             rms = float(np.sqrt(np.square(tables[key]["error"]).mean()))
             told = f": {number(rms)} {found.unit} (root mean square)" if name == names[0] else ""
             made.title.text = f"{title}{told}"
-            made.xaxis.axis_label = quantity(name)
-            made.yaxis.axis_label = f"error, {found.unit}" if not k else None
             figures.append(made)
-    root = stacked("before_and_after", figures, columns=len(titles))
     note = "Each dot is a row: how far off it is by the model of the first run, seen from where the sensor stands."
-    return Picture("before_and_after", root, sources, _errors, note=note)
+    return Picture.of("before_and_after", figures, sources, _errors, note=note, columns=len(titles))
 
 
 def _errors(found: Comparison) -> Tables:
@@ -94,7 +92,7 @@ def mechanism_with_change(found: Comparison) -> tuple[Scene, str] | None:
     draw, data = draw_of(model), joined.runs[-1].data
     if draw is drawing_of_readings:
         return None
-    rows = data.select(np.linspace(0, len(data) - 1, min(len(data), _POSES)).astype(int))
+    rows = data.select(spread_over(np.arange(len(data)), _POSES))
     try:
         moved = np.linalg.norm(
             draw(model, rows, values + change, None).shown_mm - draw(model, rows, values, None).shown_mm, axis=1
@@ -124,22 +122,19 @@ def course(found: History) -> Picture[History]:
     dates = _dates(found)
     tables = _course(found)
     sources = sources_of(tables)
-    errors = figure(height=_HEIGHT, x_range=dates, sizing_mode="stretch_width")
+    errors = figure(up=f"error, {found.unit}", height=_HEIGHT, x_range=dates)
     _line(errors, sources["error"], COLOURS[0])
     errors.y_range.start = 0.0
-    errors.yaxis.axis_label = f"error, {found.unit}"
     errors.title.text = "Error by the model of the first run"
     figures = [errors]
     for k, name in enumerate(found.values):
         across = padded(float(tables[name]["low"].min()), float(tables[name]["high"].max()))
-        made = figure(height=_HEIGHT, x_range=dates, y_range=across, sizing_mode="stretch_width")
+        made = figure(up=_unit(found, name)[0], height=_HEIGHT, x_range=dates, y_range=across)
         _line(made, sources[name], COLOURS[(k + 1) % len(COLOURS)])
         made.add_layout(Whisker(base="date", lower="low", upper="high", source=sources[name], level="annotation"))
-        made.yaxis.axis_label = _unit(found, name)[0]
         made.title.text = name
         figures.append(made)
-    root = stacked("course", figures, sizing_mode="stretch_width")
-    return Picture("course", root, sources, _course, note="Bars are two standard deviations.")
+    return Picture.of("course", figures, sources, _course, note="Bars are two standard deviations.")
 
 
 def _line(made: Any, source: Any, colour: str) -> None:
@@ -155,9 +150,7 @@ def _dates(found: History) -> list[str]:
 
 def _unit(found: History, name: str) -> tuple[str, float]:
     """The unit of a course, and how many of it one of the parameter's is."""
-    unit = next(u for one in found.changes if one.name == name for _, _, _, u in one.parameters)
-    shown, times = in_people_units(unit)
-    return shown, times
+    return in_people_units(next(u for one in found.changes if one.name == name for _, _, _, u in one.parameters))
 
 
 def _course(found: History) -> Tables:
@@ -197,8 +190,7 @@ def write_adaptive(path: Path, loop: Adaptive, made: Made) -> None:
 
 def _evidence(loop: Adaptive) -> Any:
     looks = loop.looks
-    made = figure(height=_LOOP_HEIGHT + 60, sizing_mode="stretch_width")
-    made.xaxis.axis_label, made.yaxis.axis_label = "readings", "evidence, powers of ten"
+    made = figure("readings", "evidence, powers of ten", height=_LOOP_HEIGHT + 60)
     readings = [one.readings for one in looks]
     made.line(readings, [one.log_evidence / _TEN for one in looks], color=MUTED, line_dash="dashed",
               legend_label="anything is missing")  # fmt: skip
@@ -213,8 +205,7 @@ def _evidence(loop: Adaptive) -> Any:
 def _error_lines(loop: Adaptive) -> Any:
     steps = loop.progress
     readings = [one.readings for one in steps]
-    made = figure(height=_LOOP_HEIGHT, sizing_mode="stretch_width", y_range=DataRange1d(start=0.0))
-    made.xaxis.axis_label, made.yaxis.axis_label = "readings", f"error, {loop.layout.unit}"
+    made = figure("readings", f"error, {loop.layout.unit}", height=_LOOP_HEIGHT, y_range=DataRange1d(start=0.0))
     lines: tuple[tuple[str, Sequence[float | None], str], ...] = (
         ("new readings, by the geometry alone", [one.by_geometry for one in steps], MUTED),
         ("new readings, with what leads", [one.by_lead for one in steps], COLOURS[0]),
@@ -238,13 +229,12 @@ def _places(loop: Adaptive) -> Any:
     placed = dict(zip(loop.region.targets, reached.T, strict=True))
     x, y = list(placed)[:2]
     why = [_kind(one) for one in loop.reasons] or ["all"] * len(data)
-    made = figure(frame_width=_SQUARE, frame_height=_SQUARE, match_aspect=True)
+    made = figure(quantity(x), quantity(y), frame_width=_SQUARE, frame_height=_SQUARE, match_aspect=True)
     for k, kind in enumerate(_KINDS):
         at = [i for i, one in enumerate(why) if one == kind]
         if at:
             made.scatter(placed[x][at], placed[y][at], size=7, color=COLOURS[k % len(COLOURS)], alpha=0.8,
                          legend_label=kind)  # fmt: skip
-    made.xaxis.axis_label, made.yaxis.axis_label = quantity(x), quantity(y)
     legend(made, "below")
     return made
 

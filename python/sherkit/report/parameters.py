@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from textwrap import wrap
 from typing import Any
 
 import numpy as np
-from bokeh.core.properties import value
-from bokeh.models import FactorRange, LinearColorMapper, Range1d, Span, Whisker
+from bokeh.models import FactorRange, LinearColorMapper, Range1d, Whisker
 from bokeh.transform import dodge, transform
 from numpy.typing import NDArray
 
@@ -23,9 +23,8 @@ from ..robots.calibrated import Calibration
 from .picture import (
     ADDED,
     DIVERGING_AREAS,
-    FONT,
-    FONT_SIZE,
     INK,
+    LETTERS,
     MUTED,
     REFUSED,
     SEQUENTIAL,
@@ -37,9 +36,8 @@ from .picture import (
     hover,
     padded,
     quantity,
-    single,
+    rule,
     sources_of,
-    stacked,
 )
 from .residuals import Residuals
 
@@ -62,11 +60,10 @@ def parameters(fit: Fit) -> Picture[Fit]:
     for unit in _units(fit):
         source = sources[_key(unit)]
         made = figure(
-            height=_ROW_HEIGHT * len(source.data["name"]) + _AROUND, sizing_mode="stretch_width",
+            f"identified error, {unit or 'relative'}", height=_ROW_HEIGHT * len(source.data["name"]) + _AROUND,
             y_range=FactorRange(*source.data["name"][::-1]), x_range=_reach(source.data),
         )  # fmt: skip
-        made.xaxis.axis_label = f"identified error, {unit}" if unit else "identified error, relative"
-        made.add_layout(Span(location=0, dimension="height", line_color=MUTED))
+        rule(made, "height", 0)
         for low, high, colour, width in (("low_all", "high_all", "#b5d3ea", 7), ("low", "high", ADDED, 3)):
             made.add_layout(
                 Whisker(base="name", lower=low, upper=high, source=source, dimension="width", line_color=colour,
@@ -90,8 +87,7 @@ def parameters(fit: Fit) -> Picture[Fit]:
     note = (
         "95 % intervals. Dark: what the readings leave. Pale: with what they do not tell at all, from plausible sizes."
     )
-    root = stacked("parameters", figures, sizing_mode="stretch_width")
-    return Picture("parameters", root, sources, _tables, tune, note=note)
+    return Picture.of("parameters", figures, sources, _tables, tune, note=note)
 
 
 def _reach(table: Table) -> Range1d:
@@ -132,9 +128,7 @@ def correlations(fit: Fit) -> Picture[Fit]:
     sources = sources_of(_correlation_tables(fit))
     mapper = LinearColorMapper(palette=DIVERGING_AREAS, low=-1, high=1)
     side = max(380, _CELL * len(names))
-    made = figure(
-        frame_width=side, frame_height=side, x_range=FactorRange(*names), y_range=FactorRange(*names[::-1]),
-    )  # fmt: skip
+    made = figure(frame_width=side, frame_height=side, x_range=FactorRange(*names), y_range=FactorRange(*names[::-1]))
     cells = made.rect("a", "b", 1, 1, source=sources["cells"], fill_color=transform("value", mapper), line_color=None)
     made.xaxis.major_label_orientation = np.pi / 2
     made.grid.grid_line_color = None
@@ -144,7 +138,7 @@ def correlations(fit: Fit) -> Picture[Fit]:
         "Near 1 or -1: the readings tell the sum or the difference of two parameters, and hardly each of them. Blue: "
         "when one is larger, the other is smaller."
     )
-    return Picture("correlations", single("correlations", made), sources, _correlation_tables, note=note)
+    return Picture.of("correlations", made, sources, _correlation_tables, note=note)
 
 
 def _correlation_tables(fit: Fit) -> Tables:
@@ -152,14 +146,8 @@ def _correlation_tables(fit: Fit) -> Tables:
     covariance = np.asarray(fit.covariance)[: len(names), : len(names)]
     std = np.sqrt(np.diag(covariance).clip(1e-300))
     matrix = np.clip(covariance / np.outer(std, std), -1.0, 1.0)
-    count = len(names)
-    return {
-        "cells": {
-            "a": [names[k] for k in np.repeat(np.arange(count), count)],
-            "b": [names[k] for k in np.tile(np.arange(count), count)],
-            "value": matrix.ravel().astype(np.float32),
-        }
-    }
+    a, b = zip(*product(names, names), strict=True)
+    return {"cells": {"a": list(a), "b": list(b), "value": matrix.ravel().astype(np.float32)}}
 
 
 def directions(fit: Fit) -> Picture[Fit]:
@@ -169,8 +157,10 @@ def directions(fit: Fit) -> Picture[Fit]:
     # two sentences may be the same: rows have numbers
     lines = max((text.count("\n") + 1 for text in texts), default=1)
     row = _BAR + _LINE * lines
-    made = figure(height=row * max(len(texts), 1) + _AROUND, sizing_mode="stretch_width", y_range=FactorRange())
-    made.xaxis.axis_label = "one standard deviation, mm"
+    made = figure(
+        "one standard deviation, mm", height=row * max(len(texts), 1) + _AROUND, y_range=FactorRange(),
+        x_range=Range1d(0.0, 1.0),
+    )  # fmt: skip
     made.yaxis.visible = False
     made.ygrid.grid_line_color = None
 
@@ -179,7 +169,6 @@ def directions(fit: Fit) -> Picture[Fit]:
         made.y_range.factors = table["row"][::-1]
         made.x_range.end = 1.08 * max([*table["std"], 1e-9])
 
-    made.x_range = Range1d(0.0, 1.0)
     tune(fit)
     bar = 0.4 * _BAR / row
     # the bar lies low in its row; the sentence stands above it, since it may be long
@@ -189,11 +178,11 @@ def directions(fit: Fit) -> Picture[Fit]:
     )  # fmt: skip
     made.text(
         0, dodge("row", -0.5 + 2.0 * bar, range=made.y_range), "text", source=sources["directions"],
-        text_font_size=FONT_SIZE, text_font=value(FONT), text_color=INK, text_baseline="bottom", x_offset=4,
+        text_baseline="bottom", x_offset=4, **LETTERS,
     )  # fmt: skip
     made.add_tools(hover([bars], ("", "@text"), ("one standard deviation", "@std{0.0000} mm")))
     note = "A bar is as long as one standard deviation moves these parameters together: the readings hardly notice."
-    return Picture("directions", single("directions", made), sources, _direction_tables, tune, note=note)
+    return Picture.of("directions", made, sources, _direction_tables, tune, note=note)
 
 
 def _direction_tables(fit: Fit) -> Tables:
@@ -257,9 +246,8 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
     x_range, y_range = padded(state.x[0], state.x[-1], 0.03), padded(state.y[0], state.y[-1], 0.03)
     figures = []
     for k, title in enumerate(state.titles):
-        made = figure(frame_width=_PANEL, frame_height=_PANEL, x_range=x_range, y_range=y_range)
+        made = figure(*state.labels, frame_width=_PANEL, frame_height=_PANEL, x_range=x_range, y_range=y_range)
         made.title.text = title
-        made.xaxis.axis_label, made.yaxis.axis_label = state.labels
         place = {"x": "x", "y": "y", "dw": "dw", "dh": "dh", "source": sources[f"plane_{k}"]}
         cells = made.image(image="um", color_mapper=mapper, **place)
         # hatched, not paler: pale means accurate
@@ -290,7 +278,7 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
         "Radius around a commanded position within which the mean of many visits lies, in 95 of 100 cases; single "
         f"readings scatter about it.{outlined} Hatched: no pose was measured there.{unseen}"
     )
-    return Picture("accuracy", stacked("accuracy", figures, columns=len(figures)), sources, _accuracies, note=note)
+    return Picture.of("accuracy", figures, sources, _accuracies, note=note, columns=len(figures))
 
 
 def _accuracies(state: AccuracyMap) -> Tables:
@@ -314,36 +302,31 @@ def _extent(ticks: Floats) -> tuple[float, float]:
     return float(ticks[0]) - 0.5 * step, step * len(ticks)
 
 
-def _runs(x: Floats, y: Floats, inside: NDArray[np.bool_]) -> dict[str, list[float]]:
+def _edges(ticks: Floats) -> Floats:
+    """Those of the cells around ticks."""
+    first, wide = _extent(ticks)
+    return np.linspace(first, first + wide, len(ticks) + 1)
+
+
+def _runs(x: Floats, y: Floats, inside: NDArray[np.bool_]) -> Table:
     """Cells that are inside, as one rectangle for every run of neighbours in a row."""
-    out: dict[str, list[float]] = {"left": [], "right": [], "bottom": [], "top": []}
-    (x0, wide), (y0, high) = _extent(x), _extent(y)
-    step_x, step_y = wide / len(x), high / len(y)
-    for j, row in enumerate(inside):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(np.int8), [0]])))
-        for first, end in edges.reshape(-1, 2):
-            out["left"].append(float(x0 + first * step_x))
-            out["right"].append(float(x0 + end * step_x))
-            out["bottom"].append(float(y0 + j * step_y))
-            out["top"].append(float(y0 + (j + 1) * step_y))
-    return out
+    across, up = _edges(x), _edges(y)
+    row, edge = np.nonzero(np.diff(np.pad(inside, ((0, 0), (1, 1)))))
+    # a run begins at every other edge of its row, and ends at the next
+    row, first, end = row[::2], edge[::2], edge[1::2]
+    return {"left": across[first], "right": across[end], "bottom": up[row], "top": up[row + 1]}
 
 
-def _outline(x: Floats, y: Floats, inside: NDArray[np.bool_]) -> dict[str, list[list[float]]]:
+def _outline(x: Floats, y: Floats, inside: NDArray[np.bool_]) -> Table:
     """Edges of cells between inside and outside."""
     if len(x) < 2 or len(y) < 2:
         return {"xs": [], "ys": []}
-    half_x, half_y = 0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0])
-    padded_in = np.pad(inside, 1)
-    xs, ys = [], []
-    for j, i in np.argwhere(padded_in[1:-1, 1:] != padded_in[1:-1, :-1]):
-        edge = x[i] - half_x if i < len(x) else x[-1] + half_x
-        xs.append([float(edge)] * 2)
-        ys.append([float(y[j] - half_y), float(y[j] + half_y)])
-    for j, i in np.argwhere(padded_in[1:, 1:-1] != padded_in[:-1, 1:-1]):
-        edge = y[j] - half_y if j < len(y) else y[-1] + half_y
-        xs.append([float(x[i] - half_x), float(x[i] + half_x)])
-        ys.append([float(edge)] * 2)
+    across, up = _edges(x), _edges(y)
+    j, i = np.nonzero(np.diff(np.pad(inside, ((0, 0), (1, 1)))))
+    upright = across[[i, i]], up[[j, j + 1]]
+    j, i = np.nonzero(np.diff(np.pad(inside, ((1, 1), (0, 0))), axis=0))
+    level = across[[i, i + 1]], up[[j, j]]
+    xs, ys = (np.hstack(both).T.tolist() for both in zip(upright, level, strict=True))
     return {"xs": xs, "ys": ys}
 
 
@@ -362,12 +345,11 @@ def next_poses(state: NextPoses) -> Picture[NextPoses]:
     pairs = [(names[0], names[1])] + ([(names[0], names[2])] if len(names) > 2 else [])
     figures = []
     spans = _spans(state, names)
-    text: dict[str, Any] = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
     for k, (a, b) in enumerate(pairs):
         made = figure(
-            frame_width=_PANEL + 60, frame_height=_PANEL + 60, x_range=Range1d(*spans[a]), y_range=Range1d(*spans[b])
-        )
-        made.xaxis.axis_label, made.yaxis.axis_label = quantity(a), quantity(b)
+            quantity(a), quantity(b), frame_width=_PANEL + 60, frame_height=_PANEL + 60, x_range=Range1d(*spans[a]),
+            y_range=Range1d(*spans[b]),
+        )  # fmt: skip
         if a in sources["measured"].data and b in sources["measured"].data:
             made.scatter(a, b, source=sources["measured"], size=4, color=MUTED, alpha=0.5)
         if state.poses:
@@ -375,7 +357,7 @@ def next_poses(state: NextPoses) -> Picture[NextPoses]:
                 a, b, source=sources["next"], size=24, fill_color="white", line_color=REFUSED, line_width=2
             )
             made.text(
-                "x", "y", "text", source=sources[f"orders_{k}"], text_align="center", text_baseline="middle", **text
+                "x", "y", "text", source=sources[f"orders_{k}"], text_align="center", text_baseline="middle", **LETTERS
             )
             made.add_tools(
                 hover([dots], ("pose", "@order"), *((quantity(n), f"@{n}") for n in state.poses[0] if n != SEPARATION),
@@ -386,7 +368,7 @@ def next_poses(state: NextPoses) -> Picture[NextPoses]:
         "Numbered: poses to measure, in this order; 3× where three of them lie behind one another. Grey: poses of the "
         "run."
     )
-    return Picture("next_poses", stacked("next_poses", figures, columns=2), sources, _pose_tables, note=note)
+    return Picture.of("next_poses", figures, sources, _pose_tables, note=note, columns=2)
 
 
 def _drawn(state: NextPoses) -> list[str]:

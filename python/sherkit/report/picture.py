@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.document import Document
 from bokeh.layouts import column, gridplot
 from bokeh.models import (
@@ -23,6 +24,7 @@ from bokeh.models import (
     LayoutDOM,
     LogAxis,
     Range1d,
+    Span,
     Title,
     UIElement,
 )
@@ -39,6 +41,8 @@ from ..base.figures import number as number
 FONT_SIZE = "16px"
 FONT = "sans-serif"
 INK, MUTED, RULE = "#222222", "#666666", "#d9d9d9"
+#: How glyphs of text are written.
+LETTERS: dict[str, Any] = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
 #: Okabe and Ito's colours, which people with any colour vision tell apart; a marker of its own goes with each.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 MARKERS = ("circle", "triangle", "square", "diamond", "inverted_triangle", "hex")
@@ -50,13 +54,17 @@ DIVERGING_AREAS = list(interp_palette(["#0072b2", "#ffffff", "#d55e00"], 41))
 SEQUENTIAL = list(interp_palette(["#f7fbff", "#9ecae1", "#2b8cbe", "#084081", "#1a1a2e"], 64))
 
 
-def figure(**settings: Any) -> Any:
-    """A Bokeh figure in the style of the house. Hover is the caller's; wheel zoom waits until it is asked for."""
+def figure(across: str | None = None, up: str | None = None, **settings: Any) -> Any:
+    """A Bokeh figure in the style of the house with what its axes say, as wide as there is room unless ``settings`` say
+    how wide. Hover is the caller's; wheel zoom waits until it is asked for."""
+    if not settings.keys() & {"width", "frame_width"}:
+        settings.setdefault("sizing_mode", "stretch_width")
     settings.setdefault("tools", "pan,box_zoom,wheel_zoom,reset")
     settings.setdefault("active_drag", None)
     # a low figure has no room for its tools on the right
     settings.setdefault("toolbar_location", "above")
     made = bokeh_figure(**settings)
+    made.xaxis.axis_label, made.yaxis.axis_label = across, up
     made.toolbar.logo = None
     made.toolbar.autohide = False
     for axis in (*made.xaxis, *made.yaxis):
@@ -80,6 +88,11 @@ def figure(**settings: Any) -> Any:
 def hover(renderers: list[Any], *lines: tuple[str, str]) -> HoverTool:
     """Numbers on hover for these glyphs."""
     return HoverTool(renderers=renderers, tooltips=list(lines), description="numbers on hover", visible=False)
+
+
+def rule(made: Any, dimension: str, at: float, **line: Any) -> None:
+    """A line through the whole of a figure, along its "width" or "height"."""
+    made.add_layout(Span(location=at, dimension=dimension, **{"line_color": MUTED, **line}))
 
 
 def legend(made: Any, place: str = "right") -> None:
@@ -164,6 +177,21 @@ class Picture(Generic[S]):
     #: Figures that show what was before; a page hides them where there is nothing to compare with.
     before: Sequence[Any] = ()
 
+    @classmethod
+    def of(
+        cls, name: str, figures: Any, sources: Mapping[str, ColumnDataSource], tables: Callable[[S], Tables],
+        tune: Callable[[S], None] = lambda _: None, *, note: str = "", columns: int = 1, before: Sequence[Any] = (),
+    ) -> Picture[S]:  # fmt: skip
+        """A picture of one figure, or of a list in a grid of so many ``columns``; its toolbar saves it as PNG and
+        SVG."""
+        if isinstance(figures, list):
+            root = stacked(name, figures, columns=columns, sizing_mode=figures[0].sizing_mode)
+        else:
+            _lean(figures)
+            figures.add_tools(*_save_actions(name, figures))
+            root = figures
+        return Picture(name, root, sources, tables, tune, note, before)
+
     def show(self, state: S) -> None:
         """Draws another state."""
         self.tune(state)
@@ -203,14 +231,6 @@ def in_one_document(roots: Mapping[str, LayoutDOM]) -> dict[str, LayoutDOM]:
         for root in roots.values():
             document.add_root(root)
     return dict(roots)
-
-
-def single(name: str, figure: Any) -> LayoutDOM:
-    """One figure whose toolbar saves it as PNG and SVG."""
-    _lean(figure)
-    figure.add_tools(*_save_actions(name, figure))
-    root: LayoutDOM = figure
-    return root
 
 
 def _lean(figure: Any) -> None:

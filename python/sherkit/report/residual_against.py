@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import scipy
-from bokeh.models import ColumnDataSource, Span
+from bokeh.models import ColumnDataSource
 from numpy.typing import NDArray
 
 from ..base.types import Floats, Ints
@@ -27,8 +27,8 @@ from .picture import (
     legend,
     quantity,
     rows_to_draw,
+    rule,
     sources_of,
-    stacked,
 )
 from .residuals import Residuals, at_the_rim
 
@@ -61,12 +61,11 @@ def residual_against(state: ResidualAgainst) -> Picture[ResidualAgainst]:
     figures: list[Any] = []
     for k, name in enumerate(state.now.names):
         figures.append(_panel(sources, k, name, state, figures[0].x_range if figures else None))
-    root = stacked("against", figures, sizing_mode="stretch_width")
 
     def tune(new: ResidualAgainst) -> None:
         figures[-1].xaxis.axis_label = quantity(new.variable)
 
-    return Picture("against", root, sources, tables, tune, note=note(state.now))
+    return Picture.of("against", figures, sources, tables, tune, note=note(state.now))
 
 
 def note(left: Residuals) -> str:
@@ -209,21 +208,18 @@ class Windows:
 
 
 def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: ResidualAgainst, x_range: Any) -> Any:
-    unit = state.now.unit
+    unit, last = state.now.unit, k == len(state.now.names) - 1
     settings = {} if x_range is None else {"x_range": x_range}
     made = figure(
-        height=_PANEL_HEIGHT + (45 if k == len(state.now.names) - 1 else 0), sizing_mode="stretch_width",
+        quantity(state.variable) if last else None, f"{name}, {unit}", height=_PANEL_HEIGHT + (45 if last else 0),
         tools="pan,box_zoom,wheel_zoom,box_select,lasso_select,tap,reset", **settings,
     )  # fmt: skip
-    made.yaxis.axis_label = f"{name}, {unit}"
-    last = k == len(state.now.names) - 1
-    made.xaxis.axis_label = quantity(state.variable) if last else None
     if last:
         made.xaxis[0].name = "against_axis"
     made.xaxis.major_label_text_font_size = FONT_SIZE if last else "0px"
-    made.add_layout(Span(location=0, dimension="width", line_color=MUTED, line_width=1))
+    rule(made, "width", 0)
     for edge in sources["noise"].data[f"n{k}"]:
-        made.add_layout(Span(location=edge, dimension="width", line_color=MUTED, line_width=1, line_dash="dotted"))
+        rule(made, "width", edge, line_dash="dotted")
     colour = COLOURS[k % len(COLOURS)]
     few = len(state.now) < _FEW_ROWS
     made.scatter(
@@ -254,9 +250,8 @@ _LETTERS = 15
 def run_in_time(left: Residuals) -> Picture[Residuals]:
     """All readings in the order they were taken; outliers larger. Covariates that vary stand below on the same axis."""
     sources = sources_of(_in_time(left))
-    made = figure(height=_TIME_HEIGHT, sizing_mode="stretch_width", tools="pan,box_zoom,wheel_zoom,box_select,reset")
-    made.yaxis.axis_label = f"residual, {left.unit}"
-    made.add_layout(Span(location=0, dimension="width", line_color=MUTED))
+    made = figure(up=f"residual, {left.unit}", height=_TIME_HEIGHT, tools="pan,box_zoom,wheel_zoom,box_select,reset")
+    rule(made, "width", 0)
     for k, name in enumerate(left.names):
         dots = made.scatter(
             "t", f"r{k}", source=sources["run"], color=COLOURS[k % len(COLOURS)], marker=MARKERS[k % len(MARKERS)],
@@ -268,9 +263,9 @@ def run_in_time(left: Residuals) -> Picture[Residuals]:
     legend(made)
     figures = [made]
     for name in _below(left):
-        lower = figure(height=_BELOW, sizing_mode="stretch_width", x_range=made.x_range)
         label = quantity(name)
-        lower.yaxis.axis_label = label if len(label) <= _LETTERS else label[: _LETTERS - 1] + "…"
+        short = label if len(label) <= _LETTERS else label[: _LETTERS - 1] + "…"
+        lower = figure(up=short, height=_BELOW, x_range=made.x_range)
         lower.yaxis.ticker.desired_num_ticks = 3
         lower.scatter("t", name, source=sources["run"], size=4, color=MUTED)
         figures.append(lower)
@@ -282,7 +277,7 @@ def run_in_time(left: Residuals) -> Picture[Residuals]:
         else f"all {n} rows"
     )
     note = f"What the model leaves, in the order of the run: {drawn}. Rows that are left out stand at the rim."
-    return Picture("run", stacked("run", figures, sizing_mode="stretch_width"), sources, _in_time, note=note)
+    return Picture.of("run", figures, sources, _in_time, note=note)
 
 
 def _below(left: Residuals) -> list[str]:
@@ -322,10 +317,8 @@ def noise_picture(left: Residuals) -> Picture[Residuals]:
     known = left.noise_origin != "unknown"
     unit = "σ of the noise" if known else "σ of the rest itself"
     curve = "noise" if known else "Gaussian"
-    histogram = figure(height=_NOISE_HEIGHT, sizing_mode="stretch_width")
-    histogram.xaxis.axis_label, histogram.yaxis.axis_label = f"residual, {unit}", "density, per σ"
-    plot = figure(height=_NOISE_HEIGHT, sizing_mode="stretch_width")
-    plot.xaxis.axis_label, plot.yaxis.axis_label = "quantile of a Gaussian, σ", "quantile of the residuals, σ"
+    histogram = figure(f"residual, {unit}", "density, per σ", height=_NOISE_HEIGHT)
+    plot = figure("quantile of a Gaussian, σ", "quantile of the residuals, σ", height=_NOISE_HEIGHT)
     histogram.line("x", "y", source=sources["normal"], color=INK, line_dash="dashed", line_width=2, legend_label=curve)
     plot.line("x", "x", source=sources["normal"], color=INK, line_dash="dashed", line_width=2)
     for k, name in enumerate(left.names):
@@ -344,8 +337,7 @@ def noise_picture(left: Residuals) -> Picture[Residuals]:
         if known
         else "The noise is not known: what remains is drawn over its own spread, and only its shape says something."
     ) + " Bent ends: some readings are wild. The histogram's first and last bars hold whatever lies beyond them."
-    root = stacked("noise", [histogram, plot], columns=2, sizing_mode="stretch_width")
-    return Picture("noise", root, sources, _distribution, note=note)
+    return Picture.of("noise", [histogram, plot], sources, _distribution, note=note, columns=2)
 
 
 def _distribution(left: Residuals) -> Tables:

@@ -163,11 +163,8 @@ def round_number(value: float, *, up: bool = False) -> float:
     """The nearest of 1, 2, 5, 10 … below ``value`` (above it where ``up``)."""
     if not value > 0:
         return 0.0
-    power = 10.0 ** np.floor(np.log10(value))
-    steps = (1.0, 2.0, 5.0, 10.0)
-    if up:
-        return float(power * min(s for s in steps if s * power >= value * (1 - 1e-9)))
-    return float(power * max(s for s in steps if s * power <= value * (1 + 1e-9)))
+    steps = 10.0 ** np.floor(np.log10(value)) * np.array([1.0, 2.0, 5.0, 10.0])
+    return float(steps[steps >= value * (1 - 1e-9)][0] if up else steps[steps <= value * (1 + 1e-9)][-1])
 
 
 _SAID = {
@@ -179,21 +176,19 @@ _SAID = {
 
 def note(change: Change) -> str:
     """How to read it."""
-    names = change.before.names
-    arrow = f"An arrow shows the error in {' and '.join(names[:2])} at a pose, mean of its repeats"
-    colour = f", its colour the error in {names[2]}" if len(names) > 2 else ""
-    if len(names) == 1:
-        arrow, colour = f"An arrow and its colour show the error in {names[0]} at a pose, mean of its repeats", ""
-    left = change.before
-    dealt = any(_dense(left.group[_used(left, m)]) for m in cut(left).rows)
-    many = "; where poses are dense it is the mean of a cell" if dealt else ""
-    circle = (
-        " Noise alone would leave 95 of 100 arrows inside the circle."
-        if change.before.noise_origin != "unknown"
-        else ""
-    )
-    rms = " The number over a panel is the RMS error of its single readings, of all axes together."
-    return f"{arrow}{colour}{many}. {_SAID[change.scale]}{circle}{rms if len(names) > 1 else ''}"
+    left, names = change.before, change.before.names
+    shows = "arrow shows" if len(names) > 1 else "arrow and its colour show"
+    said = f"An {shows} the error in {' and '.join(names[:2])} at a pose, mean of its repeats"
+    if len(names) > 2:
+        said += f", its colour the error in {names[2]}"
+    if any(_dense(left.group[_used(left, m)]) for m in cut(left).rows):
+        said += "; where poses are dense it is the mean of a cell"
+    said += f". {_SAID[change.scale]}"
+    if left.noise_origin != "unknown":
+        said += " Noise alone would leave 95 of 100 arrows inside the circle."
+    if len(names) > 1:
+        said += " The number over a panel is the RMS error of its single readings, of all axes together."
+    return said
 
 
 def cut(left: Residuals) -> Panels:
@@ -257,18 +252,11 @@ def _arrows(left: Residuals, panels: Panels, mask: Bools) -> Table:
         return np.asarray(np.bincount(group, values) / count)
 
     error = left.values[rows]
-    zero = np.zeros(len(rows))
     # a single reading stands upright, and its colour says the same
     if error.shape[1] == 1:
-        error = np.concatenate([zero[:, None], error, error], axis=1)
-    table: Table = {
-        "x": mean(panels.x[rows]),
-        "y": mean(panels.y[rows]),
-        "ex": mean(error[:, 0]),
-        "ey": mean(error[:, 1]),
-        "ez": mean(error[:, 2] if error.shape[1] > 2 else zero),
-        "n": count,
-    }
+        error = error * [0.0, 1.0, 1.0]
+    columns = dict(zip(("x", "y", "ex", "ey", "ez"), (panels.x[rows], panels.y[rows], *error.T), strict=False))
+    table: Table = {"ez": np.zeros(len(count)), "n": count} | {name: mean(v) for name, v in columns.items()}
     members = np.split(rows[np.argsort(group, kind="stable")], np.cumsum(count)[:-1])
     table["rows"] = [left.row[m].tolist() for m in members]
     table["lines"] = [_lines(left.line[m]) for m in members]

@@ -11,7 +11,6 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from bokeh.core.properties import value
 from bokeh.models import Circle, ColumnDataSource, FixedTicker, LinearColorMapper, Range1d, Segment, Text
 from numpy.typing import NDArray
 
@@ -25,6 +24,7 @@ from .picture import (
     FONT,
     FONT_SIZE,
     INK,
+    LETTERS,
     MUTED,
     RULE,
     SEQUENTIAL,
@@ -36,9 +36,7 @@ from .picture import (
     hover,
     number,
     quantity,
-    single,
     sources_of,
-    stacked,
 )
 from .residual_arrows import MOMENTS, Change, Sheet, cut, note, round_number, shown
 from .residuals import Residuals
@@ -108,9 +106,8 @@ def residual_map(
         for made in figures:
             made.frame_height = sheet.height_px
 
-    root = stacked("residual_map", figures, columns=columns)
     before = [one for one, (moment, _) in zip(figures, order, strict=True) if moment == "before"]
-    return Picture("residual_map", root, sources, tables, tune, note=note(change), before=before)
+    return Picture.of("residual_map", figures, sources, tables, tune, note=note(change), columns=columns, before=before)
 
 
 def _panel(
@@ -120,11 +117,10 @@ def _panel(
     source, key = sources[f"{moment}_{k}"], sources[f"{moment}_{k}_key"]
     panels, left, width = sheet.panels, sheet.change.before, sheet.width
     made = figure(
-        frame_width=width, frame_height=sheet.height_px,
-        x_range=ranges[0], y_range=ranges[1], tools="pan,box_zoom,wheel_zoom,box_select,lasso_select,tap,reset",
+        quantity(panels.across), quantity(panels.up) if panels.up else None, frame_width=width,
+        frame_height=sheet.height_px, x_range=ranges[0], y_range=ranges[1],
+        tools="pan,box_zoom,wheel_zoom,box_select,lasso_select,tap,reset",
     )  # fmt: skip
-    made.xaxis.axis_label = quantity(panels.across)
-    made.yaxis.axis_label = quantity(panels.up) if panels.up else None
     made.yaxis.visible = panels.up is not None
     colour = {"field": "colour", "transform": mapper}
     made.segment("x", "y", "x1", "y1", source=source, color=colour, line_width=2.5, nonselection_line_alpha=0.15)
@@ -132,10 +128,9 @@ def _panel(
     tail = made.scatter("x", "y", source=source, size=4 if width > _WIDE else 3, color=INK, nonselection_alpha=0.2)
     made.scatter("x1", "y1", source=source, size=6 if width > _WIDE else 4, color=colour, nonselection_alpha=0.15)
     # glyphs that nobody selects: a figure's own methods make four more of each
-    tip: dict[str, Any] = {"text_font_size": FONT_SIZE, "text_font": value(FONT), "text_color": INK}
-    title = Text(x="title_x", y="title_y", text="title", text_baseline="top", text_font_style="bold", **tip)
-    bar = Text(x="bar_text_x", y="bar_text_y", text="bar_text", text_align="right", text_baseline="bottom", **tip)
-    noise = Text(x="noise_text_x", y="noise_y", text="noise_text", text_baseline="middle", **tip)
+    title = Text(x="title_x", y="title_y", text="title", text_baseline="top", text_font_style="bold", **LETTERS)
+    bar = Text(x="bar_text_x", y="bar_text_y", text="bar_text", text_align="right", text_baseline="bottom", **LETTERS)
+    noise = Text(x="noise_text_x", y="noise_y", text="noise_text", text_baseline="middle", **LETTERS)
     circle = Circle(x="noise_x", y="noise_y", radius="noise_r", fill_color=None, line_color=MUTED, line_width=1.5)
     line = Segment(x0="bar_x0", y0="bar_y", x1="bar_x1", y1="bar_y", line_color=INK, line_width=3)
     for glyph in (title, line, bar, circle, noise):
@@ -262,10 +257,9 @@ def reprojection(state: Reprojection) -> Picture[Reprojection]:
     width, height = state.size_px
     sources = sources_of(_tables(state))
     made = figure(
-        frame_width=_WIDTH, frame_height=int(_WIDTH * height / width), x_range=Range1d(0, width),
+        "u, px", "v, px", frame_width=_WIDTH, frame_height=int(_WIDTH * height / width), x_range=Range1d(0, width),
         y_range=Range1d(height, 0),
     )  # fmt: skip
-    made.xaxis.axis_label, made.yaxis.axis_label = "u, px", "v, px"
     if state.image is not None:
         # pictures are stored from the top down, the axis runs down as well; pale, so that arrows stand out
         grey = LinearColorMapper(palette="Greys256", low=0, high=255)
@@ -283,7 +277,7 @@ def reprojection(state: Reprojection) -> Picture[Reprojection]:
     )
     rms = float(np.sqrt(np.nanmean(np.sum(state.error_px**2, axis=1)))) if len(size) else 0.0
     note = f"Arrows are {_magnified(state):.0f} times as long as the errors; {number(rms)} px RMS."
-    return Picture("reprojection", single("reprojection", made), sources, _tables, note=note)
+    return Picture.of("reprojection", made, sources, _tables, note=note)
 
 
 def _magnified(state: Reprojection) -> float:

@@ -133,16 +133,12 @@ class Scene:
         centre, size = self._extent
         parts = [] if not self.frames else self.frames[0][1].parts
         return {
-            "label": self.label,
-            "view": list(_VIEW),
-            "centre": [float(v) for v in centre.round(6)],
+            **{name: getattr(self, name) for name in ("label", "aspect", "unit", "begin", "moment")},
+            "view": _VIEW,
+            "centre": centre.round(6).tolist(),
             "size": round(size, 6),
-            "aspect": self.aspect,
             "width": _STILL_PX,
-            "unit": self.unit,
             "axes": ["x", "y", "z"],
-            "begin": self.begin,
-            "moment": self.moment,
             "parts": [[p.name, p.look, p.path_mm.shape[1]] for p in parts],
             "frames": [{"at": at, "p": _packed(d.points_mm[0])} for at, d in self.frames],
             "arrows": None if self.arrows is None else _told_arrows(self.arrows, size),
@@ -156,12 +152,12 @@ class Scene:
         scale = min(width_px, height) / size
         # errors have the page for themselves, a drawing stands beside what is said of it
         wide = f"{width_px}px" if self.arrows is None else "100%"
+        now = min(self.frames, key=lambda one: abs(one[0] - self.begin), default=None)
+        drawn = [(self.frames[0][1], True)] if len(self.frames) > 1 else []
+        drawn += [] if now is None else [(now[1], self.arrows is not None)]
         shown: list[str] = []
-        if len(self.frames) > 1:
-            shown += self._still_parts(self.frames[0][1], centre, scale, (width_px, height), plain=True)
-        if self.frames:
-            now = min(self.frames, key=lambda one: abs(one[0] - self.begin))[1]
-            shown += self._still_parts(now, centre, scale, (width_px, height), plain=self.arrows is not None)
+        for drawing, plain in drawn:
+            shown += _still_parts(drawing, centre, scale, (width_px, height), plain=plain)
         if self.arrows is not None:
             shown += _still_arrows(self.arrows, centre, size, scale, (width_px, height))
         return (
@@ -170,28 +166,6 @@ class Scene:
             + "".join(shown)
             + "</svg>"
         )
-
-    @staticmethod
-    def _still_parts(
-        drawing: Drawing, centre: Floats, scale: float, frame: tuple[float, float], *, plain: bool
-    ) -> list[str]:
-        out = []
-        for part in drawing.parts:
-            width, colour, dot = _LOOK[part.look]
-            colour = "#c4c4c4" if plain else colour
-            xy = projected(part.path_mm[0], centre, scale, frame)
-            if not np.isfinite(xy).all():
-                continue
-            if dot:
-                hollow = 'fill="none" stroke-width="2.5"' if part.look == "shown" else f'fill="{colour}"'
-                out.append(f'<circle cx="{xy[0, 0]:.1f}" cy="{xy[0, 1]:.1f}" r="{dot}" stroke="{colour}" {hollow}/>')
-                continue
-            points = " ".join(f"{x:.1f},{y:.1f}" for x, y in xy)
-            fill = f'fill="{colour}" fill-opacity="0.18"' if part.look == "platform" and not plain else 'fill="none"'
-            out.append(
-                f'<polyline points="{points}" {fill} stroke="{colour}" stroke-width="{width}" stroke-linecap="round"/>'
-            )
-        return out
 
 
 def projected(points_mm: Floats, centre: Floats, scale: float, frame_px: tuple[float, float]) -> Floats:
@@ -218,21 +192,34 @@ def _times(arrows: Arrows, size: float) -> float:
     return 0.09 * size / arrows.bar_mm
 
 
+def _still_parts(
+    drawing: Drawing, centre: Floats, scale: float, frame: tuple[float, float], *, plain: bool
+) -> list[str]:
+    out = []
+    for part in drawing.parts:
+        width, colour, dot = _LOOK[part.look]
+        colour = "#c4c4c4" if plain else colour
+        xy = projected(part.path_mm[0], centre, scale, frame)
+        if not np.isfinite(xy).all():
+            continue
+        if dot:
+            hollow = 'fill="none" stroke-width="2.5"' if part.look == "shown" else f'fill="{colour}"'
+            out.append(f'<circle cx="{xy[0, 0]:.1f}" cy="{xy[0, 1]:.1f}" r="{dot}" stroke="{colour}" {hollow}/>')
+            continue
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in xy)
+        fill = f'fill="{colour}" fill-opacity="0.18"' if part.look == "platform" and not plain else 'fill="none"'
+        out.append(
+            f'<polyline points="{points}" {fill} stroke="{colour}" stroke-width="{width}" stroke-linecap="round"/>'
+        )
+    return out
+
+
 def _told_arrows(a: Arrows, size: float) -> dict[str, Any]:
     return {
-        "where": _packed(a.where_mm),
-        "errors": [_packed(e) for e in a.errors_mm],
-        "titles": list(a.titles),
-        "line": _packed(a.line),
-        "counted": a.counted,
-        "worst": [_packed(w) for w in a.worst],
-        "slabs": [list(s) for s in a.slabs],
-        "height": a.height,
-        "unit": a.unit,
-        "perUnit": a.per_mm,
-        "bar": a.bar_mm,
-        "times": _times(a, size),
-    }
+        "where": _packed(a.where_mm), "errors": [*map(_packed, a.errors_mm)], "titles": a.titles,
+        "line": _packed(a.line), "counted": a.counted, "worst": [*map(_packed, a.worst)], "slabs": a.slabs,
+        "height": a.height, "unit": a.unit, "perUnit": a.per_mm, "bar": a.bar_mm, "times": _times(a, size),
+    }  # fmt: skip
 
 
 def _told_field(f: Field) -> dict[str, Any]:
@@ -259,9 +246,7 @@ def _still_arrows(
     for k, (_, title, _, ink) in enumerate(ends):
         out.append(f'<text x="14" y="{24 + 20 * k}" {_TYPE} fill="{ink}">{escape(title)}</text>')
     bar = f"{a.bar_mm * a.per_mm:g} {a.unit}"
-    out.append(
-        f'<text x="{20 + long:.0f}" y="{y + 5:.0f}" font-size="15" font-family="sans-serif">{escape(bar)}</text>'
-    )
+    out.append(f'<text x="{20 + long:.0f}" y="{y + 5:.0f}" {_TYPE}>{escape(bar)}</text>')
     return out
 
 

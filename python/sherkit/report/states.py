@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from bokeh.models import FactorRange, Label, Range1d, Span
+from bokeh.models import FactorRange, Label, Range1d
 
 from ..base.figures import state_with, told_apart
 from ..base.types import Floats
@@ -33,7 +33,7 @@ from .picture import (
     figure,
     hover,
     legend,
-    single,
+    rule,
     sources_of,
 )
 from .residual_against import Windows, gained, means, points, shown
@@ -207,10 +207,9 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int
     error = state.steps[-1].held_out
     sources = sources_of(_step_tables(state))
     made = figure(
-        height=height_px, sizing_mode="stretch_width", y_axis_type="log", x_range=FactorRange(*_steps(state)),
+        up=f"error, {state.unit}", height=height_px, y_axis_type="log", x_range=FactorRange(*_steps(state)),
         y_range=Range1d(*_reach(state)),
     )  # fmt: skip
-    made.yaxis.axis_label = f"error, {state.unit}"
     made.xaxis.major_label_orientation = _slant(state, room_px)
     renderers = []
     for k, name in enumerate([*names, _ERROR]):
@@ -229,12 +228,10 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int
     made.segment("step", f"held_{_ERROR}", "step", "p95", source=sources["steps"], color=INK, line_width=2)
     made.scatter("step", "p95", source=sources["steps"], color=INK, marker="dash", size=16, line_width=2)
     if state.required:
-        made.add_layout(
-            Span(location=state.required, dimension="width", line_color=INK, line_width=2, line_dash="dashed")
-        )
+        rule(made, "width", state.required, line_color=INK, line_width=2, line_dash="dashed")
         _say(made, state.required, f"target: {state.required:g} {state.unit}")
     if state.noise:
-        made.add_layout(Span(location=state.noise, dimension="width", line_color=INK, line_dash="dotted"))
+        rule(made, "width", state.noise, line_color=INK, line_dash="dotted")
         _say(made, state.noise, "noise")
     made.add_tools(
         hover(
@@ -257,7 +254,7 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int
         f" Black: the error {error.in_words}, its bar what 95 of 100 rows stay within, which is what is needed."
         f"{' Dotted: the noise; below it nothing can be gained.' if state.noise else ''}"
     )
-    return Picture("fall", single("fall", made), sources, _step_tables, tune, note=note)
+    return Picture.of("fall", made, sources, _step_tables, tune, note=note)
 
 
 def _say(made: Any, height: float, text: str) -> None:

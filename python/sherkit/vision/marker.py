@@ -94,13 +94,12 @@ def _corner(grey: NDArray[np.uint8]) -> SeenMarker:
     proposed = cv2.goodFeaturesToTrack(
         grey, _MOST_PROPOSED, qualityLevel=0.05, minDistance=_SAME, blockSize=5, useHarrisDetector=True, k=0.04
     )
-    if proposed is None:
-        soft = any(_four_fields_anywhere(smaller) for smaller in _pyramid(grey))
-        return _none("blurred: a marker is there, and its edges are too soft" if soft else "no marker was found")
-    refined = cv2.cornerSubPix(grey, np.asarray(proposed, np.float32), _WINDOW, (-1, -1), _ENOUGH).reshape(-1, 2)
+    corners = np.zeros((0, 1, 2)) if proposed is None else proposed
+    if len(corners):
+        corners = cv2.cornerSubPix(grey, np.asarray(corners, np.float32), _WINDOW, (-1, -1), _ENOUGH)
     best: list[tuple[float, float, float]] = []
     soft = False
-    for u, v in refined.tolist():
+    for u, v in corners.reshape(-1, 2).tolist():
         likeness = _four_fields(grey, u, v)
         if likeness < _ALIKE or any(np.hypot(u - a, v - b) < _SAME for _, a, b in best):
             continue

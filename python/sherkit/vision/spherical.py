@@ -6,7 +6,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +18,7 @@ from ..errors import MeasurementError, ShapeError, SherkitWarning
 from ..model.kinds import SeenInPictures
 from ..robots.spherical.robot import SPHERICAL_PIXELS
 from .camera import Intrinsics, View, draw_marker
-from .marker import SeenMarker, find_marker
+from .marker import find_marker
 from .pictures import CameraPicture
 
 TIME, U, V, WHY = "time_s", "u_px", "v_px", "why"
@@ -36,22 +35,12 @@ def marker_rows(pictures: Iterable[CameraPicture], kind: str = "corner", identit
     A picture without a marker, blurred, or with several candidates has empty pixels and a sentence in ``why``; no
     picture is left out.
     """
-    times: list[float] = []
-    seen: list[SeenMarker] = []
+    rows = []
     for picture in pictures:
-        times.append(picture.time_s)
-        seen.append(find_marker(picture, kind, identity))
-    columns: dict[str, Any] = {
-        TIME: times,
-        U: [s.u_px for s in seen],
-        V: [s.v_px for s in seen],
-        SIGMA_U: [s.sigma_px for s in seen],
-        SIGMA_V: [s.sigma_px for s in seen],
-    }
-    frame = pl.DataFrame({k: np.array(v, dtype=float) for k, v in columns.items()})
-    return frame.with_columns(
-        pl.col(pl.Float64).fill_nan(None), pl.Series(WHY, [s.why or None for s in seen], dtype=pl.String)
-    )
+        seen = find_marker(picture, kind, identity)
+        rows.append((picture.time_s, seen.u_px, seen.v_px, seen.sigma_px, seen.sigma_px, seen.why or None))
+    schema = {**dict.fromkeys((TIME, U, V, SIGMA_U, SIGMA_V), pl.Float64), WHY: pl.String}
+    return pl.DataFrame(rows, schema, orient="row").with_columns(pl.col(pl.Float64).fill_nan(None))
 
 
 def pictures_of(
@@ -81,16 +70,14 @@ def seen_run(
 
     ``save_in`` keeps all pictures as PNG. Raises and warns as :func:`run_of_pictures`.
     """
-    if save_in is not None:
-        save_in.mkdir(parents=True, exist_ok=True)
 
-    def kept() -> Iterable[CameraPicture]:
+    def kept(folder: Path) -> Iterator[CameraPicture]:
+        folder.mkdir(parents=True, exist_ok=True)
         for number, picture in enumerate(pictures, start=1):
-            if save_in is not None:
-                write_whole(save_in / f"picture_{number:04d}.png", cv2.imencode(".png", picture.grey)[1].tobytes())
+            write_whole(folder / f"picture_{number:04d}.png", cv2.imencode(".png", picture.grey)[1].tobytes())
             yield picture
 
-    frame = marker_rows(kept(), kind)
+    frame = marker_rows(pictures if save_in is None else kept(save_in), kind)
     return run_of_pictures(plan, frame, [f"picture {k + 1}" for k in range(len(frame))])
 
 

@@ -10,7 +10,7 @@ from .keyence import KeyenceEmulator
 from .micron_optics import HyperionEmulator, Sm130Emulator
 from .scpi import ScpiEmulator
 from .server import Emulator
-from .world import FAULTS, Faults, InjectedFault, Profile, StillRobot, VirtualRobot, World
+from .world import FAULTS, Faults, InjectedFault, Profile, StillRobot, World
 
 __all__ = [
     "FAULTS",
@@ -27,6 +27,5 @@ __all__ = [
     "ScpiEmulator",
     "Sm130Emulator",
     "StillRobot",
-    "VirtualRobot",
     "World",
 ]

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import struct
 import time
-from typing import Any, Self
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import Self
 
 from .server import Emulator, Page
-from .world import InjectedFault, World
+from .world import InjectedFault
 
 _SATURATED = 0x8000_0002
 _FULL = (1 << 31) - 1
 
 
+@dataclass(eq=False, repr=False)
 class NetFtEmulator(Emulator):
     """Answers requests for records with the wrench of the world, ``rate_hz`` of them a second.
 
@@ -22,35 +25,27 @@ class NetFtEmulator(Emulator):
     """
 
     links = ("udp",)
-    _served: NetFtPage | None = None
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        counts_per_force: float = 1e6,
-        counts_per_torque: float = 1e6,
-        rate_hz: float = 1000.0,
-        noise: float = 0.0,
-        **line: Any,
-    ) -> None:
-        super().__init__(world, **line)
-        self.counts_per_force = counts_per_force
-        self.counts_per_torque = counts_per_torque
-        self.rate_hz = rate_hz
-        self.noise = noise
+    _: KW_ONLY
+    counts_per_force: float = 1e6
+    counts_per_torque: float = 1e6
+    rate_hz: float = 1000.0
+    noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         self.sample = 0
-        self.offset = [0.0] * 6
+        self.offset: Sequence[float] = [0.0] * 6
+        self._served: NetFtPage | None = None
         self._whom: tuple[str, int] | None = None
-        self._left = 0
-        self._sequence = 0
+        self._left = self._sequence = 0
         self._due = 0.0
         self._late: list[tuple[float, bytes, tuple[str, int]]] = []
 
     def start(self) -> Self:
         """Opens the port, and serves the page that says how records are to be read."""
         super().start()
-        self._served = NetFtPage(self).start()
+        self._served = NetFtPage(self.world, emulator=self).start()
         self.page = self._served.address
         return self
 
@@ -69,10 +64,8 @@ class NetFtEmulator(Emulator):
         """One record, with the next numbers."""
         self.sample += 1
         self._sequence += 1
-        wrench = [
-            w - o + self.random.gauss(0.0, self.noise)
-            for w, o in zip(self.world.wrench(), self.offset, strict=True)
-        ]  # fmt: skip
+        felt = zip(self.world.wrench(), self.offset, strict=True)
+        wrench = [w - o + self.random.gauss(0.0, self.noise) for w, o in felt]
         per = [self.counts_per_force] * 3 + [self.counts_per_torque] * 3
         counts = [max(min(round(w * p), _FULL), -_FULL) for w, p in zip(wrench, per, strict=True)]
         over = fault is not None and fault.kind == "over_range"
@@ -81,18 +74,16 @@ class NetFtEmulator(Emulator):
         return struct.pack(">III6i", self._sequence, self.sample, _SATURATED if over else 0, *counts)
 
     def _datagram(self, data: bytes, where: tuple[str, int]) -> None:
-        if len(data) != 8:
-            return
-        magic, command, count = struct.unpack(">HHI", data)
+        magic, command, count = struct.unpack(">HHI", data) if len(data) == 8 else (0, 0, 0)
         if magic != 0x1234:
             return
         if command == 0:
             self._whom = None
         elif command in (2, 3):
             self._whom, self._sequence, self._due = where, 0, time.monotonic()
-            self._left = count if count else -1
+            self._left = count or -1
         elif command == 0x42:
-            self.offset = list(self.world.wrench())
+            self.offset = self.world.wrench()
 
     def tick(self) -> None:
         """Sends the records that are due."""
@@ -116,15 +107,15 @@ class NetFtEmulator(Emulator):
                 self._listener.sendto(self.faults.garbled(record) if kind == "garble" else record, self._whom)
 
 
+@dataclass(eq=False, repr=False)
 class NetFtPage(Page):
     """The device's configuration, on this machine alone."""
 
     path = "/netftapi2.xml"
     content_type = "text/xml"
 
-    def __init__(self, emulator: NetFtEmulator) -> None:
-        super().__init__(emulator.world)
-        self.emulator = emulator
+    _: KW_ONLY
+    emulator: NetFtEmulator
 
     def shown(self) -> bytes:
         """How its counts are to be read."""

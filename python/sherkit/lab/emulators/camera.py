@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from .server import Page
 from .world import Faults, World
 
 
+@dataclass(eq=False, repr=False)
 class CameraEmulator:
     """A camera whose :meth:`source` offers what OpenCV's ``VideoCapture`` does.
 
@@ -19,11 +22,14 @@ class CameraEmulator:
     one, ``stall`` waits, ``over_range`` is all white, ``disconnect`` closes the source.
     """
 
-    def __init__(self, world: World, *, faults: Faults | None = None, noise: float = 0.0, seed: int = 0) -> None:
-        self.world = world
-        self.faults = Faults() if faults is None else faults
-        self.noise = noise
-        self.random = np.random.default_rng(seed)
+    world: World
+    _: KW_ONLY
+    faults: Faults = field(default_factory=Faults)
+    noise: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self.random = np.random.default_rng(self.seed)
 
     def source(self) -> CameraSource:
         """Opens it: what a driver calls, again after a disconnect."""
@@ -46,11 +52,10 @@ class CameraSource:
         camera = self._camera
         fault = camera.faults.take()
         kind = fault.kind if fault is not None else ""
-        if kind == "disconnect":
-            self._open = False
+        self._open = self._open and kind != "disconnect"
         if kind == "drop" or not self._open:
             return False, None
-        if kind == "stall" and fault is not None:
+        if fault is not None and kind == "stall":
             time.sleep(fault.seconds)
         picture = camera.world.picture()
         if camera.noise:
@@ -67,26 +72,28 @@ class CameraSource:
         self._open = False
 
 
+@dataclass(eq=False, repr=False)
 class NetworkCamera(Page):
     """A camera on HTTP: each request for ``/snapshot.png`` takes a picture. ``address`` is for the driver.
 
     It listens on this machine alone unless ``host`` says otherwise. Its pictures are those of the world, which draws
-    their noise: that of a place is always the same.
+    their noise (``noise_grey``): that of a place is always the same.
     """
 
     path = "/snapshot.png"
     content_type = "image/png"
 
-    def __init__(self, world: World, *, noise_grey: float = 0.0, **line: Any) -> None:
-        del noise_grey
+    _: KW_ONLY
+    noise_grey: float = 0.0
+
+    def __post_init__(self) -> None:
         try:
             import cv2
         except ImportError:
             raise ExperimentError('an emulated camera needs OpenCV: pip install "sherkit[vision]"') from None
-        super().__init__(world, **line)
-        self._encode = cv2.imencode
-        self._level = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-        self._camera = CameraEmulator(world, faults=self.faults)
+        super().__post_init__()
+        self._encoded = partial(cv2.imencode, ".png", params=[cv2.IMWRITE_PNG_COMPRESSION, 1])
+        self._camera = CameraEmulator(self.world, faults=self.faults)
         self._source = self._camera.source()
 
     def shown(self) -> bytes | None:
@@ -95,4 +102,4 @@ class NetworkCamera(Page):
         if not self._source.isOpened():
             # a camera that was unplugged is there again for the next one
             self._source = self._camera.source()
-        return self._encode(".png", picture, self._level)[1].tobytes() if there else None
+        return self._encoded(picture)[1].tobytes() if there else None

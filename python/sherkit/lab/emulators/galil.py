@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, field
+
+import numpy as np
 
 from .server import LineEmulator
-from .world import Braking, CutShort, InjectedFault, Profile, World
+from .world import InjectedFault, Profile
 
 _LETTERS = "ABCDEFGH"
 _TEXTS = {
@@ -22,7 +24,10 @@ _TEXTS = {
 }
 _BIGGEST = (1 << 31) - 1
 _SETTINGS = {"SP": 25000, "AC": 256000, "DC": 256000, "FL": _BIGGEST, "BL": -_BIGGEST - 1}
-_NOT_MOVING = ("PA", "PR", "SH", "MO", "DP", "DE")
+#: What speeds and accelerations are multiples of.
+_STEPS = {"SP": 2, "AC": 1024, "DC": 1024}
+_NOT_MOVING = ("PA", "PR", "DP")
+_OPERANDS = ("BG", "TP", "RP", "TE", "TD", "TS", "SC", "LF", "LR", "PA", "SP", "AC", "DC", "FL", "BL", "MO")
 _UNSOLICITED = b"INPUT 1 CHANGED: ?\r\n"
 
 
@@ -37,19 +42,20 @@ class _GalilAxis:
         self.joint = joint
         self.counts_per_unit = counts_per_unit
         self.zero_counts = zero_counts
-        counts = position * counts_per_unit + zero_counts
-        self.motion: Profile | CutShort | Braking = Braking(counts, 0.0, 1.0, 0.0)
-        self.target = round(counts)
+        self.motion = Profile.standing(self.to_counts(position))
+        self.target = round(self.motion.end)
         self.settings = dict(_SETTINGS)
         self.motor = True
         #: HM was said: the next BG goes to the home switch
         self.homing = False
+        #: why it stands; 0 while its profile goes on, or brakes at a limit
         self.code = 1
-        #: the switches: the way is free
-        self.forward = True
-        self.reverse = True
+
+    def to_counts(self, position: float) -> float:
+        return position * self.counts_per_unit + self.zero_counts
 
 
+@dataclass(eq=False, repr=False)
 class GalilEmulator(LineEmulator):
     """A controller whose axes A, B, … are the joints of the world, in order.
 
@@ -67,32 +73,23 @@ class GalilEmulator(LineEmulator):
     #: Of the board, _BN.
     serial_number = 4183
 
-    def __init__(
-        self,
-        world: World,
-        counts_per_unit: Sequence[float] | float = 10000.0,
-        *,
-        zero_counts: Sequence[int] | int = 0,
-        travel: Sequence[tuple[float, float]] | None = None,
-        lag_s: float = 0.0,
-        noise_counts: float = 0.0,
-        chatty: float = 0.0,
-        home: Sequence[float] | None = None,
-        variables: Mapping[str, float] | None = None,
-        **line: Any,
-    ) -> None:
-        super().__init__(world, **line)
-        self.home = home
-        self.variables = {"zeroed": 1.0} if variables is None else dict(variables)
-        n = len(world)
-        scales = [counts_per_unit] * n if isinstance(counts_per_unit, int | float) else list(counts_per_unit)
-        zeros = [zero_counts] * n if isinstance(zero_counts, int) else list(zero_counts)
-        here = world.joints()
-        self.axes = {_LETTERS[k]: _GalilAxis(k, scales[k], zeros[k], float(here[k])) for k in range(n)}
-        self.travel = travel
-        self.lag_s = lag_s
-        self.noise_counts = noise_counts
-        self.chatty = chatty
+    counts_per_unit: Sequence[float] | float = 10000.0
+    _: KW_ONLY
+    zero_counts: Sequence[int] | int = 0
+    travel: Sequence[tuple[float, float]] | None = None
+    lag_s: float = 0.0
+    noise_counts: float = 0.0
+    chatty: float = 0.0
+    home: Sequence[float] | None = None
+    variables: dict[str, float] = field(default_factory=lambda: {"zeroed": 1.0})
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.variables = dict(self.variables)
+        here = self.world.joints()
+        scales, zeros = (np.broadcast_to(v, len(here)).tolist() for v in (self.counts_per_unit, self.zero_counts))
+        axes = zip(_LETTERS, scales, zeros, here.tolist(), strict=False)
+        self.axes = {x: _GalilAxis(k, scale, zero, at) for k, (x, scale, zero, at) in enumerate(axes)}
         self.echo = self.link == "pty"
         self.high_bit = True
         self.last_error = 0
@@ -101,7 +98,8 @@ class GalilEmulator(LineEmulator):
         """One ``:`` or ``?`` for each command of the line."""
         self.tick()
         if fault is not None and fault.kind in ("limit_switch", "over_range"):
-            self._hit_limit()
+            for axis in self.axes.values():
+                self._brake(axis, 2 if axis.motion.speed_at(self.world.now_s()) >= 0 else 3)
         echoed = command if self.echo else b""
         line = command.rstrip(b"\r").lstrip(b"\n")
         if len(line) > 80:
@@ -132,7 +130,7 @@ class GalilEmulator(LineEmulator):
             axis.settings = dict(_SETTINGS)
             axis.motor, axis.homing, axis.code, axis.target = False, False, 1, 0
             # what is less than a count is lost, too
-            self._set_motion(axis, Braking(stands + axis.zero_counts, 0.0, 1.0, now))
+            self._set_motion(axis, Profile.standing(stands + axis.zero_counts))
         self.variables.clear()
         self.echo = self.link == "pty"
         self.high_bit = True
@@ -142,9 +140,9 @@ class GalilEmulator(LineEmulator):
 
         def lose() -> None:
             axis = self.axes[_LETTERS[joint]]
-            axis.zero_counts += round(by * axis.counts_per_unit)
-            self._set_motion(axis, Braking(axis.motion.at(self.world.now_s()) + round(by * axis.counts_per_unit),
-                                           0.0, 1.0, self.world.now_s()))  # fmt: skip
+            counts = round(by * axis.counts_per_unit)
+            axis.zero_counts += counts
+            self._set_motion(axis, Profile.standing(axis.motion.at(self.world.now_s()) + counts))
 
         self._between(lose)
 
@@ -156,61 +154,50 @@ class GalilEmulator(LineEmulator):
         for axis in self.axes.values():
             if axis.code != 0:
                 continue
-            if isinstance(axis.motion, CutShort) and now >= axis.motion.cut_s:
-                axis.code = 2 if axis.motion.profile.end > axis.motion.profile.start else 3
+            if now >= axis.motion.cut_s:
+                axis.code = 2 if axis.motion.target > axis.motion.start else 3
                 axis.target = round(axis.motion.end)
-            elif not self._runs(axis, now):
+            elif now >= axis.motion.end_s:
                 axis.code = 1
                 if axis.homing:
                     axis.homing, axis.code, axis.target = False, 10, 0
-                    axis.zero_counts -= round(axis.motion.at(now))
-                    self._set_motion(axis, Braking(0.0, 0.0, 1.0, now))
+                    axis.zero_counts -= round(axis.motion.end)
+                    self._set_motion(axis, Profile.standing(0.0))
 
     def _ends(self, axis: _GalilAxis) -> tuple[float, float]:
-        if self.travel is None:
-            return -math.inf, math.inf
-        ends = sorted(mm * axis.counts_per_unit + axis.zero_counts for mm in self.travel[axis.joint])
-        return ends[0], ends[1]
+        """Where its limit switches are, in counts."""
+        low, high = sorted(map(axis.to_counts, self.travel[axis.joint] if self.travel else (-math.inf, math.inf)))
+        return low, high
 
-    def _runs(self, axis: _GalilAxis, now: float) -> bool:
-        return now < axis.motion.end_s
+    def _runs(self, axis: _GalilAxis) -> bool:
+        return self.world.now_s() < axis.motion.end_s
 
-    def _brake(self, axis: _GalilAxis, now: float, code: int) -> None:
-        if self._runs(axis, now) and not isinstance(axis.motion, Braking):
-            self._set_motion(axis, axis.motion.stopped(now))
+    def _brake(self, axis: _GalilAxis, code: int) -> None:
+        if self._runs(axis) and axis.code == 0:
+            self._set_motion(axis, axis.motion.stopped(self.world.now_s()))
             axis.target = round(axis.motion.end)
             axis.code = code
             axis.homing = False
 
-    def _hit_limit(self) -> None:
-        now = self.world.now_s()
-        for axis in self.axes.values():
-            if self._runs(axis, now):
-                self._brake(axis, now, 2 if axis.motion.speed_at(now) >= 0 else 3)
-
-    def _planned(self, axis: _GalilAxis, now: float) -> Profile | CutShort:
+    def _planned(self, axis: _GalilAxis) -> Profile:
         """The way to the target, cut short where a switch or soft limit lies on it."""
-        s = axis.settings
+        s, now = axis.settings, self.world.now_s()
         profile = Profile(axis.motion.at(now), axis.target, s["SP"], s["AC"], s["DC"], now)
         low, high = self._ends(axis)
-        if axis.homing:
-            return profile
-        if profile.end > profile.start and profile.end > (limit := min(high, s["FL"])):
-            return CutShort(profile, profile.passes_s(limit))
-        if profile.end < profile.start and profile.end < (limit := max(low, s["BL"])):
-            return CutShort(profile, profile.passes_s(limit))
+        if not axis.homing and profile.start < profile.target > (limit := min(high, s["FL"])):
+            return profile.stopped_at(limit)
+        if not axis.homing and profile.start > profile.target < (limit := max(low, s["BL"])):
+            return profile.stopped_at(limit)
         return profile
 
-    def _set_motion(self, axis: _GalilAxis, motion: Profile | CutShort | Braking) -> None:
+    def _set_motion(self, axis: _GalilAxis, motion: Profile) -> None:
         axis.motion = motion
         scale, zero, lag = axis.counts_per_unit, axis.zero_counts, self.lag_s
         self.world.set_joint(axis.joint, lambda t: (motion.at(t - lag) - zero) / scale)
 
     def _encoder(self, axis: _GalilAxis) -> int:
         at = axis.motion.at(self.world.now_s() - self.lag_s)
-        if self.noise_counts:
-            at += self.random.gauss(0.0, self.noise_counts)
-        return round(at)
+        return round(at + self.random.gauss(0.0, self.noise_counts))
 
     # --- commands
 
@@ -231,16 +218,15 @@ class GalilEmulator(LineEmulator):
         if head in ("EO", "CW"):
             if rest not in ("0", "1", "2"):
                 raise _Error(6)
-            if head == "EO":
-                self.echo = rest == "1"
-            else:
-                self.high_bit = rest == "1"
+            setattr(self, "echo" if head == "EO" else "high_bit", rest == "1")
             return None
         if (assigned := re.fullmatch(r"([a-z][a-zA-Z0-9]{0,7})=(-?\d{1,10}(?:\.\d{1,4})?)", text)) is not None:
             self.variables[assigned[1]] = float(assigned[2])
             return None
         if head in ("BG", "ST", "SH", "MO", "AB", "HM"):
-            self._act(head, rest)
+            if not all(c in self.axes for c in rest):
+                raise _Error(1)
+            self._act(head, [self.axes[c] for c in rest or self.axes])
             return None
         if head in ("PA", "PR", "DP", *_SETTINGS):
             return self._values(head, rest)
@@ -248,141 +234,114 @@ class GalilEmulator(LineEmulator):
             return ",".join(f" {self._operand(head, self.axes[x])}" for x in rest or self.axes)
         raise _Error(1)
 
-    def _act(self, head: str, mask: str) -> None:
-        if not all(c in self.axes for c in mask):
-            raise _Error(1)
-        chosen = [self.axes[c] for c in mask or self.axes]
-        now = self.world.now_s()
-        if head == "HM":
-            if self.home is None or any(self._runs(a, now) for a in chosen):
-                raise _Error(1 if self.home is None else 7)
-            for axis in chosen:
-                axis.homing = True
-            return
+    def _act(self, head: str, chosen: Sequence[_GalilAxis]) -> None:
         if head in ("ST", "AB"):
             for axis in chosen:
-                self._brake(axis, now, 4 if head == "ST" else 7)
-            return
-        if head in ("SH", "MO"):
-            if any(self._runs(a, now) for a in chosen):
-                raise _Error(7)
+                self._brake(axis, 4 if head == "ST" else 7)
+        elif head == "BG":
             for axis in chosen:
-                axis.motor = head == "SH"
-            return
-        for axis in chosen:
-            at = axis.motion.at(now)
-            if axis.homing:
-                axis.target = round(self.home[axis.joint] * axis.counts_per_unit + axis.zero_counts)  # type: ignore[index]
-            if not axis.motor:
-                raise _Error(20)
-            if self._runs(axis, now):
-                raise _Error(21)
-            low, high = self._ends(axis)
-            way = axis.target - at
-            if (way > 0 and at >= high) or (way < 0 and at <= low):
-                raise _Error(22)
-            if (way > 0 and at >= axis.settings["FL"]) or (way < 0 and at <= axis.settings["BL"]):
-                raise _Error(22)
-        for axis in chosen:
-            self._set_motion(axis, self._planned(axis, now))
-            axis.code = 0
+                self._check_can_begin(axis)
+            for axis in chosen:
+                self._set_motion(axis, self._planned(axis))
+                axis.code = 0
+        elif head == "HM" and self.home is None:
+            raise _Error(1)
+        elif any(map(self._runs, chosen)):
+            raise _Error(7)
+        else:
+            for axis in chosen:
+                if head == "HM":
+                    axis.homing = True
+                else:
+                    axis.motor = head == "SH"
+
+    def _check_can_begin(self, axis: _GalilAxis) -> None:
+        if axis.homing and self.home is not None:
+            axis.target = round(axis.to_counts(self.home[axis.joint]))
+        if not axis.motor:
+            raise _Error(20)
+        if self._runs(axis):
+            raise _Error(21)
+        at, (low, high) = axis.motion.end, self._ends(axis)
+        if axis.target > at >= min(high, axis.settings["FL"]) or axis.target < at <= max(low, axis.settings["BL"]):
+            raise _Error(22)
 
     def _values(self, head: str, rest: str) -> str | None:
         single = re.fullmatch(r"([A-H])\s*=\s*(\S+)", rest)
+        words = [w.strip() for w in rest.split(",")]
         if single:
             words = [""] * _LETTERS.index(single[1]) + [single[2]]
-        else:
-            words = [w.strip() for w in rest.split(",")]
-        asked = [w == "?" for w in words]
-        letters = list(self.axes)
-        if len(words) > len(letters):
+        if len(words) > len(self.axes):
             raise _Error(6)
-        if any(asked):
-            return ",".join(f" {self._setting(head, self.axes[x])}" for x, a in zip(letters, asked, strict=False) if a)
-        chosen: list[tuple[_GalilAxis, int]] = []
-        for letter, word in zip(letters, words, strict=False):
-            if not word:
-                continue
-            if not re.fullmatch(r"[+-]?\d{1,12}(\.\d+)?", word):
-                raise _Error(1)
-            number = int(float(word))
-            low = 0 if head in ("SP", "AC", "DC") else -_BIGGEST - 1
-            if not low <= number <= _BIGGEST:
-                raise _Error(6)
-            chosen.append((self.axes[letter], number))
-        if not chosen:
+        named = [(axis, word) for axis, word in zip(self.axes.values(), words, strict=False) if word]
+        if any(word == "?" for _, word in named):
+            return ",".join(f" {self._operand(head, axis)}" for axis, word in named if word == "?")
+        if not all(re.fullmatch(r"[+-]?\d{1,12}(\.\d+)?", word) for _, word in named):
+            raise _Error(1)
+        chosen = [(axis, int(float(word))) for axis, word in named]
+        low = 0 if head in _STEPS else -_BIGGEST - 1
+        if not chosen or not all(low <= number <= _BIGGEST for _, number in chosen):
             raise _Error(6)
-        now = self.world.now_s()
-        if head in _NOT_MOVING and any(self._runs(a, now) for a, _ in chosen):
+        if head in _NOT_MOVING and any(self._runs(axis) for axis, _ in chosen):
             raise _Error(7)
         for axis, number in chosen:
             if head == "PA":
                 axis.target = number
             elif head == "PR":
-                axis.target = round(axis.motion.at(now)) + number
+                axis.target = round(axis.motion.end) + number
             elif head == "DP":
-                axis.zero_counts += number - round(axis.motion.at(now))
-                self._set_motion(axis, Braking(number, 0.0, 1.0, now))
+                axis.zero_counts += number - round(axis.motion.end)
+                self._set_motion(axis, Profile.standing(number))
                 axis.target = number
             else:
-                step = {"SP": 2, "AC": 1024, "DC": 1024}.get(head, 1)
-                axis.settings[head] = max(number // step * step, step if step > 1 else number)
+                step = _STEPS.get(head)
+                axis.settings[head] = number if step is None else max(number // step * step, step)
         return None
 
-    def _setting(self, head: str, axis: _GalilAxis) -> int:
-        if head in ("PA", "PR"):
-            return axis.target
-        if head == "DP":
-            return self._encoder(axis)
-        return axis.settings[head]
-
     def _message(self, rest: str) -> str:
-        words = [w.strip() for w in rest.split(",")]
-        out: list[str] = []
-        for word in words:
+        out = ""
+        for word in map(str.strip, rest.split(",")):
+            if re.fullmatch(r'"[^"]*"', word):
+                out += word[1:-1]
+                continue
             if re.fullmatch(r"-?\d{1,10}(\.\d+)?", word):
                 value = float(word)
-            elif re.fullmatch(r'"[^"]*"', word):
-                out.append(word[1:-1])
-                continue
-            elif (m := re.fullmatch(r"_(BG|TP|RP|TE|TD|TS|SC|LF|LR|PA|SP|AC|DC|FL|BL|MO)([A-H])", word)) and (
-                m[2] in self.axes
-            ):
-                value = float(self._operand(m[1], self.axes[m[2]]))
+            elif word[:1] == "_" and word[1:3] in _OPERANDS and word[3:] in self.axes:
+                value = float(self._operand(word[1:3], self.axes[word[3:]]))
             elif word == "_BN":
                 value = float(self.serial_number)
             elif word in self.variables:
                 value = self.variables[word]
             else:
                 raise _Error(1)
-            out.append(f" {value:.4f}")
-        return "".join(out)
+            out += f" {value:.4f}"
+        return out
 
     def _operand(self, head: str, axis: _GalilAxis) -> int:
-        now = self.world.now_s()
         self.tick()
-        at = axis.motion.at(now)
+        at = axis.motion.at(self.world.now_s())
         low, high = self._ends(axis)
-        running = self._runs(axis, now)
-        if head == "BG":
-            return int(running)
-        if head == "TP":
-            return self._encoder(axis)
-        if head == "RP":
-            return round(at)
-        if head == "TE":
-            return round(at) - self._encoder(axis)
-        if head == "TD":
-            return 0
-        if head == "SC":
-            return axis.code
-        if head == "MO":
-            return int(not axis.motor)
-        if head == "LF":
-            return int(at < high)
-        if head == "LR":
-            return int(at > low)
-        if head == "TS":
-            bits = (running << 7) | ((not axis.motor) << 5) | ((at < high) << 3) | ((at > low) << 2)
-            return bits | 2
-        return self._setting(head, axis)
+        match head:
+            case "BG":
+                return int(self._runs(axis))
+            case "TP" | "DP":
+                return self._encoder(axis)
+            case "RP":
+                return round(at)
+            case "TE":
+                return round(at) - self._encoder(axis)
+            case "TD":
+                return 0
+            case "SC":
+                return axis.code
+            case "MO":
+                return int(not axis.motor)
+            case "LF":
+                return int(at < high)
+            case "LR":
+                return int(at > low)
+            case "TS":
+                return self._runs(axis) << 7 | (not axis.motor) << 5 | (at < high) << 3 | (at > low) << 2 | 2
+            case "PA" | "PR":
+                return axis.target
+        return axis.settings[head]

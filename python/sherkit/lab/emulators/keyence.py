@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 import random
-from typing import Any
+from dataclasses import KW_ONLY, dataclass, field
 
 from .server import LineEmulator
-from .world import InjectedFault, World
+from .world import InjectedFault
 
 _OUTPUTS = 12
 #: Decimals, mm, to which a place of the joints is the same place.
 _SAME_PLACE = 6
 
 
+@dataclass(eq=False, repr=False)
 class KeyenceEmulator(LineEmulator):
     """Answers MS, MM, MA, Q0 and R0.
 
@@ -26,24 +27,12 @@ class KeyenceEmulator(LineEmulator):
     links = ("pty", "tcp")
     ending = b"\r"
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        noise_mm: float = 0.0,
-        decimals: int = 4,
-        range_mm: float = 1000.0,
-        noise_of_place: bool = False,
-        seed: int = 0,
-        **line: Any,
-    ) -> None:
-        super().__init__(world, seed=seed, **line)
-        self.seed = seed
-        self.noise_of_place = noise_of_place
-        self.noise_mm = noise_mm
-        self.decimals = decimals
-        self.range_mm = range_mm
-        self.measuring = True
+    _: KW_ONLY
+    noise_mm: float = 0.0
+    decimals: int = 4
+    range_mm: float = 1000.0
+    noise_of_place: bool = False
+    measuring: bool = field(default=True, init=False)
 
     def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """The reply, or ER with the command and a code."""
@@ -56,8 +45,7 @@ class KeyenceEmulator(LineEmulator):
             return self._error(head, 1)
         if not self.measuring:
             return self._error(head, 2)
-        over = fault is not None and fault.kind == "over_range"
-        values = self._values(over)
+        values = self._values(fault is not None and fault.kind == "over_range")
         if head == "MA" and not rest:
             return ("MA," + ",".join(values)).encode() + b"\r"
         if len(rest) != 1:
@@ -75,7 +63,7 @@ class KeyenceEmulator(LineEmulator):
         return f"ER,{head[:2]},{code:02d}\r".encode("latin-1", "replace")
 
     def _values(self, over: bool) -> list[str]:
-        true = list(self.world.lasers_mm())[:_OUTPUTS]
+        true = self.world.lasers_mm()[:_OUTPUTS]
         words: list[str] = []
         for value, noise in zip(true, self._noise(len(true)), strict=True):
             noisy = value + noise

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import struct
-from typing import Any
+from dataclasses import KW_ONLY, dataclass, field
 
 from .server import Emulator, LineEmulator
-from .world import InjectedFault, World
+from .world import InjectedFault
 
 
+@dataclass(eq=False, repr=False)
 class _InterrogatorEmulator(Emulator):
     """``noise_nm`` is the standard deviation of a peak. ``over_range`` loses all peaks, as a broken fibre does."""
 
-    def __init__(self, world: World, *, noise_nm: float = 0.0, **line: Any) -> None:
-        super().__init__(world, **line)
-        self.noise_nm = noise_nm
-        self.serial = 0
+    _: KW_ONLY
+    noise_nm: float = 0.0
+    serial: int = field(default=0, init=False)
 
     def _peaks_nm(self, fault: InjectedFault | None) -> list[list[float]]:
         self.serial += 1
@@ -66,7 +66,6 @@ class HyperionEmulator(_InterrogatorEmulator):
         size = 8 + command + argument
         if size > 4096:
             received.clear()
-            return None
         if len(received) < size:
             return None
         whole = bytes(received[:size])
@@ -85,10 +84,9 @@ class HyperionEmulator(_InterrogatorEmulator):
         name = command[8 : 8 + size]
         if name == b"#GetPeaks":
             return self._packed(0, b"", self._content(self._peaks_nm(fault)))
-        if name == b"#GetInstrumentName":
-            return self._packed(0, b"", b"si255 (sherkit emulator)")
-        if name == b"#GetSerialNumber":
-            return self._packed(0, b"", b"HIA000")
+        said = {b"#GetInstrumentName": b"si255 (sherkit emulator)", b"#GetSerialNumber": b"HIA000"}
+        if name in said:
+            return self._packed(0, b"", said[name])
         return self._packed(1, b"Unknown command", b"")
 
     def _packed(self, status: int, message: bytes, content: bytes) -> bytes:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import KW_ONLY, dataclass
 
 from .server import LineEmulator
-from .world import InjectedFault, World
+from .world import InjectedFault
 
 
+@dataclass(eq=False, repr=False)
 class ScpiEmulator(LineEmulator):
     """Reads ``outputs`` of the world's lasers, mm, with a standard deviation of ``noise_mm``, where asked ``question``.
 
@@ -17,20 +18,10 @@ class ScpiEmulator(LineEmulator):
     links = ("tcp", "pty")
     ending = b"\n"
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        question: str = "READ?",
-        outputs: tuple[int, ...] = (1, 2, 3),
-        noise_mm: float = 0.0,
-        seed: int = 0,
-        **line: Any,
-    ) -> None:
-        super().__init__(world, seed=seed, **line)
-        self.question = question
-        self.outputs = outputs
-        self.noise_mm = noise_mm
+    _: KW_ONLY
+    question: str = "READ?"
+    outputs: tuple[int, ...] = (1, 2, 3)
+    noise_mm: float = 0.0
 
     def answer(self, command: bytes, fault: InjectedFault | None) -> bytes:
         """Numbers in the form of a multimeter, or nothing."""
@@ -39,7 +30,7 @@ class ScpiEmulator(LineEmulator):
             return b"SHERKIT,EMULATED,0,1.0\n"
         if asked != self.question:
             return b""
-        true = list(self.world.lasers_mm())
+        true = self.world.lasers_mm()
         if fault is not None and fault.kind == "over_range":
             return b",".join([b"+9.90000000E+37"] * len(self.outputs)) + b"\n"
         values = [true[k - 1] + self.random.gauss(0.0, self.noise_mm) for k in self.outputs]

@@ -18,7 +18,7 @@ import tty
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -29,7 +29,7 @@ _TICK_S = 0.005
 _LONGEST_COMMAND = 1 << 16
 
 
-@dataclass
+@dataclass(eq=False)
 class Client:
     """Who is connected: what has come from them, and what goes to them and when."""
 
@@ -41,42 +41,38 @@ class Client:
         return self.channel if isinstance(self.channel, int) else self.channel.fileno()
 
 
+@dataclass(eq=False, repr=False)
 class Emulator(ABC):
     """The base of all emulated instruments with a port. ``with`` starts and stops it; ``address`` is for the driver.
 
     ``link`` is "pty", "tcp", "http" or "udp". ``latency_s`` passes before an answer; ``pieces`` is the most parts that
     it is cut into, ``gap_s`` apart. ``faults`` says what goes wrong. ``log`` holds what came, what was answered and the
     fault. It listens on this machine alone unless ``host`` says otherwise. ``page`` is its page on HTTP, if it has one.
+    ``failure`` is what went wrong in the emulator itself.
     """
 
-    links: tuple[str, ...] = ("tcp",)
-    page: str = ""
+    links: ClassVar[tuple[str, ...]] = ("tcp",)
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        link: str = "",
-        host: str = LOOPBACK,
-        port: int = 0,
-        faults: Faults | None = None,
-        latency_s: float = 0.0,
-        pieces: int = 1,
-        gap_s: float = 0.001,
-        seed: int = 0,
-    ) -> None:
-        self.world = world
-        self.link = link or self.links[0]
+    world: World
+    _: KW_ONLY
+    link: str = ""
+    host: str = LOOPBACK
+    port: int = 0
+    faults: Faults = field(default_factory=Faults)
+    latency_s: float = 0.0
+    pieces: int = 1
+    gap_s: float = 0.001
+    seed: int = 0
+    page: str = field(default="", init=False)
+    log: list[tuple[bytes, bytes, InjectedFault | None]] = field(default_factory=list, init=False)
+    failure: Exception | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.link = self.link or self.links[0]
         if self.link not in self.links:
             raise ValueError(f"{type(self).__name__} has no {self.link!r}; expected one of {', '.join(self.links)}")
         self._streams = self.link in ("tcp", "http")
-        self.faults = Faults() if faults is None else faults
-        self.latency_s = latency_s
-        self.pieces = pieces
-        self.gap_s = gap_s
-        self.random = random.Random(seed)
-        self.log: list[tuple[bytes, bytes, InjectedFault | None]] = []
-        self._where = (host, port)
+        self.random = random.Random(self.seed)
         self._clients: list[Client] = []
         self._listener: socket.socket | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
@@ -87,8 +83,6 @@ class Emulator(ABC):
         self._powered = True
         #: what is to be done between two commands, by the emulator's own thread
         self._errands: deque[tuple[Callable[[], None], threading.Event]] = deque()
-        #: what went wrong in the emulator itself
-        self.failure: Exception | None = None
 
     # --- what an instrument says
 
@@ -116,19 +110,14 @@ class Emulator(ABC):
                 for client in list(self._clients):
                     if self._streams:
                         self._leave(client)
-                    else:
-                        client.received.clear()
-                        client.outbox.clear()
+                    client.received.clear()
+                    client.outbox.clear()
 
         self._between(off)
 
     def switch_on(self) -> None:
         """Gives the power back."""
-
-        def on() -> None:
-            self._powered = True
-
-        self._between(on)
+        self._between(lambda: setattr(self, "_powered", True))
 
     def _between(self, task: Callable[[], None]) -> None:
         """Has the task done between two commands, and returns when it is."""
@@ -145,11 +134,6 @@ class Emulator(ABC):
     def interjection(self) -> bytes:
         """Text that comes in the middle of an answer, "" for none."""
         return b""
-
-    def send_all(self, data: bytes, delay_s: float = 0.0) -> None:
-        """Sends unsolicited bytes to whoever is connected. For the emulator's own thread."""
-        for client in self._clients:
-            self._post(client, data, delay_s)
 
     # --- running
 
@@ -172,7 +156,7 @@ class Emulator(ABC):
             kind = socket.SOCK_STREAM if self._streams else socket.SOCK_DGRAM
             self._listener = socket.socket(socket.AF_INET, kind)
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._listener.bind(self._where)
+            self._listener.bind((self.host, self.port))
             if self._streams:
                 self._listener.listen()
         self._running = True
@@ -226,10 +210,7 @@ class Emulator(ABC):
     def _leave(self, client: Client) -> None:
         self._clients.remove(client)
         with contextlib.suppress(OSError):
-            if isinstance(client.channel, int):
-                os.close(client.channel)
-            elif client.channel is not self._listener:
-                client.channel.close()
+            os.close(client.channel) if isinstance(client.channel, int) else client.channel.close()
 
     def _serve(self) -> None:
         try:
@@ -240,20 +221,18 @@ class Emulator(ABC):
             self.failure = error
 
     def _serve_once(self) -> None:
-        waiting: list[Client | socket.socket] = [self._waker[0]]
+        waiting: list[Client | socket.socket] = [self._waker[0], *self._clients]
         if self._listener is not None:
             waiting.append(self._listener)
-        if self.link != "udp":
-            waiting += self._clients
         now = time.monotonic()
-        due = [c.outbox[0][0] - now for c in self._clients if c.outbox]
-        ready, _, _ = select.select(waiting, [], [], min([max(d, 0.0) for d in due] + [_TICK_S]))
+        due = [max(c.outbox[0][0] - now, 0.0) for c in self._clients if c.outbox]
+        ready, _, _ = select.select(waiting, [], [], min([*due, _TICK_S]))
         for source in ready:
             if source is self._waker[0]:
                 self._waker[0].recv(16)
             elif source is self._listener:
-                self._from_listener()
-            elif isinstance(source, Client) and source in self._clients:
+                self._from_listener(self._listener)
+            elif source in self._clients:
                 self._from_client(source)
         while self._errands:
             task, done = self._errands.popleft()
@@ -263,15 +242,13 @@ class Emulator(ABC):
         for client in list(self._clients):
             self._send_due(client)
 
-    def _from_listener(self) -> None:
-        assert self._listener is not None
-        if self.link == "udp":
-            data, where = self._listener.recvfrom(1 << 16)
-            if not self._powered:
-                return
-            self._datagram(data, where)
+    def _from_listener(self, listener: socket.socket) -> None:
+        if not self._streams:
+            data, where = listener.recvfrom(1 << 16)
+            if self._powered:
+                self._datagram(data, where)
             return
-        channel, _ = self._listener.accept()
+        channel, _ = listener.accept()
         if not self._powered:
             channel.close()
             return
@@ -306,38 +283,32 @@ class Emulator(ABC):
 
     def _obey(self, client: Client, command: bytes) -> None:
         fault = self.faults.take()
-        heard = self._misheard(command) if fault is not None and fault.kind == "misheard" else command
+        kind = fault.kind if fault is not None else ""
+        heard = self._misheard(command) if kind == "misheard" else command
         reply = self.answer(heard, fault)
         self.log.append((heard, reply, fault))
-        kind = fault.kind if fault is not None else ""
         if kind == "disconnect":
             if self.link == "pty":
                 self._new_terminal()
             self._leave(client)
-            return
-        if kind == "drop" or not reply:
-            return
-        if kind == "garble":
-            reply = self.faults.garbled(reply)
-        late_s = fault.seconds if fault is not None and kind == "stall" else 0.0
-        self._post(client, reply, self.latency_s + late_s, self.interjection())
+        elif kind != "drop" and reply:
+            if kind == "garble":
+                reply = self.faults.garbled(reply)
+            late_s = fault.seconds if fault is not None and kind == "stall" else 0.0
+            self._post(client, reply, self.latency_s + late_s, self.interjection())
 
     def _misheard(self, command: bytes) -> bytes:
         """The command as a bad line hands it on; the end of it arrives."""
         return self.faults.garbled(command)
 
     def _post(self, client: Client, data: bytes, delay_s: float, between: bytes = b"") -> None:
-        due = time.monotonic() + delay_s
-        if client.outbox:
-            # a line does not let answers overtake each other
-            due = max(due, client.outbox[-1][0])
+        # a line does not let answers overtake each other
+        due = max([time.monotonic() + delay_s, *(at for at, _ in client.outbox)])
         cuts = sorted(self.random.randrange(len(data) + 1) for _ in range(self.random.randint(1, self.pieces) - 1))
         parts = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
         if between:
             parts.insert(self.random.randrange(len(parts) + 1), between)
-        for k, part in enumerate(parts):
-            if part:
-                client.outbox.append((due + k * self.gap_s, part))
+        client.outbox.extend((due + k * self.gap_s, part) for k, part in enumerate(parts) if part)
 
     def _send_due(self, client: Client) -> None:
         while client in self._clients and client.outbox and client.outbox[0][0] <= time.monotonic():

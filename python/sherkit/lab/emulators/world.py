@@ -7,8 +7,9 @@ import random
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,46 +17,27 @@ from numpy.typing import NDArray
 from ...base.types import Floats
 
 
-class VirtualRobot(Protocol):
+class StillRobot:
     """What the instruments see of a robot with its joints (n,) there, mm or rad, at ``time_s`` of the world's clock.
 
-    A caller plugs in a robot with chosen hidden effects. Noise is the instruments' own.
+    By itself lasers read the joints, nothing bends, the camera sees grey: a robot with chosen hidden effects overrides
+    what is otherwise with it. Noise is the instruments' own.
     """
 
     def lasers_mm(self, joints: Floats, time_s: float) -> Sequence[float]:
-        """What each laser reads, mm; NaN where its beam misses."""
-        ...
-
-    def wrench(self, joints: Floats, time_s: float) -> Sequence[float]:
-        """Forces and torques at the tool: fx, fy, fz in N, tx, ty, tz in Nmm."""
-        ...
-
-    def wavelengths_nm(self, joints: Floats, time_s: float) -> Sequence[Sequence[float]]:
-        """Peaks of the gratings on each channel, nm."""
-        ...
-
-    def picture(self, joints: Floats, time_s: float) -> NDArray[np.uint8]:
-        """What the camera sees."""
-        ...
-
-
-class StillRobot:
-    """A stand-in: lasers read the joints, nothing bends, the camera sees grey. Override what a test needs."""
-
-    def lasers_mm(self, joints: Floats, time_s: float) -> Sequence[float]:
-        """The joints themselves."""
+        """What each laser reads, mm; NaN where its beam misses. By itself the joints."""
         return [float(q) for q in joints]
 
     def wrench(self, joints: Floats, time_s: float) -> Sequence[float]:
-        """No load."""
+        """Forces and torques at the tool: fx, fy, fz in N, tx, ty, tz in Nmm. By itself no load."""
         return [0.0] * 6
 
     def wavelengths_nm(self, joints: Floats, time_s: float) -> Sequence[Sequence[float]]:
-        """One grating on the first of four channels."""
+        """Peaks of the gratings on each channel, nm. By itself one, on the first of four channels."""
         return [[1550.0], [], [], []]
 
     def picture(self, joints: Floats, time_s: float) -> NDArray[np.uint8]:
-        """Grey."""
+        """What the camera sees. By itself grey."""
         return np.full((48, 64), 128, np.uint8)
 
 
@@ -68,9 +50,10 @@ class World:
     """
 
     def __init__(
-        self, joints: Sequence[float] = (0.0, 0.0, 0.0), *, robot: Any = None, time_scale: float = 1.0
-    ) -> None:
-        self.robot: VirtualRobot = StillRobot() if robot is None else robot
+        self, joints: Sequence[float] = (0.0, 0.0, 0.0), *, robot: StillRobot | None = None,
+        time_scale: float = 1.0,
+    ) -> None:  # fmt: skip
+        self.robot = robot or StillRobot()
         self.time_scale = time_scale
         self._begin_s = time.monotonic()
         self._lock = threading.Lock()
@@ -96,31 +79,31 @@ class World:
         with self._lock:
             return self._left.copy()
 
-    def joints(self, time_s: float | None = None) -> Floats:
-        """Where all joints are, now if left out."""
-        at = self.now_s() if time_s is None else time_s
+    def joints(self) -> Floats:
+        """Where all joints are now."""
+        return self.now()[0]
+
+    def now(self) -> tuple[Floats, float]:
+        """Where all joints are now, and the world's time: what the robot is asked with."""
+        at = self.now_s()
         with self._lock:
-            return np.array([q(at) for q in self._joints])
+            return np.array([q(at) for q in self._joints]), at
 
     def lasers_mm(self) -> Sequence[float]:
         """What the lasers read now."""
-        now = self.now_s()
-        return self.robot.lasers_mm(self.joints(now), now)
+        return self.robot.lasers_mm(*self.now())
 
     def wrench(self) -> Sequence[float]:
         """Forces and torques now."""
-        now = self.now_s()
-        return self.robot.wrench(self.joints(now), now)
+        return self.robot.wrench(*self.now())
 
     def wavelengths_nm(self) -> Sequence[Sequence[float]]:
         """Peaks of the gratings now."""
-        now = self.now_s()
-        return self.robot.wavelengths_nm(self.joints(now), now)
+        return self.robot.wavelengths_nm(*self.now())
 
     def picture(self) -> NDArray[np.uint8]:
         """What the camera sees now."""
-        now = self.now_s()
-        return self.robot.picture(self.joints(now), now)
+        return self.robot.picture(*self.now())
 
 
 # -- motions: trapezoids of speed, as motion controllers plan them (SP, AC, DC) ---------------------------------------
@@ -128,142 +111,94 @@ class World:
 
 @dataclass(frozen=True)
 class Profile:
-    """From ``start`` to ``end`` with top ``speed``, ``acceleration`` and ``deceleration``, all positive; begins at
-    ``begin_s``. Any unit of length."""
+    """From ``start`` to ``target`` with top ``speed``, ``acceleration`` and ``deceleration``, all positive; begins at
+    ``begin_s``, and brakes from ``cut_s`` on wherever it is then. Any unit of length."""
 
     start: float
-    end: float
+    target: float
     speed: float
     acceleration: float
     deceleration: float
     begin_s: float
+    cut_s: float = math.inf
 
-    @property
+    @classmethod
+    def standing(cls, at: float) -> Self:
+        """No motion."""
+        return cls(at, at, 1.0, 1.0, 1.0, 0.0)
+
+    @cached_property
     def top(self) -> float:
         """The speed that is reached: less than ``speed`` on a short way."""
-        way = abs(self.end - self.start)
         a, d = self.acceleration, self.deceleration
-        return min(self.speed, math.sqrt(2.0 * way * a * d / (a + d)))
+        return min(self.speed, math.sqrt(2.0 * abs(self.target - self.start) * a * d / (a + d)))
 
-    @property
-    def end_s(self) -> float:
-        """When it stands."""
+    @cached_property
+    def _whole_s(self) -> float:
+        """When it stands at its target, unless it is cut short."""
         top = self.top
         if top == 0.0:
             return self.begin_s
         ramps = 0.5 * top * top / self.acceleration + 0.5 * top * top / self.deceleration
-        cruise = max(abs(self.end - self.start) - ramps, 0.0) / top
+        cruise = max(abs(self.target - self.start) - ramps, 0.0) / top
         return self.begin_s + top / self.acceleration + cruise + top / self.deceleration
+
+    @property
+    def end_s(self) -> float:
+        """When it stands."""
+        return min(self._whole_s, self.cut_s + abs(self._speed(self.cut_s)) / self.deceleration)
+
+    @property
+    def end(self) -> float:
+        """Where it stands."""
+        return self.at(self.end_s)
 
     def at(self, time_s: float) -> float:
         """Position at ``time_s``."""
-        if time_s <= self.begin_s:
-            return self.start
-        if time_s >= self.end_s:
-            return self.end
-        sign = 1.0 if self.end > self.start else -1.0
-        t, top = time_s - self.begin_s, self.top
-        up = top / self.acceleration
-        if t <= up:
-            return self.start + sign * 0.5 * self.acceleration * t * t
-        left = self.end_s - time_s
-        if left <= top / self.deceleration:
-            return self.end - sign * 0.5 * self.deceleration * left * left
-        return self.start + sign * (0.5 * top * up + top * (t - up))
+        if time_s <= self.cut_s:
+            return self._position(time_s)
+        speed, braked = self._speed(self.cut_s), max(min(time_s, self.end_s) - self.cut_s, 0.0)
+        brake = math.copysign(0.5 * self.deceleration * braked * braked, speed)
+        return self._position(self.cut_s) + speed * braked - brake
 
     def speed_at(self, time_s: float) -> float:
         """Speed at ``time_s``, with its sign."""
-        if not self.begin_s < time_s < self.end_s:
-            return 0.0
-        sign = 1.0 if self.end > self.start else -1.0
-        rising = self.acceleration * (time_s - self.begin_s)
-        falling = self.deceleration * (self.end_s - time_s)
-        return sign * min(rising, falling, self.top)
+        if time_s <= self.cut_s:
+            return self._speed(time_s)
+        return math.copysign(max(self.end_s - time_s, 0.0) * self.deceleration, self._speed(self.cut_s))
 
-    def stopped(self, time_s: float) -> Braking:
+    def stopped(self, time_s: float) -> Self:
         """What becomes of it when told to stop at ``time_s``: it brakes with its deceleration."""
-        speed = self.speed_at(time_s)
-        return Braking(self.at(time_s), speed, self.deceleration, time_s)
+        return replace(self, cut_s=min(time_s, self.cut_s))
 
-    def passes_s(self, place: float) -> float:
-        """When it is at ``place``, which lies on its way."""
-        early, late = self.begin_s, self.end_s
-        rising = self.end > self.start
+    def stopped_at(self, place: float) -> Self:
+        """What becomes of it when it runs into ``place``, which lies on its way."""
+        early, late = self.begin_s, self._whole_s
         for _ in range(80):
             middle = 0.5 * (early + late)
-            if (self.at(middle) < place) == rising:
+            if (self._position(middle) < place) == (self.target > self.start):
                 early = middle
             else:
                 late = middle
-        return late
+        return self.stopped(late)
 
+    def _position(self, time_s: float) -> float:
+        if time_s <= self.begin_s:
+            return self.start
+        if time_s >= self._whole_s:
+            return self.target
+        way = math.copysign(1.0, self.target - self.start)
+        t, left, top = time_s - self.begin_s, self._whole_s - time_s, self.top
+        up = top / self.acceleration
+        if t <= up:
+            return self.start + way * 0.5 * self.acceleration * t * t
+        if left <= top / self.deceleration:
+            return self.target - way * 0.5 * self.deceleration * left * left
+        return self.start + way * (0.5 * top * up + top * (t - up))
 
-@dataclass(frozen=True)
-class Braking:
-    """From ``start`` at ``speed`` (signed) to a stop with ``deceleration``."""
-
-    start: float
-    speed: float
-    deceleration: float
-    begin_s: float
-
-    @property
-    def end(self) -> float:
-        """Where it stands."""
-        return self.start + 0.5 * self.speed * abs(self.speed) / self.deceleration
-
-    @property
-    def end_s(self) -> float:
-        """When it stands."""
-        return self.begin_s + abs(self.speed) / self.deceleration
-
-    def at(self, time_s: float) -> float:
-        """Position at ``time_s``."""
-        t = min(max(time_s - self.begin_s, 0.0), self.end_s - self.begin_s)
-        return self.start + self.speed * t - math.copysign(0.5 * self.deceleration * t * t, self.speed)
-
-    def speed_at(self, time_s: float) -> float:
-        """Speed at ``time_s``, with its sign."""
-        left = self.end_s - time_s
-        return math.copysign(self.deceleration * left, self.speed) if self.begin_s < time_s < self.end_s else 0.0
-
-    def stopped(self, time_s: float) -> Braking:
-        """It is braking already."""
-        return self
-
-
-@dataclass(frozen=True)
-class CutShort:
-    """A profile that runs into a limit at ``cut_s`` and brakes from there."""
-
-    profile: Profile
-    cut_s: float
-
-    @property
-    def _rest(self) -> Braking:
-        return self.profile.stopped(self.cut_s)
-
-    @property
-    def end(self) -> float:
-        """Where it stands."""
-        return self._rest.end
-
-    @property
-    def end_s(self) -> float:
-        """When it stands."""
-        return self._rest.end_s
-
-    def at(self, time_s: float) -> float:
-        """Position at ``time_s``."""
-        return self.profile.at(time_s) if time_s < self.cut_s else self._rest.at(time_s)
-
-    def speed_at(self, time_s: float) -> float:
-        """Speed at ``time_s``, with its sign."""
-        return self.profile.speed_at(time_s) if time_s < self.cut_s else self._rest.speed_at(time_s)
-
-    def stopped(self, time_s: float) -> Braking:
-        """What becomes of it when told to stop at ``time_s``."""
-        return self.profile.stopped(time_s) if time_s < self.cut_s else self._rest
+    def _speed(self, time_s: float) -> float:
+        rising, falling = self.acceleration * (time_s - self.begin_s), self.deceleration * (self._whole_s - time_s)
+        return math.copysign(max(min(rising, falling, self.top), 0.0), self.target - self.start)
 
 
 # -- faults on demand: which of an emulator's answers go wrong, and how -----------------------------------------------
@@ -271,6 +206,11 @@ class CutShort:
 #: Of the line: the answer is lost, damaged, late; the port is closed. Of the command: it is damaged before it arrives.
 #: Of the machine: a value outside the range, a limit switch that opens.
 FAULTS = ("drop", "garble", "stall", "disconnect", "misheard", "over_range", "limit_switch")
+
+
+def _check_is_fault(kind: str) -> None:
+    if kind not in FAULTS:
+        raise ValueError(f"no fault is called {kind!r}; expected one of {', '.join(FAULTS)}")
 
 
 @dataclass(frozen=True)
@@ -296,9 +236,8 @@ class Faults:
     happened: list[InjectedFault] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        unknown = [k for k in self.rates if k not in FAULTS]
-        if unknown:
-            raise ValueError(f"no fault is called {unknown[0]!r}; expected one of {', '.join(FAULTS)}")
+        for kind in self.rates:
+            _check_is_fault(kind)
         self._random = random.Random(self.seed)
         self._planned: dict[int, InjectedFault] = {}
         self._count = 0
@@ -306,8 +245,7 @@ class Faults:
 
     def schedule(self, kind: str, after: int = 0, seconds: float | None = None) -> None:
         """Lets ``kind`` happen at the answer that comes after the next ``after`` ones."""
-        if kind not in FAULTS:
-            raise ValueError(f"no fault is called {kind!r}; expected one of {', '.join(FAULTS)}")
+        _check_is_fault(kind)
         with self._lock:
             at = self._count + after
             self._planned[at] = InjectedFault(kind, at, self.stall_s if seconds is None else seconds)

@@ -78,19 +78,20 @@ def accuse(odd: Sequence[ComparedRow], before: Sequence[ComparedRow], layout: La
         free = 1 if alike else len(odd) * len(which)
         cost = sum(s.squares(kept & np.isfinite(s.read)) for s in odd) + _COST * free
         tried.append((cost, tuple(names[k] for k in which), told))
-    motors = [(joint, np.eye(len(layout.joints))[j]) for j, joint in enumerate(layout.joints)]
-    # a zero that was set elsewhere moves all of them
-    motors.append(("all joints", np.ones(len(layout.joints))))
+    ways = dict(zip(layout.joints, np.eye(len(layout.joints)), strict=True))
     unit = layout.joints[0].rpartition("_")[2]
     by_joints = [s.by_joints() for s in odd]
-    for what, way in motors:
+    # a zero that was set elsewhere moves all of them
+    for what, way in {**ways, "all joints": np.ones(len(ways))}.items():
         by = [one @ way for one in by_joints]
         moved = _fitted(odd, by)
         cost = _COST + sum(s.squares(np.isfinite(s.read), s.miss - moved * g) for s, g in zip(odd, by, strict=True))
-        why = f"{what} stand where the encoders do not say, as if those had slipped by {-moved:.3g} {unit}"
-        if what in layout.joints:
-            why = f"{what} is not where its encoder says, as if that had slipped by {-moved:.3g} {unit}"
-        tried.append((cost, (what,) if what in layout.joints else layout.joints, why))
+        slipped = f"slipped by {-moved:.3g} {unit}"
+        if what in ways:
+            tried.append((cost, (what,), f"{what} is not where its encoder says, as if that had {slipped}"))
+        else:
+            why = f"{what} stand where the encoders do not say, as if those had {slipped}"
+            tried.append((cost, layout.joints, why))
     tried.sort(key=lambda one: one[0])
     best = [one for one in tried if one[0] <= tried[0][0] + _TIE]
     # one sentence for each; what is said of a column is not said again of all of them

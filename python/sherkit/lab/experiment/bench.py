@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -87,36 +87,29 @@ def _identified(one: Instrument, attempts: int = 4) -> Identity:
     """What it says of itself twice in a row: a word that the line has damaged is no other instrument."""
     before = one.identify()
     for _ in range(attempts):
-        now = one.identify()
-        if now == before:
+        if before == (now := one.identify()):
             return now
         before = now
     raise one.fail(Garbled, f"says each time something else of itself; at last '{before.text}'")
 
 
+@dataclass(eq=False)
 class Bench:
     """Motors and sensors. ``with`` connects them, and on any way out stops what moves and closes them.
 
     ``motion_settings`` are noted in the run file beside those of the sensors.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        motion: AxisController,
-        sensors: Sequence[Sensor],
-        *,
-        settling: Settling | None = None,
-        checks: Checks | None = None,
-        motion_settings: Mapping[str, Any] | None = None,
-    ) -> None:
-        self.robot = robot
-        self.motion = motion
-        self.sensors = tuple(sensors)
-        self.settling = settling or Settling()
-        self.checks = checks or Checks()
-        self.motion_settings = dict(motion_settings or {})
-        names = [s.instrument.name for s in self.sensors] + [motion.name]
+    robot: Robot
+    motion: AxisController
+    sensors: Sequence[Sensor]
+    _: KW_ONLY
+    settling: Settling = Settling()
+    checks: Checks = Checks()
+    motion_settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [one.name for one in self.instruments]
         if len(set(names)) < len(names):
             raise ExperimentError(f"two instruments have the same name: {', '.join(sorted(names))}")
 
@@ -131,9 +124,8 @@ class Bench:
         """
         with contextlib.ExitStack() as stack:
             stack.callback(self.close)
-            self.motion.connect()
-            for sensor in self.sensors:
-                sensor.instrument.connect()
+            for one in self.instruments:
+                one.connect()
             # what a program that was killed left moving; the controller went on by itself
             if self.motion.is_moving():
                 self.motion.stop()
@@ -147,25 +139,17 @@ class Bench:
     def close(self) -> None:
         """Stops what this program moves, and gives all ports back."""
         with contextlib.ExitStack() as stack:
-            for sensor in self.sensors:
-                stack.callback(sensor.instrument.close)
             # last in, first out: the motors before anything else
-            stack.callback(self.motion.close)
+            for one in reversed(self.instruments):
+                stack.callback(one.close)
 
     def identities(self) -> dict[str, dict[str, Any]]:
         """Kind, identity, port and settings of every instrument by name, for the run file."""
         out = {}
-        for one, settings in [
-            (self.motion, self.motion_settings),
-            *((s.instrument, s.settings) for s in self.sensors),
-        ]:
+        settings = (self.motion_settings, *(s.settings for s in self.sensors))
+        for one, its in zip(self.instruments, settings, strict=True):
             found = _identified(one)
-            out[one.name] = {
-                "kind": found.kind,
-                "identity": found.text,
-                "port": found.port,
-                "settings": dict(settings),
-            }
+            out[one.name] = {"kind": found.kind, "identity": found.text, "port": found.port, "settings": dict(its)}
         return out
 
     @property
@@ -207,7 +191,7 @@ class Bench:
 
     def look(self) -> Point:
         """Reads everything where the robot stands; nothing moves. Raises as :meth:`measure`."""
-        return self._point(0, 0, None)
+        return self._point(None)
 
     def check(self, places: Sequence[Sequence[float]] | np.ndarray[Any, Any]) -> None:
         """Raises :class:`~sherkit.errors.OutOfRange` where one of the places (n, k) is outside the soft limits."""
@@ -226,9 +210,9 @@ class Bench:
         for place in (*step.via, step.joints):
             self.drive(place)
         self._settle()
-        return self._point(step.pose, step.repeat, step)
+        return self._point(step)
 
-    def _point(self, pose: int, repeat: int, step: PlanStep | None) -> Point:
+    def _point(self, step: PlanStep | None) -> Point:
         before = self._joints()
         values: dict[str, float] = {}
         for sensor in self.sensors:
@@ -244,7 +228,7 @@ class Bench:
         self._check_still(step, before, after)
         values = {**dict(zip(kind_of(self.robot).layout.joints, after.values, strict=True)), **values}
         self._check_plausible(values)
-        return Point(pose, repeat, after.time_s, values)
+        return Point(step.pose if step else 0, step.repeat if step else 0, after.time_s, values)
 
     def _joints(self) -> Reading:
         return self.motion.read_confirmed(self.checks.moved_within)

@@ -41,9 +41,7 @@ _DIAGNOSIS = "diagnosis"
 
 def names_of_poses(kind: Kind) -> tuple[str, ...]:
     """What a plan for this kind of robot can name."""
-    names: list[str] = []
-    for name in kind.poses:
-        names += [name, _DESIGNED] if name == kind.grid else [name]
+    names = [one for name in kind.poses for one in ((name, _DESIGNED) if name == kind.grid else (name,))]
     return (*names, _DIAGNOSIS) if kind.coordinates else tuple(names)
 
 
@@ -79,10 +77,8 @@ def _designed(table: Table, places: Floats, robot: Robot) -> Floats:
     """Those of a grid that observe the parameters best, in a random order; what the robot cannot reach is left out."""
     count = table.whole("count", least=1, most=MOST_IN_LINE)
     model = model_of(robot)
-    names = table.texts("effects", ())
-    effects = effects_by_name(model.known_effects, names)
-    needy = [e.name for e in effects if e.needs]
-    if needy:
+    effects = effects_by_name(model.known_effects, table.texts("effects", ()))
+    if needy := [e.name for e in effects if e.needs]:
         raise table.fail("effects", f"effects that depend on the pose alone; {listed(needy)} needs more")
     reached = robot.inverse_batch(places)
     rows = Measurements.planned(reached.values[reached.reached], kind_of(robot).layout)
@@ -148,17 +144,12 @@ class Experiment:
         """When each step is read (n,), s from the beginning, as far as speed and settling tell."""
         motion = self._motors.settings
         speed, acceleration = motion["speed"], motion["acceleration"]
-        at, now, out = np.array(self.plan.start), 0.0, []
-        for step in self.plan:
-            for place in (*step.via, step.joints):
-                way = float(np.abs(np.subtract(place, at)).max())
-                # a trapezoid of speed, or a triangle on a short way
-                ramp = speed * speed / acceleration
-                now += way / speed + speed / acceleration if way > ramp else 2.0 * float(np.sqrt(way / acceleration))
-                at = np.array(place)
-            now += self.settling.seconds
-            out.append(now)
-        return np.array(out)
+        ways = np.abs(np.diff(self.plan.places(), axis=0)).max(axis=1)
+        # a trapezoid of speed, or a triangle on a short way
+        whole = ways > speed * speed / acceleration
+        took = np.where(whole, ways / speed + speed / acceleration, 2.0 * np.sqrt(ways / acceleration))
+        ends = np.cumsum([1 + len(step.via) for step in self.plan]) - 1
+        return np.asarray(np.cumsum(took)[ends] + self.settling.seconds * np.arange(1, len(ends) + 1))
 
     @property
     def seconds(self) -> float:
@@ -182,15 +173,15 @@ class Experiment:
 
     def bench(self) -> Bench:
         """The instruments, not yet connected. Raises :class:`~sherkit.errors.ExperimentError`."""
-        sensors: list[Sensor] = []
-        for one in self.instruments:
-            if one is not self._motors:
-                driver = instrument_kinds()[one.kind].driver(one, self.robot)
-                sensors.append(Sensor(driver, one.columns, dict(one.settings)))
-        noted = dict(self._motors.settings)
+        sensors = [
+            Sensor(instrument_kinds()[one.kind].driver(one, self.robot), one.columns, one.settings)
+            for one in self.instruments
+            if one is not self._motors
+        ]
         return Bench(
-            self.robot, self.motion(), sensors, settling=self.settling, checks=self.checks, motion_settings=noted
-        )
+            self.robot, self.motion(), sensors, settling=self.settling, checks=self.checks,
+            motion_settings=self._motors.settings,
+        )  # fmt: skip
 
 
 def load_experiment(
@@ -232,9 +223,7 @@ def experiment_from(
         )
     run_path = path.parent / table.words("run", path.stem + ".sqlite")
     given_ports = table.words("ports", "")
-    known: Mapping[str, Mapping[str, Any]] = {}
-    if not offline and (ports or given_ports):
-        known = read_ports(ports or path.parent / given_ports)
+    known = read_ports(ports or path.parent / given_ports) if not offline and (ports or given_ports) else {}
     chosen: Mapping[str, Any] | None = None
     if table.has("adaptive"):
         with table.table("adaptive") as a:
@@ -329,10 +318,8 @@ def _instrument(
 def _check_instruments(instruments: tuple[InstrumentSettings, ...], path: Path, robot: Robot) -> None:
     motors = [i.name for i in instruments if instrument_kinds()[i.kind].moves]
     if len(motors) != 1:
-        moving = [f"'{name}'" for name, row in instrument_kinds().items() if row.moves]
-        raise ExperimentError(
-            f"{path}: has {len(motors)} [[instrument]] of kind {' or '.join(moving)}; expected one"
-        )  # fmt: skip
+        moving = " or ".join(f"'{name}'" for name, row in instrument_kinds().items() if row.moves)
+        raise ExperimentError(f"{path}: has {len(motors)} [[instrument]] of kind {moving}; expected one")
     columns = [c for i in instruments for c in i.columns]
     if len(set(columns)) < len(columns):
         raise ExperimentError(f"{path}: two instruments have the same column; columns are {listed(columns, 20)}")
@@ -354,12 +341,10 @@ def adaptive_settings(table: Table, robot: Robot) -> dict[str, Any]:
             ends = inner.numbers(name, 2, (0.0, 1.0))
             if inner.has(name):
                 box[name] = list(ends)
-    required = table.positive("required_um")
-    minutes = table.positive("minutes")
     return {
-        "required_um": required,
+        "required_um": table.positive("required_um"),
         "budget": table.whole("budget", BUDGET, least=1),
-        "minutes": minutes,
+        "minutes": table.positive("minutes"),
         "span_min": table.number("span_min", 0.0),
         "box": box or None,
         "level": table.number("level", 0.01, positive=True),
@@ -397,10 +382,12 @@ class AdaptiveRun:
     def take(self, file: RunFile) -> None:
         """Tells the loop what stands in the run file; what it knows already is no news."""
         why = {(step.pose, step.repeat): step.reason for step in file.plan.steps}
-        points = [(p, why.get((p.pose, p.repeat), "")) for p in file.points()]
-        if points:
-            self.loop.tell([{POSE: p.pose, REPEAT: p.repeat, TIME: p.time_s, **p.values, REASON: reason}
-                            for p, reason in points])  # fmt: skip
+        rows = [
+            {POSE: p.pose, REPEAT: p.repeat, TIME: p.time_s, **p.values, REASON: why.get((p.pose, p.repeat), "")}
+            for p in file.points()
+        ]
+        if rows:
+            self.loop.tell(rows)
 
     def more(self, file: RunFile, plan: Plan) -> Plan | None:
         """The plan that goes on, or None where it is known."""

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,12 +66,11 @@ class Plan:
         if not self.steps:
             raise ExperimentError("the plan has no step")
         width = len(self.start)
-        for number, step in enumerate(self.steps):
-            wrong = [p for p in (step.joints, *step.via) if len(p) != width or not np.isfinite(p).all()]
-            if wrong:
-                raise ExperimentError(f"step {number}: expected {width} finite joint readings, got {list(wrong[0])}")
         seen: dict[tuple[int, int], int] = {}
         for number, step in enumerate(self.steps):
+            for place in (step.joints, *step.via):
+                if len(place) != width or not np.isfinite(place).all():
+                    raise ExperimentError(f"step {number}: expected {width} finite joint readings, got {list(place)}")
             before = seen.setdefault((step.pose, step.repeat), number)
             if before != number:
                 raise ExperimentError(
@@ -108,15 +108,13 @@ class Plan:
         """
         way, first = self._way
         end = first[number]
-        begin = end - 1
         moved = np.zeros(len(self.start), dtype=bool)
         # from the step's own place backwards
         for k in range(end, 0, -1):
             moved |= np.not_equal(way[k], way[k - 1])
-            begin = k - 1
-            if moved.all():
-                break
-        return tuple(way[begin:end])
+            if moved.all() or k == 1:
+                return tuple(way[k - 1 : end])
+        return ()
 
     @cached_property
     def directions(self) -> Floats:
@@ -133,33 +131,25 @@ class Plan:
         """What :meth:`from_json` reads, without loss."""
         chosen = any(s.reason for s in self.steps)
         steps = [
-            [
-                s.pose,
-                s.repeat,
-                list(s.joints),
-                [list(v) for v in s.via],
-                *([s.not_before_s, s.reason] if chosen else []),
-            ]
-            for s in self.steps
+            [s.pose, s.repeat, s.joints, s.via, *([s.not_before_s, s.reason] if chosen else [])] for s in self.steps
         ]
-        return json.dumps({"start": list(self.start), "steps": steps})
+        return json.dumps({"start": self.start, "steps": steps})
 
     @classmethod
     def from_json(cls, text: str) -> Plan:
         """Raises :class:`~sherkit.errors.ExperimentError` where the text holds no plan."""
+
+        def place(given: Sequence[Any]) -> tuple[float, ...]:
+            return tuple(map(float, given))
+
+        def step(pose: Any, repeat: Any, joints: Any, via: Any, not_before_s: Any = 0.0, reason: Any = "") -> PlanStep:
+            return PlanStep(
+                int(pose), int(repeat), place(joints), tuple(map(place, via)), float(not_before_s), str(reason)
+            )
+
         try:
             values = json.loads(text)
-            steps = tuple(
-                PlanStep(
-                    int(pose),
-                    int(repeat),
-                    tuple(map(float, joints)),
-                    tuple(tuple(map(float, v)) for v in via),
-                    *(f(v) for f, v in zip((float, str), chosen, strict=False)),
-                )
-                for pose, repeat, joints, via, *chosen in values["steps"]
-            )
-            return cls(steps, tuple(map(float, values["start"])))
+            return cls(tuple(step(*one) for one in values["steps"]), place(values["start"]))
         except (ValueError, TypeError, KeyError) as error:
             raise ExperimentError(f"this is no plan: {error}") from None
 
@@ -189,6 +179,7 @@ def plan_of_poses(
             f"the plan has {len(places)} poses, {repeats} times each; expected {_MOST_STEPS} steps at most"
         )
     rng = np.random.default_rng(seed)
+    sides = [()] if approach is None else [(-approach,), (approach,)]
     steps: list[PlanStep] = []
     for one in range(repeats):
         walk = np.arange(len(places))
@@ -198,10 +189,7 @@ def plan_of_poses(
             walk = walk[::-1]
         for number in walk.tolist():
             target = tuple(places[number].tolist())
-            if approach is None:
-                steps.append(PlanStep(number + 1, one + 1, target))
-                continue
-            for side, sign in enumerate((-1.0, 1.0)):
-                via = tuple(q + sign * approach for q in target)
-                steps.append(PlanStep(number + 1, 2 * one + side + 1, target, (via,)))
+            for repeat, side in enumerate(sides, len(sides) * one + 1):
+                via = tuple(tuple(q + off for q in target) for off in side)
+                steps.append(PlanStep(number + 1, repeat, target, via))
     return Plan(tuple(steps), tuple(float(q) for q in start))

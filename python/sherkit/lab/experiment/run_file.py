@@ -1,8 +1,9 @@
 """The run file: one SQLite database per run, which holds plan, instruments, settings and versions beside the rows.
 
 A point whose :meth:`RunFile.store` has returned is on the disk. Each is one transaction under its step's number, so
-that it is whole or absent, and there once. One runner at a time holds the run's lock. Rows that are in doubt are marked
-and kept. No text in it is ever run: plans and settings are JSON, robot and experiment TOML.
+that it is whole or absent, and there once. One runner at a time holds the run's lock; it is read also while a program
+writes. Rows that are in doubt are marked and kept. No text in it is ever run: plans and settings are JSON, robot and
+experiment TOML.
 """
 
 from __future__ import annotations
@@ -13,22 +14,25 @@ import sqlite3
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import polars as pl
 
 import sherkit._core as _core
 
+from ...data import Measurements, from_frame
+from ...data.columns import OUTLIER, POSE, REASON, REPEAT, TIME
 from ...data.files import is_output
 from ...data.tables import PARQUET, write_table
 from ...errors import ExperimentError, SherkitWarning
 from ..instruments.transport import now_s, wall_ahead_s
 from .plan import Plan, Point
+from .run_database import APPLICATION, FORMAT, READ_TOO, TABLES, connected, reads, statements
 from .run_lock import RunLock
-from .run_rows import FORMAT, READ_TOO, RunRows, connected, exported, holds_nothing_else, is_bare, make_tables, reads
 
 #: Of :meth:`RunFile.create`, what must be the same for a run to go on.
 _SAME = ("plan", "robot")
@@ -38,14 +42,15 @@ _MEANING = "meaning"
 _CLOCK_SET_S = 1.0
 
 
-class RunFile(RunRows):
+class RunFile:
     """An open run file. ``create``, ``resume`` and ``open`` make one; ``with`` closes it.
 
-    Raises :class:`~sherkit.errors.ExperimentError` where the file is none, or another run's.
+    Raises :class:`~sherkit.errors.ExperimentError` where the file is none, or another run's, or damaged.
     """
 
-    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
-        super().__init__(path, connection)
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._db = connected(self.path)
         self._lock: RunLock | None = None
         self._wall_ahead_s = wall_ahead_s()
         self._later_s = 0.0
@@ -59,19 +64,20 @@ class RunFile(RunRows):
 
         A file that a program left before anything was in it is taken over.
         """
-        path = Path(path)
-        made = cls(path, connected(path))
-        if not made._is_bare():
-            made.close()
-            raise ExperimentError(f"{path}: exists; go on with --resume, or give the run another name")
-        made._take_lock()
-        values = {"format": str(FORMAT), "created_s": repr(now_s()), "plan": plan.to_json(), **about}
-        try:
+        made = cls(path)
+        with ExitStack() as failing:
+            failing.callback(made.close)
+            if not made._is_bare():
+                raise ExperimentError(f"{path}: exists; go on with --resume, or give the run another name")
+            made._lock = RunLock(made.path)
+            values = {"format": str(FORMAT), "created_s": repr(now_s()), "plan": plan.to_json(), **about}
             with made._writing():
-                make_tables(made._db, values)
-        except BaseException:
-            made.close()
-            raise
+                made._db.execute("BEGIN IMMEDIATE")
+                for statement in statements(TABLES):
+                    made._db.execute(statement)
+                made._db.executemany("INSERT INTO run VALUES (?, ?)", values.items())
+                made._db.execute(f"PRAGMA application_id = {APPLICATION}")
+            failing.pop_all()
         return made
 
     @classmethod
@@ -81,27 +87,17 @@ class RunFile(RunRows):
         Refuses one with another plan or robot, or in which an instrument's numbers meant something else (``about`` has
         ``meaning`` as JSON: kind, columns and settings by instrument).
         """
-        path = Path(path)
-        made = cls(path, connected(path))
-        bare = made._is_bare()
-        made.close()
+        with cls(path) as made:
+            bare = made._is_bare()
         if bare:
             return cls.create(path, plan, about)
         made = cls.open(path)
-        try:
-            made._take_lock()
+        with ExitStack() as failing:
+            failing.callback(made.close)
+            made._lock = RunLock(made.path)
             made._require_same({"plan": plan.to_json(), **about})
-        except BaseException:
-            made.close()
-            raise
+            failing.pop_all()
         return made
-
-    def _take_lock(self) -> None:
-        try:
-            self._lock = RunLock(self.path)
-        except ExperimentError:
-            self.close()
-            raise
 
     @reads
     def _require_same(self, given: Mapping[str, str]) -> None:
@@ -135,10 +131,9 @@ class RunFile(RunRows):
     @classmethod
     def plan_in(cls, path: str | Path) -> Plan | None:
         """The plan of a run, grown as it is; None where there is no run yet."""
-        path = Path(path)
-        if not path.is_file():
+        if not Path(path).is_file():
             return None
-        with cls(path, connected(path)) as made:
+        with cls(path) as made:
             if made._is_bare():
                 return None
         with cls.open(path) as made:
@@ -147,25 +142,27 @@ class RunFile(RunRows):
     @classmethod
     def open(cls, path: str | Path) -> Self:
         """Opens a run that exists."""
-        path = Path(path)
-        if not path.is_file():
+        if not Path(path).is_file():
             raise ExperimentError(f"{path}: there is no such run file")
-        made = cls(path, connected(path))
-        try:
+        made = cls(path)
+        with ExitStack() as failing:
+            failing.callback(made.close)
             if made._is_bare() or not made._is_ours() or made.about("format") not in READ_TOO:
                 raise ExperimentError(f"{path}: holds no run of this version (expected format {FORMAT})")
-        except BaseException:
-            made.close()
-            raise
+            failing.pop_all()
         return made
 
     @reads
     def _is_bare(self) -> bool:
-        return is_bare(self._db)
+        """Whether nothing is in it: a program died before the run was begun."""
+        return not self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
 
     @reads
     def _is_ours(self) -> bool:
-        return holds_nothing_else(self._db)
+        """Whether its tables are those of a run: a view or a trigger of somebody else's could run for ever."""
+        found = {str(sql) for (sql,) in self._db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+        # runs of the first version had no wall clock in their points
+        return found <= {*statements(TABLES), *statements(TABLES.replace("wall_s REAL NOT NULL, ", ""))}
 
     def close(self) -> None:
         """Gives the file back; twice does no harm."""
@@ -178,6 +175,91 @@ class RunFile(RunRows):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    # --- reading
+
+    @reads
+    def about(self, key: str) -> str:
+        """What the run holds of ``plan``, ``robot``, ``experiment`` …; "" where it holds nothing."""
+        found = self._db.execute("SELECT value FROM run WHERE key = ?", (key,)).fetchone()
+        return str(found[0]) if found is not None else ""
+
+    @property
+    @reads
+    def plan(self) -> Plan:
+        """The plan that the run was begun with."""
+        return Plan.from_json(self.about("plan"))
+
+    @reads
+    def done(self) -> set[int]:
+        """Numbers of the steps that are stored and not in doubt."""
+        return {int(row[0]) for row in self._db.execute("SELECT step FROM point")} - set(self.doubts())
+
+    @reads
+    def doubts(self) -> dict[int, tuple[str, str]]:
+        """Instrument and reason for each step whose row is in doubt."""
+        if self.about("format") == "1":
+            return {}
+        found = self._db.execute("SELECT step, instrument, why FROM doubt ORDER BY step")
+        return {int(step): (str(who), str(why)) for step, who, why in found}
+
+    @reads
+    def last(self) -> Point | None:
+        """The point that was stored last, in doubt or not."""
+        found = self._db.execute("SELECT step FROM point ORDER BY time_s DESC LIMIT 1").fetchone()
+        return None if found is None else self._stored("WHERE step = ?", (found[0],))[0]
+
+    @reads
+    def points(self) -> list[Point]:
+        """Every stored point that is not in doubt, in the order of the steps."""
+        return self._stored("WHERE step NOT IN (SELECT step FROM doubt)" if self.doubts() else "", ())
+
+    def _stored(self, where: str, values: tuple[int, ...]) -> list[Point]:
+        read: dict[int, dict[str, float]] = {}
+        for step, name, value in self._db.execute(
+            f"SELECT step, name, value FROM reading {where} ORDER BY step, place", values
+        ):
+            read.setdefault(step, {})[name] = float("nan") if value is None else float(value)
+        found = self._db.execute(f"SELECT step, pose, repeat, time_s FROM point {where} ORDER BY step", values)
+        return [Point(int(p), int(r), float(t), read.get(step, {})) for step, p, r, t in found]
+
+    @reads
+    def diary(self) -> list[tuple[float, int | None, str]]:
+        """When, at which step, what."""
+        return [(float(a), b, str(c)) for a, b, c in self._db.execute("SELECT at_s, step, what FROM diary")]
+
+    @reads
+    def instruments(self) -> list[tuple[int, str, str, str, str]]:
+        """Session, name, kind, identity and port of every instrument of every session."""
+        return list(self._db.execute("SELECT session, name, kind, identity, port FROM instrument"))
+
+    @reads
+    def frame(self) -> pl.DataFrame:
+        """The rows in the order of their steps: step, time, pose, repeat, and a column for every value.
+
+        Where a loop has chosen the poses, ``reason`` says why. Where rows are in doubt, they have a 1 in the column
+        ``outlier``: no fit uses them.
+        """
+        points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
+        place = {row[0]: k for k, row in enumerate(points)}
+        columns: dict[str, list[float | None]] = {}
+        for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
+            columns.setdefault(str(name), [None] * len(points))[place[step]] = value
+        head = {
+            "step": pl.Series([row[0] for row in points], dtype=pl.Int64),
+            TIME: pl.Series([row[1] for row in points], dtype=pl.Float64),
+            POSE: pl.Series([row[2] for row in points], dtype=pl.Int64),
+            REPEAT: pl.Series([row[3] for row in points], dtype=pl.Int64),
+        }
+        if doubts := self.doubts():
+            head[OUTLIER] = pl.Series([int(row[0] in doubts) for row in points], dtype=pl.Int64)
+        reasons = {k: step.reason for k, step in enumerate(self.plan.steps)} if points else {}
+        told = {REASON: pl.Series([reasons.get(row[0], "") for row in points])} if any(reasons.values()) else {}
+        return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}, **told})
+
+    def measurements(self) -> Measurements:
+        """The rows as measurements, by time. Raises :class:`~sherkit.errors.MeasurementError` where there are none."""
+        return from_frame(_exported(self.frame()), str(self.path))
 
     # --- writing
 
@@ -335,6 +417,12 @@ def _by_instrument(text: str) -> dict[str, dict[str, Any]]:
     return made
 
 
+def _exported(frame: pl.DataFrame) -> pl.DataFrame:
+    """The columns of a run that a person or program goes on with: time counted from the first row, no step numbers."""
+    first = frame[TIME].min() if len(frame) else 0.0
+    return frame.drop("step").with_columns(pl.col(TIME) - first)
+
+
 def export_run(source: str | Path, destination: str | Path) -> int:
     """Writes a run's rows as CSV or Parquet, by the ending of the name; returns how many. Reads a run that goes on.
 
@@ -348,5 +436,5 @@ def export_run(source: str | Path, destination: str | Path) -> int:
         frame = run.frame()
     if not len(frame):
         raise ExperimentError(f"{source}: holds no row yet")
-    write_table(exported(frame), destination)
+    write_table(_exported(frame), destination)
     return len(frame)

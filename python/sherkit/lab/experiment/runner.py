@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import cycle, pairwise
 
 import numpy as np
 import polars as pl
@@ -21,7 +21,7 @@ from ..instruments.transport import now_s
 from .bench import Bench
 from .plan import Plan, Point
 from .run_file import RunFile
-from .watch import RunWarning, Watch
+from .watch import RunWarning
 
 #: Weight of the newest step in the estimate of the time that a step takes.
 _NEWEST = 0.1
@@ -101,166 +101,152 @@ def run(
     run ends. Raises :class:`~sherkit.errors.InstrumentError` where an instrument fails: the motors then stand, the
     file's diary says why, and the run can be resumed.
     """
-    control = control or Control()
     bench.check(plan.places())
-    done = file.done()
-    missing = [n for n in range(len(plan)) if n not in done]
-    if not missing and (further := _longer(plan, bench, file, more)) is not None:
-        plan, missing = further
-    if not missing:
-        return "complete"
-    file.begin(bench.identities())
-    number = missing[0]
-    why = "killed"
-    watch = bench.watch()
-    try:
-        _prove(plan, bench, file, number, warm_up_s)
-        watch.learn(file.points())
-        _look(bench, file, watch)
-        _warm_up(plan, bench, warm_up_s, control)
-        why = _take(plan, bench, file, missing, control, attempts, report, watch)
-        while why == "complete" and (further := _longer(plan, bench, file, more)) is not None:
-            plan, missing = further
-            why = _take(plan, bench, file, missing, control, attempts, report, watch, follows=True)
-    except BaseException as error:
-        said = str(error) if isinstance(error, SherkitError) else type(error).__name__
-        why = f"failed: {said}"
-        number = next((n for n in missing if n not in file.done()), number)
-        file.note(said, number)
-        raise
-    finally:
-        file.end(why)
-    return why
+    return _Run(plan, bench, file, control or Control(), warm_up_s, attempts, report, more).whole()
 
 
-def _longer(
-    plan: Plan, bench: Bench, file: RunFile, more: Callable[[Plan], Plan | None] | None
-) -> tuple[Plan, list[int]] | None:
-    """The plan that goes on, once it is on the disk, and its new steps; None where there is none."""
-    grown = None if more is None else more(plan)
-    if grown is None or len(grown) == len(plan):
-        return None
-    bench.check(grown.places()[len(plan.places()) :])
-    file.grow(grown)
-    return grown, list(range(len(plan), len(grown)))
+@dataclass
+class _Run:
+    """A run, as :func:`run` was asked for it; its plan may grow."""
 
+    plan: Plan
+    bench: Bench
+    file: RunFile
+    control: Control
+    warm_up_s: float
+    attempts: int
+    report: Callable[[RunProgress], None] | None
+    more: Callable[[Plan], Plan | None] | None
 
-def _take(
-    plan: Plan,
-    bench: Bench,
-    file: RunFile,
-    missing: list[int],
-    control: Control,
-    attempts: int,
-    report: Callable[[RunProgress], None] | None,
-    watch: Watch,
-    *,
-    follows: bool = False,
-) -> str:
-    total = len(plan)
-    seconds = 0.0
-    # what follows on a batch is approached from where that ended
-    last = missing[0] - 1 if follows else -2
-    for k, number in enumerate(missing):
-        if control.paused:
-            file.note("paused", number)
-            control.wait()
-            file.note("resumed", number)
-            last = -2
-        if control.ended:
-            return "ended"
-        _wait(plan.steps[number].not_before_s, control)
-        if control.ended:
-            return "ended"
-        began = time.monotonic()
-        point = _with_directions(_measured(plan, bench, file, number, number == last + 1, attempts), plan, number)
-        point = file.store(number, point)
-        last = number
-        if (doubt := watch.take(number, point)) is not None:
-            file.doubt(doubt.steps, doubt.instrument, doubt.why)
-            steps = ", ".join(map(str, doubt.steps))
-            raise _implausible(bench, doubt, f"; rows of the steps {steps} are marked, and are taken again by --resume")
-        took = time.monotonic() - began
-        seconds = took if not k else seconds + max(_NEWEST, 1.0 / (k + 1)) * (took - seconds)
-        if report is not None:
-            report(RunProgress(number, total - len(missing) + k + 1, total, seconds * (len(missing) - k - 1), point))
-    return "complete"
-
-
-def _wait(until_s: float, control: Control) -> None:
-    """Returns when the host's clock shows so much, or the run is to end; the motors stand."""
-    while now_s() < until_s and not control.ended:
-        time.sleep(min(_PAUSE_POLL_S, max(until_s - now_s(), 0.0)))
-
-
-def _measured(plan: Plan, bench: Bench, file: RunFile, number: int, follows: bool, attempts: int) -> Point:
-    """The step's point. After a fault of a line all ports are opened anew, and the step is approached as planned."""
-    for left in range(attempts - 1, -1, -1):
+    def whole(self) -> str:
+        """From beginning to end."""
+        done = self.file.done()
+        missing = [n for n in range(len(self.plan)) if n not in done] or self._grown()
+        if not missing:
+            return "complete"
+        self.file.begin(self.bench.identities())
+        self._watch = self.bench.watch()
+        why = "killed"
         try:
-            if not follows:
-                for place in plan.lead_in(number):
-                    bench.drive(place)
-            return bench.measure(plan.steps[number])
-        except (Timeout, Garbled, Disconnected) as error:
-            if not left:
-                raise
-            file.note(f"tried again after: {error}", number)
-            follows = False
-            bench.close()
-            bench.connect()
-            _prove(plan, bench, file, number, 0.0)
-    raise AssertionError("unreachable")
+            self._prove(missing[0], self.warm_up_s)
+            self._watch.learn(self.file.points())
+            self._look()
+            self._warm_up()
+            why = self._take(missing, -2)
+            while why == "complete" and (further := self._grown()):
+                missing = further
+                # it is approached from where the batch before ended
+                why = self._take(missing, missing[0] - 1)
+        except BaseException as error:
+            said = str(error) if isinstance(error, SherkitError) else type(error).__name__
+            why = f"failed: {said}"
+            done = self.file.done()
+            self.file.note(said, next((n for n in missing if n not in done), missing[0]))
+            raise
+        finally:
+            self.file.end(why)
+        return why
 
+    def _grown(self) -> list[int]:
+        """The new steps of the plan that goes on, once it is on the disk; none where there is none."""
+        plan, grown = self.plan, None if self.more is None else self.more(self.plan)
+        if grown is None or len(grown) == len(plan):
+            return []
+        self.bench.check(grown.places()[len(plan.places()) :])
+        self.file.grow(grown)
+        self.plan = grown
+        return list(range(len(plan), len(grown)))
 
-def _prove(plan: Plan, bench: Bench, file: RunFile, number: int, warm_up_s: float) -> None:
-    """Refuses to move where the axes do not stand where they can be, as far as the run's file tells."""
-    last = file.last()
-    legs: list[tuple[Sequence[float], Sequence[float]]] = []
-    if last is not None:
-        at = tuple(last.values[name] for name in kind_of(bench.robot).layout.joints)
-        way = (at, *plan.lead_in(number), *plan.steps[number].via, plan.steps[number].joints)
-        legs = [*pairwise(way), (plan.start, plan.start), (plan.start, way[1])]
-        if warm_up_s > 0:
-            legs += pairwise([plan.start, *(s.joints for s in plan), plan.start])
-    elif not bench.motion.reference().said:
-        # it cannot tell whether it was zeroed: then only where a person has brought it
-        legs = [(plan.start, plan.start)]
-    mark = bench.prove(legs)
-    if file.reference not in (None, mark):
-        file.note("the reference of the axes was set anew", number)
-    file.reference = mark
+    def _take(self, missing: list[int], last: int) -> str:
+        """Takes steps; the robot stands where step ``last`` was taken."""
+        plan, file, control = self.plan, self.file, self.control
+        seconds = 0.0
+        for k, number in enumerate(missing):
+            if control.paused:
+                file.note("paused", number)
+                control.wait()
+                file.note("resumed", number)
+                last = -2
+            # not before the host's clock shows so much, or the run is to end; the motors stand
+            while not control.ended and (early_s := plan.steps[number].not_before_s - now_s()) > 0:
+                time.sleep(min(_PAUSE_POLL_S, early_s))
+            if control.ended:
+                return "ended"
+            began = time.monotonic()
+            point = self._measured(number, number == last + 1)
+            # the side from which each joint came: rows that are sorted anew would no longer show it
+            directions = {f"direction_{j + 1}": float(d) for j, d in enumerate(plan.directions[number])}
+            point = file.store(number, replace(point, values={**point.values, **directions}))
+            last = number
+            if (doubt := self._watch.take(number, point)) is not None:
+                file.doubt(doubt.steps, doubt.instrument, doubt.why)
+                steps = ", ".join(map(str, doubt.steps))
+                raise self._implausible(doubt, f"rows of the steps {steps} are marked, and are taken again by --resume")
+            took = time.monotonic() - began
+            seconds = took if not k else seconds + max(_NEWEST, 1.0 / (k + 1)) * (took - seconds)
+            if self.report is not None:
+                left, total = len(missing) - k - 1, len(plan)
+                self.report(RunProgress(number, total - left, total, seconds * left, point))
+        return "complete"
 
+    def _measured(self, number: int, follows: bool) -> Point:
+        """The step's point. After a fault of a line all ports are opened anew; the step is approached as planned."""
+        for left in range(self.attempts - 1, -1, -1):
+            try:
+                if not follows:
+                    for place in self.plan.lead_in(number):
+                        self.bench.drive(place)
+                return self.bench.measure(self.plan.steps[number])
+            except (Timeout, Garbled, Disconnected) as error:
+                if not left:
+                    raise
+                self.file.note(f"tried again after: {error}", number)
+                follows = False
+                self.bench.close()
+                self.bench.connect()
+                self._prove(number, 0.0)
+        raise AssertionError("unreachable")
 
-def _look(bench: Bench, file: RunFile, watch: Watch) -> None:
-    """Before anything moves: whether the sensors, where they see the robot, see it where the joints say."""
-    try:
-        seen = bench.look()
-    except (OutOfRange, Garbled):
-        # nothing is to be seen from here, or it still swings; each step will tell
-        return
-    if (doubt := watch.judge(file.dated(seen))) is not None:
-        raise _implausible(bench, doubt, "; nothing was moved. Look at the instrument, or run 'sherkit home'")
+    def _prove(self, number: int, warm_up_s: float) -> None:
+        """Refuses to move where the axes do not stand where they can be, as far as the run's file tells."""
+        plan, file = self.plan, self.file
+        last = file.last()
+        legs: list[tuple[Sequence[float], Sequence[float]]] = []
+        if last is not None:
+            at = tuple(last.values[name] for name in kind_of(self.bench.robot).layout.joints)
+            way = (at, *plan.lead_in(number), *plan.steps[number].via, plan.steps[number].joints)
+            legs = [*pairwise(way), (plan.start, plan.start), (plan.start, way[1])]
+            if warm_up_s > 0:
+                legs += pairwise([plan.start, *(s.joints for s in plan), plan.start])
+        elif not self.bench.motion.reference().said:
+            # it cannot tell whether it was zeroed: then only where a person has brought it
+            legs = [(plan.start, plan.start)]
+        mark = self.bench.prove(legs)
+        if file.reference not in (None, mark):
+            file.note("the reference of the axes was set anew", number)
+        file.reference = mark
 
+    def _look(self) -> None:
+        """Before anything moves: whether the sensors, where they see the robot, see it where the joints say."""
+        try:
+            seen = self.bench.look()
+        except (OutOfRange, Garbled):
+            # nothing is to be seen from here, or it still swings; each step will tell
+            return
+        if (doubt := self._watch.judge(self.file.dated(seen))) is not None:
+            raise self._implausible(doubt, "nothing was moved. Look at the instrument, or run 'sherkit home'")
 
-def _implausible(bench: Bench, doubt: RunWarning, what: str) -> Implausible:
-    port = next((i.address for i in bench.instruments if i.name == doubt.instrument), "")
-    return Implausible(doubt.why + what, instrument=doubt.instrument, port=port)
+    def _implausible(self, doubt: RunWarning, what: str) -> Implausible:
+        port = next((i.address for i in self.bench.instruments if i.name == doubt.instrument), "")
+        return Implausible(f"{doubt.why}; {what}", instrument=doubt.instrument, port=port)
 
-
-def _with_directions(point: Point, plan: Plan, number: int) -> Point:
-    """The side from which each joint came: rows that are sorted anew would no longer show it."""
-    directions = {f"direction_{k + 1}": float(d) for k, d in enumerate(plan.directions[number])}
-    return Point(point.pose, point.repeat, point.time_s, {**point.values, **directions})
-
-
-def _warm_up(plan: Plan, bench: Bench, seconds: float, control: Control) -> None:
-    """Drives through the plan without reading."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        for step in plan:
-            if time.monotonic() > end or control.ended:
+    def _warm_up(self) -> None:
+        """Drives through the plan without reading."""
+        end = time.monotonic() + self.warm_up_s
+        for step in cycle(self.plan):
+            if time.monotonic() >= end or self.control.ended:
                 return
-            bench.drive(step.joints)
+            self.bench.drive(step.joints)
 
 
 # -- identification while the rows come in ----------------------------------------------------------------------------
@@ -331,14 +317,12 @@ class Live:
         """How well the model is known, and whether further poses help."""
         if self.worst is None:
             return f"{self.rows} rows are too few for a fit"
-        what, std = self.worst
-        unit = self.goal_unit
+        (what, std), unit = self.worst, self.goal_unit
         known = f"after {self.rows} rows, {what} is known to {std:.3g} {unit} (standard deviation), all else better"
         if self.goal is None:
             return known
-        if self.enough:
-            return f"{known}; the goal is {self.goal.std:g} {unit}: further poses no longer help"
-        return f"{known}; the goal is {self.goal.std:g} {unit}: about {self.rows_to_go} more rows"
+        more = "further poses no longer help" if self.enough else f"about {self.rows_to_go} more rows"
+        return f"{known}; the goal is {self.goal.std:g} {unit}: {more}"
 
     def short(self) -> str:
         """The same in a few words, for a line that changes."""
@@ -398,10 +382,8 @@ class Live:
 
     def _measurements(self, points: list[Point]) -> Measurements:
         first = self._points[0].time_s
-        columns: dict[str, list[float]] = {TIME: [p.time_s - first for p in points]}
-        for name in points[0].values:
-            columns[name] = [p.values[name] for p in points]
-        frame = pl.DataFrame(columns).with_columns(
-            pl.Series(POSE, [p.pose for p in points]), pl.Series(REPEAT, [p.repeat for p in points])
+        frame = pl.DataFrame(
+            [{TIME: p.time_s - first, **p.values, POSE: p.pose, REPEAT: p.repeat} for p in points],
+            infer_schema_length=None,
         )
         return from_frame(frame.with_columns(pl.col(pl.Float64).fill_nan(None)), "the run so far")

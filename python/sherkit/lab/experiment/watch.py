@@ -24,6 +24,7 @@ from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import TIME
 from ...errors import SherkitError, SherkitWarning
+from ...fit.least_squares import LeastSquaresProblem
 from ...model.chain import ChainModel
 from ...model.effect import Effect
 from ...model.kinds import Robot, kind_of, model_of
@@ -53,9 +54,8 @@ _STILL = 4
 _MOVED = 20.0
 #: So many rows are asked where a sensor stands, and how well they tell it before the robot is known, rad and mm.
 _STANDS, _TURNED_RAD, _SHIFTED_MM = 6, 0.5, 200.0
-#: Steps of Gauss-Newton in which a model may bend to a row, and how often one of them is halved.
-_BENDS = 4
-_HALVINGS = 5
+#: Evaluations in which a model may bend to its rows, and fits in which the noise settles.
+_EVALUATIONS, _BENDS = 8, 4
 
 
 @dataclass(frozen=True)
@@ -126,9 +126,7 @@ class Watch:
 
     def take(self, step: int, point: Point) -> RunWarning | None:
         """Judges the row, and takes it in where nothing speaks against it."""
-        if not self._read:
-            return None
-        if not np.isfinite(self._readings([point])).any():
+        if not self._read or not np.isfinite(self._readings([point])).any():
             return None
         self._newest = [*self._newest, (step, point)][-_STILL:]
         if (held := self._held()) is not None:
@@ -157,16 +155,13 @@ class Watch:
         """Begins anew with the sensor there (6,), which is asked once."""
         for name, k in self._pose.items():
             self._drawn[k] = off[POSE.index(name)]
-            self._prior[k] = _TURNED_RAD if name in TURNS else _SHIFTED_MM
+            self._prior[k] = np.hypot(self._drawn[k], _TURNED_RAD if name in TURNS else _SHIFTED_MM)
         self._pose, self._so_far = {}, []
         self._begin()
 
     def _registration(self, points: Sequence[Point]) -> Floats | None:
         """Where the sensor must stand (6,) for most of these rows to be as drawn."""
-        rows = self._row(points)
-        readings = np.full(rows.readings.shape, np.nan)
-        readings[:, self._read] = self._readings(points)
-        return self.model.registration(rows.with_readings(readings))
+        return self.model.registration(self._rows(points))
 
     def _judged(self, step: int, point: Point) -> RunWarning | None:
         """The row by what those before it say; it is taken in where nothing speaks against it."""
@@ -199,7 +194,7 @@ class Watch:
 
     def _doubt(self, found: Accused, odd: Sequence[ComparedRow]) -> RunWarning:
         steps = tuple(sorted(s.step for s in odd if s.step >= 0))
-        return RunWarning(" or ".join(dict.fromkeys(self._owners[c] for c in found.columns)), found.why, steps)
+        return RunWarning(self._whose(found.columns), found.why, steps)
 
     def _held(self) -> RunWarning | None:
         """A column whose last digit stands still while the robot moves, by the drawing: no fit is to explain that."""
@@ -211,11 +206,20 @@ class Watch:
         held = (np.ptp(self._readings(points), axis=0) == 0.0) & (moved > _MOVED * self._assumed)
         if not held.any():
             return None
-        columns = [self.layout.coordinates[k] for k, h in zip(self._read, held, strict=True) if h]
+        columns = [name for name, h in zip(self._columns, held, strict=True) if h]
         why = f"{listed(columns)} did not change in the last digit since step {steps[0]}, while the robot moved"
-        return RunWarning(" or ".join(dict.fromkeys(self._owners[c] for c in columns)), why, tuple(steps))
+        return RunWarning(self._whose(columns), why, tuple(steps))
 
-    def _row(self, points: Sequence[Point]) -> Measurements:
+    def _whose(self, columns: Sequence[str]) -> str:
+        return " or ".join(dict.fromkeys(self._owners[c] for c in columns))
+
+    @property
+    def _columns(self) -> list[str]:
+        """The coordinates that are read."""
+        return [self.layout.coordinates[k] for k in self._read]
+
+    def _rows(self, points: Sequence[Point]) -> Measurements:
+        """These points as rows, with the coordinates that are read."""
         if self._first_s is None:
             self._first_s = points[0].time_s
         layout = self.layout
@@ -225,35 +229,36 @@ class Watch:
         joints = np.array([[p.values[name] for name in layout.joints] for p in points])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SherkitWarning)
-            return Measurements.planned(joints, layout, "the run so far", **columns)
+            rows = Measurements.planned(joints, layout, "the run so far", **columns)
+        readings = np.full(rows.readings.shape, np.nan)
+        readings[:, self._read] = self._readings(points)
+        return rows.with_readings(readings)
 
     def _readings(self, points: Sequence[Point]) -> Floats:
         """The coordinates that are read (n, m); NaN where a cell is empty."""
-        names = [self.layout.coordinates[k] for k in self._read]
+        names = self._columns
         return np.array([[p.values.get(name, np.nan) for name in names] for p in points])
 
     def _predicted(self, points: Sequence[Point], values: Floats) -> tuple[Floats, Floats]:
         """Readings (n, m) and their derivatives (n, m, p) at these values."""
-        rows = self._row(points)
+        rows = self._rows(points)
         columns = self.model.derivatives(rows, values)[:, self._read]
         return self.model.predict(rows, values)[:, self._read], columns
 
     def _seen(self, step: int, point: Point) -> ComparedRow | None:
         """The row beside what the model makes of it, or the drawing where the model cannot be at these joints; None
         where neither can."""
-        values, covariance = self._values, self._covariance
-        if not np.isfinite(self._cost([point], values)):
-            values, covariance = self._drawn, np.diag(self._prior**2)
-            if not np.isfinite(self._cost([point], values)):
-                return None
+        values = self._start([point])
+        if values is None:
+            return None
+        covariance = self._covariance if values is self._values else np.diag(self._prior**2)
         predicted, by = (a[0] for a in self._predicted([point], values))
         (read,) = self._readings([point])
         spread = by @ covariance @ by.T + self._noise**2 * np.eye(len(read))
         for model, sizes in self._steps:
-            more = model.derivatives(self._row([point]), np.zeros(len(model.parameters)))[0, self._read] * sizes
+            more = model.derivatives(self._rows([point]), np.zeros(len(model.parameters)))[0, self._read] * sizes
             spread += more @ more.T
-        columns = [self.layout.coordinates[k] for k in self._read]
-        seen = ComparedRow(step, columns, read, predicted, spread, partial(self._by_joints, point, values))
+        seen = ComparedRow(step, self._columns, read, predicted, spread, partial(self._by_joints, point, values))
         return seen if seen.distance <= _ODD else replace(seen, least=self._reconsidered(point))
 
     def _reconsidered(self, point: Point) -> float:
@@ -263,13 +268,9 @@ class Watch:
         return float(np.sqrt(max(self._least([*self._points, point]) - without, 0.0)))
 
     def _least(self, points: Sequence[Point]) -> float:
-        """The least sum of squares, of readings and plausible sizes, that a few steps of Gauss-Newton find."""
-        values = self._start(points)
-        if values is None:
-            return np.inf
-        for _ in range(_BENDS):
-            values = self._step(points, values)[0]
-        return self._cost(points, values)
+        """The least sum of squares, of readings and plausible sizes, that a few steps find."""
+        fitted = self._fitted(points)
+        return np.inf if fitted is None else self._cost(points, fitted[0])
 
     def _start(self, points: Sequence[Point]) -> Floats | None:
         """The present values, or the drawing where those cannot be at these joints; None where neither can."""
@@ -279,38 +280,29 @@ class Watch:
     def _cost(self, points: Sequence[Point], values: Floats) -> float:
         """The sum of squares, of readings and plausible sizes; infinite where no such robot can be at these joints."""
         try:
-            predicted = self.model.predict(self._row(points), values)[:, self._read]
+            predicted = self.model.predict(self._rows(points), values)[:, self._read]
         except SherkitError:
             return np.inf
         miss = (self._readings(points) - predicted) / self._noise
-        return float(np.nansum(miss**2) + (((values - self._drawn) / self._prior) ** 2).sum())
+        return float(np.nansum(miss**2) + ((values / self._prior) ** 2).sum())
 
-    def _step(self, points: Sequence[Point], values: Floats) -> tuple[Floats, Floats, Floats]:
-        """A step of Gauss-Newton from ``values``, shorter where it would climb: the next values, their covariance, and
-        the derivatives of what is read (n, p)."""
-        readings = self._readings(points)
-        there = np.isfinite(readings)
-        predicted, by = self._predicted(points, values)
-        miss, columns = (readings - predicted)[there], by[there]
-        information = columns.T @ columns / self._noise**2 + np.diag(self._prior**-2.0)
-        covariance = np.asarray(linalg.inv(information), dtype=np.float64)
-        off = values - self._drawn
-        step = covariance @ (columns.T @ miss / self._noise**2 - off / self._prior**2)
-        cost = float((miss @ miss) / self._noise**2 + ((off / self._prior) ** 2).sum())
-        for _ in range(_HALVINGS):
-            if self._cost(points, values + step) <= cost:
-                return values + step, covariance, columns
-            step = 0.5 * step
-        return values, covariance, columns
+    def _fitted(self, points: Sequence[Point]) -> tuple[Floats, Floats] | None:
+        """Values and their covariance by readings and plausible sizes, a few steps from :meth:`_start`."""
+        if (start := self._start(points)) is None:
+            return None
+        rows = self._rows(points)
+        problem = LeastSquaresProblem(self.model, rows, self._prior)
+        weights = np.isfinite(rows.readings) / self._noise
+        found = problem.solve(weights, start, priors=True, max_evaluations=_EVALUATIONS)[0].result()
+        return found["values"], found["covariance"]
 
     def _by_joints(self, point: Point, values: Floats) -> Floats:
         """Derivatives (m, k) of the readings by the joints, at these values."""
-        out = []
+        out, width = [], 1e-4
         for name in self.layout.joints:
-            width = 1e-4
             sides = [replace(point, values={**point.values, name: point.values[name] + s * width}) for s in (1.0, -1.0)]
             try:
-                high, low = self.model.predict(self._row(sides), values)[:, self._read]
+                high, low = self.model.predict(self._rows(sides), values)[:, self._read]
             except SherkitError:
                 # at the very edge of what the robot reaches
                 high = low = np.zeros(len(self._read))
@@ -336,16 +328,15 @@ class Watch:
         self._covariance = self._covariance - gain @ by @ self._covariance
 
     def _linearise(self) -> None:
-        """Gauss-Newton over all rows about the present values, with the plausible sizes as a prior."""
-        if not self._points or (start := self._start(self._points)) is None:
+        """A fit of all rows from the present values, with the plausible sizes as a prior; the noise that it leaves."""
+        if not self._points or (fitted := self._fitted(self._points)) is None:
             return
-        values, covariance, columns = self._step(self._points, start)
-        readings = self._readings(self._points)
-        left = (readings - self.model.predict(self._row(self._points), values)[:, self._read])[np.isfinite(readings)]
-        fitted = float(np.trace(covariance @ columns.T @ columns)) / self._noise**2
+        self._values, self._covariance = fitted
+        rows = self._rows(self._points)
+        left = (rows.readings - self.model.predict(rows, self._values))[np.isfinite(rows.readings)]
+        told = len(self._prior) - float((np.diag(self._covariance) / self._prior**2).sum())
         assumed = _NOISE_ROWS * len(self._read)
-        free = max(len(left) - fitted, 0.0) + assumed
-        self._values, self._covariance = values, 0.5 * (covariance + covariance.T)
+        free = max(len(left) - told, 0.0) + assumed
         estimated = float(np.sqrt((assumed * self._assumed**2 + left @ left) / free))
         self._noise = min(estimated, _LOUDEST * self._assumed)
         self._linearised = len(self._points)

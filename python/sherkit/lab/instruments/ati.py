@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import struct
-import urllib.error
 import urllib.request
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field
 
 from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Timeout
 from .base import Identity, Instrument, Reading
-from .transport import UdpPort, deadline_in, now_s
+from .transport import UdpPort, deadline_in
 
 _REQUEST = struct.Struct(">HHI")
 _RECORD = struct.Struct(">IIIiiiiii")
@@ -24,6 +23,8 @@ _MAGIC = 0x1234
 _STOP, _REAL_TIME, _BIAS = 0, 2, 0x42
 _NAMES = ("fx", "fy", "fz", "tx", "ty", "tz")
 _LARGEST_XML = 1 << 18
+#: How the page ends the names of the units of force and torque, and what they are where it does not say.
+_UNITS = {"fu": "N", "tu": "Nmm"}
 
 
 @dataclass(frozen=True)
@@ -67,17 +68,12 @@ def parse_scale(xml: bytes) -> Scale:
         raise Garbled("expected a short XML file without declarations", received=xml)
     try:
         found = {e.tag: (e.text or "").strip() for e in ET.fromstring(xml).iter()}
-        scale = Scale(
-            float(found["cfgcpf"]),
-            float(found["cfgcpt"]),
-            found.get("scfgfu") or found.get("cfgfu") or "N",
-            found.get("scfgtu") or found.get("cfgtu") or "Nmm",
-        )
+        units = [found.get(f"scfg{what}") or found.get(f"cfg{what}") or usual for what, usual in _UNITS.items()]
+        return Scale(float(found["cfgcpf"]), float(found["cfgcpt"]), *units)
     except KeyError as error:
         raise Garbled(f"expected the element {error.args[0]}", received=xml) from None
     except (ET.ParseError, ValueError, LookupError, InstrumentError) as error:
         raise Garbled(f"expected numbers cfgcpf and cfgcpt in XML: {error}", received=xml) from None
-    return scale
 
 
 def fetch_scale(url: str, timeout_s: float = 5.0) -> Scale:
@@ -90,7 +86,7 @@ def fetch_scale(url: str, timeout_s: float = 5.0) -> Scale:
     try:
         with urllib.request.urlopen(url, timeout=timeout_s) as answer:
             xml = answer.read(_LARGEST_XML + 1)
-    except (urllib.error.URLError, OSError, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise Disconnected(f"cannot be fetched: {error}", instrument="Net F/T", port=url) from None
     try:
         return parse_scale(xml)
@@ -99,6 +95,7 @@ def fetch_scale(url: str, timeout_s: float = 5.0) -> Scale:
         raise
 
 
+@dataclass(eq=False, repr=False)
 class NetFT(Instrument):
     """A force and torque sensor; ``scale`` from :func:`fetch_scale` or from its calibration sheet.
 
@@ -108,21 +105,12 @@ class NetFT(Instrument):
     kind = "Net F/T"
     default_port = 49152
 
-    def __init__(
-        self,
-        address: str,
-        scale: Scale,
-        *,
-        ignored_status: int = 0,
-        name: str = "",
-        timeout_s: float = 0.5,
-        retries: int = 2,
-    ) -> None:
-        super().__init__(address, name=name, timeout_s=timeout_s, retries=retries)
-        self.scale = scale
-        self.ignored_status = ignored_status
-        self.lost = 0
-        self.reordered = 0
+    scale: Scale
+    _: KW_ONLY
+    ignored_status: int = 0
+    timeout_s: float = 0.5
+    lost: int = field(default=0, init=False)
+    reordered: int = field(default=0, init=False)
 
     def identify(self) -> Identity:
         """UDP does not name the sensor: that a record comes, and the scale it is read with."""
@@ -206,11 +194,6 @@ class NetFT(Instrument):
         s = self.scale
         per = (s.counts_per_force,) * 3 + (s.counts_per_torque,) * 3
         units = (s.force_unit,) * 3 + (s.torque_unit,) * 3
-        details = {
-            "sequence": float(record.sequence),
-            "sample": float(record.sample),
-            "lost": float(self.lost),
-            "reordered": float(self.reordered),
-        }
+        details = {"sequence": record.sequence, "sample": record.sample, "lost": self.lost, "reordered": self.reordered}
         values = tuple(c / p for c, p in zip(record.counts, per, strict=True))
-        return Reading(self.name, _NAMES, values, units, time_s or now_s(), details)
+        return Reading(self.name, _NAMES, values, units, time_s, {k: float(v) for k, v in details.items()})

@@ -7,15 +7,17 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from operator import sub
 from statistics import median
 from types import TracebackType
 from typing import Any, ClassVar, Self, TypeVar
 
+import numpy as np
+
 from ...base.figures import listed, nearest
 from ...errors import Disconnected, Garbled, InstrumentError, NotReferenced, OutOfRange, ShapeError, Timeout
-from .transport import Transport, open_port
+from .transport import Transport, deadline_in, open_port
 
 T = TypeVar("T")
 E = TypeVar("E", bound=InstrumentError)
@@ -66,6 +68,7 @@ class Identity:
     port: str
 
 
+@dataclass(eq=False, repr=False)
 class Instrument(ABC):
     """An instrument at a port. Making one opens nothing; ``connect`` or ``with`` does. Opening never moves anything.
 
@@ -77,14 +80,15 @@ class Instrument(ABC):
     kind: ClassVar[str] = "instrument"
     default_port: ClassVar[int | None] = None
 
-    def __init__(
-        self, address: str, *, name: str = "", timeout_s: float = 2.0, retries: int = 2, baud: int = 115200
-    ) -> None:
-        self.address = address
-        self.name = name or self.kind
-        self.timeout_s = timeout_s
-        self.retries = retries
-        self.baud = baud
+    address: str
+    _: KW_ONLY
+    name: str = ""
+    timeout_s: float = 2.0
+    retries: int = 2
+    baud: int = 115200
+
+    def __post_init__(self) -> None:
+        self.name = self.name or self.kind
         self._lock = threading.RLock()
         self._transport: Transport | None = None
 
@@ -121,10 +125,8 @@ class Instrument(ABC):
         before = self.read()
         for _ in range(attempts):
             now = self.read()
-            if now.names == before.names and all(
-                # an empty cell agrees with an empty cell
-                abs(a - b) <= within or (a != a and b != b) for a, b in zip(now.values, before.values, strict=True)
-            ):  # fmt: skip
+            # an empty cell agrees with an empty cell
+            if now.names == before.names and np.allclose(now.values, before.values, 0.0, within, equal_nan=True):
                 return now
             before, last = now, before
         raise self.fail(
@@ -158,11 +160,8 @@ class Instrument(ABC):
 
     def _reopen(self) -> None:
         self._shut()
-        try:
+        with self._explained():
             self._transport = self._open()
-        except InstrumentError as error:
-            error.complete(instrument=self.name, port=self.address)
-            raise
 
     def _shut(self) -> None:
         if self._transport is not None:
@@ -170,28 +169,44 @@ class Instrument(ABC):
             self._transport = None
 
     @contextmanager
+    def _explained(self, sent: bytes = b"") -> Iterator[None]:
+        """Errors learn which instrument it was and what was sent."""
+        try:
+            yield
+        except InstrumentError as error:
+            error.complete(instrument=self.name, port=self.address, sent=sent)
+            raise
+
+    @contextmanager
     def _exchanging(self, sent: bytes) -> Iterator[Transport]:
-        """The port, for one exchange; errors learn which instrument it was and what was sent."""
-        with self._lock:
-            try:
-                if self._transport is None:
-                    raise Disconnected("is not connected; call connect() first")
-                yield self._transport
-            except InstrumentError as error:
-                error.complete(instrument=self.name, port=self.address, sent=sent)
-                raise
+        """The port, for one exchange; errors as :meth:`_explained`."""
+        with self._lock, self._explained(sent):
+            if self._transport is None:
+                raise Disconnected("is not connected; call connect() first")
+            yield self._transport
+
+    def _exchange(self, sent: bytes, receive: Callable[[Transport, float], T]) -> tuple[T, float]:
+        """What ``receive`` takes from the port, until a deadline, after this was sent; and the host's time of it.
+
+        What waited there before is thrown away: every lost or garbled answer ended with a new connection.
+        """
+        with self._exchanging(sent) as port:
+            port.drain()
+            deadline = deadline_in(self.timeout_s)
+            port.write(sent, deadline)
+            return receive(port, deadline), port.arrived_s
 
     def _repeat(self, ask: Callable[[], T]) -> T:
         """Asks, and asks again where an answer was lost: only for questions that change nothing."""
         with self._lock:
-            for left in range(self.retries, -1, -1):
+            for _ in range(self.retries):
                 try:
                     return ask()
                 except (Timeout, Garbled, Disconnected) as error:
-                    if not left or self._transport is None:
+                    if not self.connected:
                         raise
                     self._recover(error)
-            raise AssertionError("unreachable")
+            return ask()
 
     def _recover(self, error: InstrumentError) -> None:
         """Makes sure that a late answer is not taken for the next one: here, by a new connection."""
@@ -201,6 +216,8 @@ class Instrument(ABC):
 
 # -- axes -------------------------------------------------------------------------------------------------------------
 
+#: Where axes are to go: by their letters or names, or all in order.
+Target = Mapping[str, float] | Sequence[float]
 #: The letters that axes of a controller have.
 LETTERS = "ABCDEFGH"
 #: An axis that stands may be read so many times further from where it was left than an axis that arrives.
@@ -271,7 +288,7 @@ class AxisController(Instrument):
     calls :meth:`require_reference` before each motion, and notes in ``left_at`` where the axes stood after it.
     """
 
-    axes: tuple[Axis, ...]
+    axes: Sequence[Axis]
     unit: str
     speed: float
     acceleration: float
@@ -282,7 +299,7 @@ class AxisController(Instrument):
     #: Where each axis stood after its last motion, by letter; without one that was stopped on its way.
     left_at: Mapping[str, float]
     #: Where the home switches are, one joint position for each axis; None where the controller cannot home by itself.
-    home_at: tuple[float, ...] | None = None
+    home_at: Sequence[float] | None = None
 
     @abstractmethod
     def reference(self) -> AxisReference:
@@ -299,7 +316,7 @@ class AxisController(Instrument):
     def home(self) -> AxisReference:
         """Drives all axes to their home switches and sets the reference there. Raises where it cannot."""
 
-    def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
+    def check(self, target: Target) -> dict[str, float]:
         """The target by letters, in their unit. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
         if not isinstance(target, Mapping):
             if len(target) != len(self.axes):
@@ -325,7 +342,7 @@ class AxisController(Instrument):
         return targets
 
     @abstractmethod
-    def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
+    def move(self, target: Target) -> Reading:
         """Moves there and returns where the encoders then are. Nothing moves without :meth:`require_reference`."""
 
     @abstractmethod

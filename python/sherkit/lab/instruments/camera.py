@@ -13,7 +13,8 @@ import threading
 import time
 import urllib.request
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -100,6 +101,7 @@ def parse_frame(ok: bool, given: object, size_px: tuple[int, int] | None) -> Pic
     return given
 
 
+@dataclass(eq=False, repr=False)
 class VideoCamera(Instrument):
     """A camera by its number or address (``"0"``, a file, a stream's address) or by a function that opens a source.
 
@@ -109,24 +111,14 @@ class VideoCamera(Instrument):
 
     kind = "camera"
 
-    def __init__(
-        self,
-        address: str = "0",
-        *,
-        source: Callable[[], FrameSource] | None = None,
-        find: Callable[[Picture], tuple[float, float]] | None = None,
-        size_px: tuple[int, int] | None = None,
-        discard: int = 4,
-        name: str = "",
-        timeout_s: float = 5.0,
-        retries: int = 2,
-    ) -> None:
-        super().__init__(address, name=name, timeout_s=timeout_s, retries=retries)
-        self.find = find
-        self.size_px = size_px
-        self.discard = discard
-        self._make = source
-        self._worker: _Worker | None = None
+    address: str = "0"
+    _: KW_ONLY
+    source: Callable[[], FrameSource] | None = None
+    find: Callable[[Picture], tuple[float, float]] | None = None
+    size_px: tuple[int, int] | None = None
+    discard: int = 4
+    timeout_s: float = 5.0
+    _worker: _Worker | None = field(default=None, init=False)
 
     @property
     def connected(self) -> bool:
@@ -140,16 +132,7 @@ class VideoCamera(Instrument):
 
     def grab(self) -> Frame:
         """A picture taken after this was called. Raises :class:`~sherkit.errors.InstrumentError`."""
-        with self._lock:
-            for left in range(self.retries, -1, -1):
-                try:
-                    return self._grab()
-                except (Timeout, Garbled, Disconnected) as error:
-                    error.complete(instrument=self.name, port=self.address)
-                    if not left or self._worker is None:
-                        raise
-                    self._reopen()
-            raise AssertionError("unreachable")
+        return self._repeat(self._grab)
 
     def read(self) -> Reading:
         """The marker's place (u, v), px. Raises :class:`~sherkit.errors.OutOfRange` where it is not seen."""
@@ -162,26 +145,24 @@ class VideoCamera(Instrument):
         return Reading(self.name, ("u", "v"), (float(u), float(v)), ("px", "px"), frame.time_s)
 
     def _grab(self) -> Frame:
-        if self._worker is None:
-            raise Disconnected("is not connected; call connect() first")
-        end = time.monotonic() + self.timeout_s
-        picture: Picture | None = None
-        for _ in range(self.discard + 1):
-            ok, given = self._worker.call(lambda s: s.read(), end)
-            picture = parse_frame(ok, given, self.size_px)
-        assert picture is not None
+        with self._explained():
+            if self._worker is None:
+                raise Disconnected("is not connected; call connect() first")
+            end = time.monotonic() + self.timeout_s
+            for _ in range(self.discard + 1):
+                ok, given = self._worker.call(lambda s: s.read(), end)
+                picture = parse_frame(ok, given, self.size_px)
         return Frame(picture, now_s())
 
     def _reopen(self) -> None:
         self._shut()
-        self._worker = _Worker(self._make or _opencv(self.address))
+        self._worker = _Worker(self.source or partial(_opencv, self.address))
         try:
-            opened = self._worker.call(lambda s: s.isOpened(), time.monotonic() + self.timeout_s)
-            if not opened:
-                raise Disconnected("cannot be opened; check its number, cable, and that no other program uses it")
-        except InstrumentError as error:
+            with self._explained():
+                if not self._worker.call(lambda s: s.isOpened(), time.monotonic() + self.timeout_s):
+                    raise Disconnected("cannot be opened; check its number, cable, and that no other program uses it")
+        except InstrumentError:
             self._shut()
-            error.complete(instrument=self.name, port=self.address)
             raise
 
     def _shut(self) -> None:
@@ -227,13 +208,10 @@ class _Worker:
             source.release()
 
 
-def _opencv(address: str) -> Callable[[], FrameSource]:
-    def make() -> FrameSource:
-        try:
-            import cv2
-        except ImportError:
-            raise InstrumentError('cameras need OpenCV: pip install "sherkit[vision]"') from None
-        capture: FrameSource = cv2.VideoCapture(int(address) if address.isdigit() else address)
-        return capture
-
-    return make
+def _opencv(address: str) -> FrameSource:
+    try:
+        import cv2
+    except ImportError:
+        raise InstrumentError('cameras need OpenCV: pip install "sherkit[vision]"') from None
+    capture: FrameSource = cv2.VideoCapture(int(address) if address.isdigit() else address)
+    return capture

@@ -169,9 +169,7 @@ class _Device:
         """Nothing that could change."""
         return {}
 
-    def describe_configuration(self) -> Values:
-        """Nothing that could change."""
-        return {}
+    describe_configuration = read_configuration
 
     @property
     def hints(self) -> dict[str, Any]:

@@ -11,10 +11,11 @@ import secrets
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import KW_ONLY, dataclass
 
 from ...base.figures import listed
 from ...errors import Disconnected, Garbled, Halted, InstrumentError, OutOfRange, Refused, Timeout
-from .base import LETTERS, Axis, AxisReference, Reading, middle_of
+from .base import LETTERS, Axis, AxisReference, Reading, Target, middle_of
 from .galil_line import LARGEST_COUNT, ZEROED, GalilLine
 from .transport import deadline_in
 
@@ -41,6 +42,7 @@ _MARKS = 1_000_000_000
 _SETTLE_POLL_S = 0.02
 
 
+@dataclass(eq=False, repr=False)
 class Galil(GalilLine):
     """A motion controller with its axes. Connecting moves nothing and switches no motor on.
 
@@ -60,56 +62,43 @@ class Galil(GalilLine):
 
     kind = "Galil"
 
-    def __init__(
-        self,
-        address: str,
-        axes: Sequence[Axis],
-        *,
-        name: str = "",
-        speed: float = 5.0,
-        acceleration: float = 50.0,
-        arrived_within: float = 0.01,
-        settle_s: float = 2.0,
-        poll_s: float = 0.05,
-        poll_timeout_s: float = 0.5,
-        stop_timeout_s: float = 5.0,
-        controller_limits: bool = True,
-        home_at: Sequence[float] | None = None,
-        home_speed: float | None = None,
-        timeout_s: float = 2.0,
-        retries: int = 2,
-        baud: int = 115200,
-    ) -> None:
-        super().__init__(address, name=name, timeout_s=timeout_s, retries=retries, baud=baud)
-        letters = [a.letter for a in axes]
-        if not axes or len(set(letters)) != len(letters):
+    axes: Sequence[Axis]
+    _: KW_ONLY
+    speed: float = 5.0
+    acceleration: float = 50.0
+    arrived_within: float = 0.01
+    settle_s: float = 2.0
+    poll_s: float = 0.05
+    poll_timeout_s: float = 0.5
+    stop_timeout_s: float = 5.0
+    controller_limits: bool = True
+    home_at: Sequence[float] | None = None
+    home_speed: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        letters = [a.letter for a in self.axes]
+        if not letters or len(set(letters)) != len(letters):
             raise InstrumentError(f"{self.name}: its axes are {listed(letters) or 'none'}; expected each letter once")
-        if len({a.unit for a in axes}) != 1:
+        if len({a.unit for a in self.axes}) != 1:
             raise InstrumentError(f"{self.name}: its axes have different units; give those a controller of their own")
-        self.home_speed = 0.2 * speed if home_speed is None else home_speed
-        for what, value in (("speed", speed), ("acceleration", acceleration), ("home_speed", self.home_speed)):
+        self._home_speed = 0.2 * self.speed if self.home_speed is None else self.home_speed
+        speeds = {"speed": self.speed, "acceleration": self.acceleration, "home_speed": self._home_speed}
+        for what, value in speeds.items():
             if not (math.isfinite(value) and value > 0):
                 raise InstrumentError(f"{self.name}: {what} is {value}; expected a number above zero")
-        self.axes = tuple(sorted(axes, key=lambda a: a.letter))
-        self.unit = axes[0].unit
-        self.speed = speed
-        self.acceleration = acceleration
-        self.arrived_within = arrived_within
-        self._apart = max(arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in axes))
-        self.settle_s = settle_s
-        self.poll_s = poll_s
-        self.poll_timeout_s = poll_timeout_s
-        self.stop_timeout_s = stop_timeout_s
-        self.controller_limits = controller_limits
-        if home_at is not None and len(home_at) != len(axes):
-            raise InstrumentError(f"{self.name}: home_at has {len(home_at)} positions; expected {len(axes)}")
-        for axis, place in zip(self.axes, home_at or (), strict=False):
-            if not axis.limits[0] <= place <= axis.limits[1]:
+        self.axes = tuple(sorted(self.axes, key=lambda a: a.letter))
+        self.unit = self.axes[0].unit
+        self._apart = max(self.arrived_within, 2.0 / min(abs(a.counts_per_unit) for a in self.axes))
+        if self.home_at is not None and len(self.home_at) != len(letters):
+            raise InstrumentError(f"{self.name}: home_at has {len(self.home_at)} positions; expected {len(letters)}")
+        for axis, place in zip(self.axes, self.home_at or (), strict=False):
+            low, high = axis.limits
+            if not low <= place <= high:
                 raise InstrumentError(
                     f"{self.name}: the home switch of {axis.label} is at {place:g} {axis.unit}; expected "
-                    f"a place within its limits {axis.limits[0]:g} to {axis.limits[1]:g}"
+                    f"a place within its limits {low:g} to {high:g}"
                 )
-        self.home_at = None if home_at is None else tuple(float(q) for q in home_at)
         self.left_at = {}
         self._prepared = False
         self._moving: set[str] = set()
@@ -136,14 +125,14 @@ class Galil(GalilLine):
 
     def enable(self) -> None:
         """Switches the motors on (``SH``), where they stand. Raises :class:`~sherkit.errors.InstrumentError`."""
-        self._repeat(lambda: self._acknowledged(f"SH{''.join(a.letter for a in self.axes)}"))
+        self._tell(f"SH{self._letters}")
 
     def disable(self) -> None:
         """Switches the motors off (``MO``). An axis that carries weight may fall."""
         self.left_at = {}
-        self._repeat(lambda: self._acknowledged(f"MO{''.join(a.letter for a in self.axes)}"))
+        self._tell(f"MO{self._letters}")
 
-    def check(self, target: Mapping[str, float] | Sequence[float]) -> dict[str, float]:
+    def check(self, target: Target) -> dict[str, float]:
         """The target by letters, in their unit. Raises :class:`~sherkit.errors.OutOfRange` outside the soft limits."""
         targets = super().check(target)
         for letter, value in targets.items():
@@ -155,7 +144,7 @@ class Galil(GalilLine):
                 )
         return targets
 
-    def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
+    def move(self, target: Target) -> Reading:
         """Moves the named axes (all, by a sequence) to ``target`` and returns where the encoders then are.
 
         Raises :class:`~sherkit.errors.OutOfRange` and :class:`~sherkit.errors.NotReferenced` before anything moves;
@@ -173,7 +162,7 @@ class Galil(GalilLine):
 
     def is_moving(self) -> bool:
         """Whether a profile of any axis is still running."""
-        return any(self._repeat(lambda: self._running([a.letter for a in self.axes], self.timeout_s)))
+        return any(self._repeat(lambda: self._running(self._letters, self.timeout_s)))
 
     def stop(self, letters: Iterable[str] | None = None) -> None:
         """Stops the axes (all if left out) with their deceleration, and returns when they stand.
@@ -182,7 +171,7 @@ class Galil(GalilLine):
         connection is opened again for it. Raises :class:`~sherkit.errors.InstrumentError` where this failed for
         ``stop_timeout_s``: then the axes may still move.
         """
-        which = sorted(set(letters)) if letters is not None else [a.letter for a in self.axes]
+        which = sorted(set(self._letters if letters is None else letters))
         if unknown := [x for x in which if x not in self._stops]:
             raise self.fail(InstrumentError, f"has no axis {listed(unknown)}")
         self._brake(which, always=True)
@@ -246,19 +235,18 @@ class Galil(GalilLine):
         """
         if self.home_at is None:
             raise self.fail(InstrumentError, "does not know where its home switches are; home_at is not set")
-        letters = [a.letter for a in self.axes]
-        mask = "".join(letters)
+        letters = self._letters
         self._prepared = False
         self.left_at = {}
         # HM itself sets a zero at its end: should this program die before it has set the right one, there is none
-        self._repeat(lambda: self._acknowledged(f"{ZEROED}=0"))
+        self._tell(f"{ZEROED}=0")
         self._set("FL", dict.fromkeys(letters, LARGEST_COUNT))
         self._set("BL", dict.fromkeys(letters, -LARGEST_COUNT - 1))
-        self._set_speed(self.home_speed)
+        self._set_speed(self._home_speed)
         try:
-            self._acknowledged(f"HM{mask}")
+            self._acknowledged(f"HM{letters}")
             self._moving |= set(letters)
-            self._acknowledged(f"BG{mask}", self.poll_timeout_s)
+            self._acknowledged(f"BG{letters}", self.poll_timeout_s)
             self._wait_for_home(letters)
         except BaseException:
             self.stop()
@@ -266,18 +254,17 @@ class Galil(GalilLine):
         self._moving -= set(letters)
         return self._set_reference(self.home_at)
 
-    def _wait_for_home(self, letters: Sequence[str]) -> None:
+    def _wait_for_home(self, letters: str) -> None:
         # to the switch, back over it and once more: the whole way three times
-        longest_s = 5.0 + 3.0 * max((a.limits[1] - a.limits[0]) / self.home_speed for a in self.axes)
+        longest_s = 5.0 + 3.0 * max((a.limits[1] - a.limits[0]) / self._home_speed for a in self.axes)
         end = time.monotonic() + longest_s
         while any(self._running(letters, self.poll_timeout_s)):
             if time.monotonic() > end:
                 raise self.fail(Timeout, f"did not find its home switches in {longest_s:.0f} s")
             time.sleep(self.poll_s)
         codes = self._operands([f"_SC{x}" for x in letters], self.poll_timeout_s)
-        bad = {x: c for x, c in zip(letters, codes, strict=True) if c != _HOMED}
-        if bad:
-            who = listed(f"{self._axis(x).label} (SC {c})" for x, c in bad.items())
+        if bad := {a.label: code for a, code in zip(self.axes, codes, strict=True) if code != _HOMED}:
+            who = listed(f"{label} (SC {code})" for label, code in bad.items())
             raise self.fail(Halted, f"did not end at its home switch: {who}", next(iter(bad.values())))
 
     def _set_reference(self, positions: Sequence[float]) -> AxisReference:
@@ -286,15 +273,15 @@ class Galil(GalilLine):
         counts = {a.letter: a.to_counts(q) for a, q in zip(self.axes, positions, strict=True)}
         letters = LETTERS[: LETTERS.index(max(counts)) + 1]
         # a zero that is half set must not look like one
-        self._repeat(lambda: self._acknowledged(f"{ZEROED}=0"))
+        self._tell(f"{ZEROED}=0")
         self.left_at = {}
-        self._repeat(lambda: self._acknowledged(f"DP {','.join(str(counts.get(x, '')) for x in letters)}"))
+        self._tell(f"DP {','.join(str(counts.get(x, '')) for x in letters)}")
         found = self.read_confirmed(self._apart)
         for axis, at, wanted in zip(self.axes, found.values, positions, strict=True):
             if abs(at - wanted) > self.arrived_within + 1.0 / abs(axis.counts_per_unit):
                 raise self.fail(InstrumentError, f"{axis.label} was set to {wanted:g} {self.unit} and now reads {at:g}")
         mark = secrets.randbelow(_MARKS) + 1
-        self._repeat(lambda: self._acknowledged(f"{ZEROED}={mark}"))
+        self._tell(f"{ZEROED}={mark}")
         now = self.reference()
         if now.mark != mark:
             raise self.fail(InstrumentError, f"the variable {ZEROED} was set to {mark} and is {now.mark}")
@@ -302,6 +289,14 @@ class Galil(GalilLine):
         return now
 
     # --- the parts of a move
+
+    @property
+    def _letters(self) -> str:
+        return "".join(a.letter for a in self.axes)
+
+    def _tell(self, command: str) -> None:
+        """Sends what may be sent again where its answer was lost."""
+        self._repeat(lambda: self._acknowledged(command))
 
     @contextmanager
     def _stopping(self, letters: frozenset[str]) -> Iterator[None]:

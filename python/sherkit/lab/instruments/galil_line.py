@@ -180,20 +180,13 @@ class GalilLine(AxisController):
 
     def _operands(self, names: Sequence[str], timeout_s: float) -> tuple[int, ...]:
         """Values of operands, asked for in as few lines as they fit in."""
-        values: list[str] = []
-        rest = list(names)
-        while rest:
+        values: list[int] = []
+        while rest := names[len(values) :]:
             count = len(rest)
             while len(line := "MG " + ",".join(rest[:count])) >= _LONGEST_LINE:
                 count -= 1
-            data = self.command(line, timeout_s)
-            try:
-                parse_galil_numbers(data, count)
-            except Garbled as error:
-                raise self._garbled(error.message, line, data) from None
-            values += data.replace(",", " ").split()
-            rest = rest[count:]
-        return self._parsed(" ".join(values), len(names), f"MG {','.join(names)}")
+            values += self._parsed(self.command(line, timeout_s), count, line)
+        return tuple(values)
 
     def _set(self, command: str, values: Mapping[str, int]) -> None:
         """Sets ``values`` by letter and asks back. Both change nothing when repeated, so both may be."""

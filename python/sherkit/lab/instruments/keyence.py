@@ -7,13 +7,15 @@ says, or only about the older LK-G, is a setting or accepted in every form: ``MM
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 
-from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Refused, Timeout
+from ...errors import Disconnected, Garbled, InstrumentError, OutOfRange, Refused
 from .base import Identity, Instrument, Reading
-from .transport import deadline_in, now_s
+from .transport import Transport, deadline_in, now_s
 
 _OUTPUTS = 12
 _WIDTH = 8
@@ -59,6 +61,7 @@ def parse_value(text: str) -> float:
     return float(text)
 
 
+@dataclass(eq=False, repr=False)
 class Keyence(Instrument):
     """Laser heads on a controller: ``outputs`` (1 to 12) called ``names``, in ``unit`` (as set at the controller).
 
@@ -69,32 +72,25 @@ class Keyence(Instrument):
     kind = "Keyence"
     default_port = 24687
 
-    def __init__(
-        self,
-        address: str,
-        outputs: Sequence[int] = (1, 2, 3),
-        *,
-        names: Sequence[str] = (),
-        unit: str = "mm",
-        method: str = "MS",
-        empty: bool = False,
-        name: str = "",
-        timeout_s: float = 1.0,
-        retries: int = 2,
-        baud: int = 115200,
-    ) -> None:
-        super().__init__(address, name=name, timeout_s=timeout_s, retries=retries, baud=baud)
-        if not outputs or not all(1 <= k <= _OUTPUTS for k in outputs) or sorted(set(outputs)) != list(outputs):
-            raise InstrumentError(f"{self.name}: outputs are {list(outputs)}; expected numbers of 1 to 12, rising")
-        if names and len(names) != len(outputs):
-            raise InstrumentError(f"{self.name}: {len(names)} names for {len(outputs)} outputs; expected one each")
-        if method not in _METHODS:
-            raise InstrumentError(f"{self.name}: method is '{method}'; expected one of {', '.join(_METHODS)}")
-        self.outputs = tuple(outputs)
-        self.names = tuple(names) or tuple(f"out{k}" for k in outputs)
-        self.unit = unit
-        self.method = method
-        self.empty = empty
+    outputs: Sequence[int] = (1, 2, 3)
+    _: KW_ONLY
+    names: Sequence[str] = ()
+    unit: str = "mm"
+    method: str = "MS"
+    empty: bool = False
+    timeout_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.outputs, self.names = tuple(self.outputs), tuple(self.names)
+        rising = tuple(sorted({k for k in self.outputs if 1 <= k <= _OUTPUTS}))
+        if not rising or rising != self.outputs:
+            raise InstrumentError(f"{self.name}: outputs are {list(self.outputs)}; expected numbers of 1 to 12, rising")
+        if self.names and len(self.names) != len(rising):
+            raise InstrumentError(f"{self.name}: {len(self.names)} names for {len(rising)} outputs; expected one each")
+        if self.method not in _METHODS:
+            raise InstrumentError(f"{self.name}: method is '{self.method}'; expected one of {', '.join(_METHODS)}")
+        self.names = self.names or tuple(f"out{k}" for k in rising)
         #: Commands whose replies may still come.
         self._owed: list[str] = []
 
@@ -111,20 +107,19 @@ class Keyence(Instrument):
         """
         texts, time_s = self.read_text()
         values: list[float] = []
-        for output, name, text in zip(self.outputs, self.names, texts, strict=True):
+        for name, command, text in zip(self.names, self._commands * len(texts), texts, strict=False):
             try:
                 value = parse_value(text)
-                if math.isnan(value) and not self.empty:
+                if math.isnan(value):
                     raise OutOfRange("the controller has no value", received=text.encode())
             except OutOfRange as error:
                 if not self.empty:
                     error.message = f"{name}: {error.message}; check the target and that nothing is in the beam"
-                    sent = f"MS,{output:02d}" if self.method == "MS" else self._command()
-                    error.complete(instrument=self.name, port=self.address, sent=sent.encode() + b"\r")
+                    error.complete(instrument=self.name, port=self.address, sent=command.encode() + b"\r")
                     raise
                 value = math.nan
             values.append(value)
-        return Reading(self.name, self.names, tuple(values), (self.unit,) * len(values), time_s)
+        return Reading(self.name, tuple(self.names), tuple(values), (self.unit,) * len(values), time_s)
 
     def read_text(self) -> tuple[tuple[str, ...], float]:
         """The outputs' values as the controller wrote them, and the host's time of the last of them."""
@@ -138,51 +133,42 @@ class Keyence(Instrument):
         """``R0``: the controller measures."""
         self._repeat(lambda: self._ask("R0"))
 
-    def _command(self) -> str:
-        if self.method == "MM":
-            return "MM," + "".join("1" if k in self.outputs else "0" for k in range(1, _OUTPUTS + 1))
-        return "MA" if self.method == "MA" else f"MS,{self.outputs[0]:02d}"
+    @property
+    def _commands(self) -> list[str]:
+        """What asks for all outputs, one after the other."""
+        if self.method == "MS":
+            return [f"MS,{k:02d}" for k in self.outputs]
+        chosen = "".join(str(int(k in self.outputs)) for k in range(1, _OUTPUTS + 1))
+        return [f"MM,{chosen}" if self.method == "MM" else "MA"]
 
     def _read_text(self) -> tuple[tuple[str, ...], float]:
-        texts: tuple[str, ...]
-        if self.method == "MS":
-            texts = tuple(self._checked(f"MS,{k:02d}", 1)[0] for k in self.outputs)
-        elif self.method == "MM":
-            texts = self._checked(self._command(), len(self.outputs))
-        else:
-            every = self._checked("MA", None)
-            texts = tuple(every[k - 1] for k in self.outputs)
+        texts = tuple(text for command in self._commands for text in self._checked(command))
+        if self.method == "MA":
+            texts = tuple(texts[k - 1] for k in self.outputs)
         return texts, self._transport.arrived_s if self._transport is not None else now_s()
 
-    def _checked(self, command: str, count: int | None) -> tuple[str, ...]:
-        fields = self._ask(command)
-        fault = ""
-        if (len(fields) != count) if count is not None else not self.outputs[-1] <= len(fields) <= _OUTPUTS:
-            fault = f"{len(fields)} values; expected {count if count is not None else f'{self.outputs[-1]} to 12'}"
-        else:
+    def _checked(self, command: str) -> tuple[str, ...]:
+        """The texts of a reply, all of them values."""
+        fields, last = self._ask(command), self.outputs[-1]
+        least, most = {"MS": (1, 1), "MM": (len(self.outputs),) * 2, "MA": (last, _OUTPUTS)}[self.method]
+        try:
+            if not least <= len(fields) <= most:
+                expected = f"{least}" if least == most else f"{least} to {most}"
+                raise Garbled(f"{len(fields)} values; expected {expected}")
             for text in fields:
-                try:
+                with contextlib.suppress(OutOfRange):
                     parse_value(text)
-                except OutOfRange:
-                    continue
-                except Garbled as error:
-                    fault = error.message
-        if fault:
+        except Garbled as error:
             self._owed.append(command)
             received = ",".join((command, *fields)).encode() + b"\r"
-            raise self.fail(Garbled, fault, sent=command.encode() + b"\r", received=received)
+            raise self.fail(Garbled, error.message, sent=command.encode() + b"\r", received=received) from None
         return fields
 
     def _ask(self, command: str) -> tuple[str, ...]:
-        sent = command.encode() + b"\r"
-        with self._exchanging(sent) as port:
+        with self._exchanging(command.encode() + b"\r") as port:
             if self._owed:
                 self._synchronise()
-            port.drain()
-            deadline = deadline_in(self.timeout_s)
-            # owed until it has come: also where an interrupt ends the waiting
-            self._owed.append(command)
-            port.write(sent, deadline)
+            deadline = self._send(port, command)
             try:
                 fields = parse_reply(port.read_until(b"\r", deadline), command)
             except Refused:
@@ -191,28 +177,29 @@ class Keyence(Instrument):
             self._owed.remove(command)
             return fields
 
+    def _send(self, port: Transport, command: str) -> float:
+        """Sends a command, and returns until when its reply may come."""
+        port.drain()
+        deadline = deadline_in(self.timeout_s)
+        # owed until it has come: also where an interrupt ends the waiting
+        self._owed.append(command)
+        port.write(command.encode() + b"\r", deadline)
+        return deadline
+
     def _synchronise(self) -> None:
         """Asks for something else than what is owed: once its reply is there, nothing older can still come."""
         candidates = [f"MS,{k:02d}" for k in (*self.outputs, *range(1, _OUTPUTS + 1))] + ["MA"]
-        command = next((c for c in candidates if c not in self._owed), None)
-        if command is None:
-            # so much is owed that only silence helps
-            with self._exchanging(b"") as port:
+        command = next((c for c in candidates if c not in self._owed), "")
+        with self._exchanging(command.encode() + b"\r" if command else b"") as port:
+            if not command:
+                # so much is owed that only silence helps
                 port.drain(self.timeout_s)
-            self._owed.clear()
-            return
-        sent = command.encode() + b"\r"
-        with self._exchanging(sent) as port:
-            port.drain()
-            deadline = deadline_in(self.timeout_s)
-            self._owed.append(command)
-            port.write(sent, deadline)
-            while True:
-                try:
-                    parse_reply(port.read_until(b"\r", deadline), command)
-                except (Garbled, Refused):
-                    continue
-                break
+            else:
+                deadline = self._send(port, command)
+                while True:
+                    with contextlib.suppress(Garbled, Refused):
+                        parse_reply(port.read_until(b"\r", deadline), command)
+                        break
             self._owed.clear()
 
     def _greet(self) -> None:
@@ -227,5 +214,3 @@ class Keyence(Instrument):
     def _recover(self, error: InstrumentError) -> None:
         if isinstance(error, Disconnected):
             super()._recover(error)
-        else:
-            assert isinstance(error, Timeout | Garbled)

@@ -7,17 +7,21 @@ from __future__ import annotations
 
 import struct
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from ...base.types import Floats
 from ...errors import Garbled, InstrumentError, OutOfRange, Refused
 from .base import Identity, Instrument, Reading
-from .transport import deadline_in
+from .transport import Transport
 
 _LENGTH_DIGITS = 10
 _HEADER_BYTES = 88
-_CHANNEL_AT = (16, 18, 20, 22)
+#: Peaks on each of the four channels.
+_COUNTS = struct.Struct("<4H")
 #: More peaks than any of them finds; a longer answer is garbled.
 _MOST_BYTES = 1 << 20
 _HYPERION = struct.Struct("<BBHI")
@@ -48,11 +52,10 @@ def parse_peaks(payload: bytes) -> Peaks:
     """The answer to ``#GET_DATA``: 88 bytes of header, then the peaks. Raises :class:`~sherkit.errors.Garbled`."""
     if len(payload) < _HEADER_BYTES:
         raise Garbled(f"{len(payload)} bytes; expected a header of {_HEADER_BYTES}", received=payload)
-    counts = [int(struct.unpack_from("<H", payload, at)[0]) for at in _CHANNEL_AT]
+    counts = _COUNTS.unpack_from(payload, 16)
     serial, micros, seconds = struct.unpack_from("<III", payload, 28)
     (header,) = struct.unpack_from("<H", payload, 50)
-    (granularity,) = struct.unpack_from("<I", payload, 72)
-    start, end = struct.unpack_from("<II", payload, 80)
+    granularity, start, end = struct.unpack_from("<I4xII", payload, 72)
     if header != _HEADER_BYTES or granularity == 0 or micros >= 1_000_000:
         raise Garbled(
             f"a header of {header} bytes, granularity {granularity}, {micros} µs; expected {_HEADER_BYTES}, above 0, "
@@ -64,19 +67,19 @@ def parse_peaks(payload: bytes) -> Peaks:
             f"{len(payload) - _HEADER_BYTES} bytes of peaks; expected {4 * sum(counts)} for {sum(counts)} peaks",
             received=payload,
         )
-    raw = struct.unpack_from(f"<{sum(counts)}I", payload, _HEADER_BYTES)
+    raw = np.frombuffer(payload, "<u4", offset=_HEADER_BYTES)
     low, high = (start, end) if start < end else (_SHORTEST_NM * granularity, _LONGEST_NM * granularity)
-    if not all(low <= r <= high for r in raw):
-        found = [r / granularity for r in raw]
+    nm = raw / granularity
+    if not ((raw >= low) & (raw <= high)).all():
         raise Garbled(
-            f"wavelengths {found} nm; expected {low / granularity:g} to {high / granularity:g}", received=payload
+            f"wavelengths {nm.tolist()} nm; expected {low / granularity:g} to {high / granularity:g}", received=payload
         )
-    channels: list[tuple[float, ...]] = []
-    at = 0
-    for count in counts:
-        channels.append(tuple(r / granularity for r in raw[at : at + count]))
-        at += count
-    return Peaks(tuple(channels), serial, seconds + micros * 1e-6)
+    return Peaks(_by_channel(nm, counts), serial, seconds + micros * 1e-6)
+
+
+def _by_channel(nm: Floats, counts: Sequence[int]) -> tuple[tuple[float, ...], ...]:
+    parts = np.split(nm, np.cumsum(counts, dtype=int))
+    return tuple(tuple(part.tolist()) for part in parts[: len(counts)])
 
 
 def parse_hyperion_header(raw: bytes) -> tuple[int, int, int]:
@@ -109,22 +112,21 @@ def parse_hyperion_peaks(content: bytes) -> Peaks:
     # NaN fails this comparison, too
     if not ((nm >= _SHORTEST_NM) & (nm <= _LONGEST_NM)).all():
         raise Garbled(f"wavelengths {nm.tolist()} nm; expected {_SHORTEST_NM:g} to {_LONGEST_NM:g}", received=content)
-    ends = np.cumsum(counts, dtype=int)
-    channels = tuple(tuple(part.tolist()) for part in np.split(nm, ends)[: len(counts)])
-    return Peaks(channels, int(serial), seconds + nanos * 1e-9)
+    return Peaks(_by_channel(nm, counts), int(serial), seconds + nanos * 1e-9)
 
 
+@dataclass(eq=False, repr=False)
 class _Interrogator(Instrument):
     """What both have in common: gratings counted by channel, read as nm."""
 
-    def __init__(
-        self, address: str, gratings: tuple[int, ...], *, name: str = "", timeout_s: float = 2.0, retries: int = 2
-    ) -> None:
-        super().__init__(address, name=name, timeout_s=timeout_s, retries=retries)
-        if not gratings or not all(n >= 0 for n in gratings) or not sum(gratings):
-            raise InstrumentError(f"{self.name}: gratings are {gratings}; expected their number on each channel")
-        self.gratings = tuple(gratings)
-        self.names = tuple(f"ch{c}_fbg{k}" for c, n in enumerate(gratings, 1) for k in range(1, n + 1))
+    gratings: Sequence[int]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.gratings = tuple(self.gratings)
+        if not self.gratings or min(self.gratings) < 0 or not sum(self.gratings):
+            raise InstrumentError(f"{self.name}: gratings are {self.gratings}; expected their number on each channel")
+        self.names = tuple(f"ch{c}_fbg{k}" for c, n in enumerate(self.gratings, 1) for k in range(1, n + 1))
 
     def read(self) -> Reading:
         """Wavelengths of all gratings, nm, by channel and rising.
@@ -133,14 +135,14 @@ class _Interrogator(Instrument):
         which of them is missing cannot be told.
         """
         peaks, time_s = self._repeat(self._peaks)
-        for c, expected in enumerate(self.gratings, 1):
-            found = len(peaks.channels_nm[c - 1]) if c <= len(peaks.channels_nm) else 0
+        channels = [*peaks.channels_nm, *((),) * len(self.gratings)][: len(self.gratings)]
+        for c, (expected, found) in enumerate(zip(self.gratings, map(len, channels), strict=True), 1):
             if found != expected:
                 raise self.fail(
                     OutOfRange,
                     f"channel {c} shows {found} peaks; expected {expected}; check fibre, connectors and threshold",
                 )
-        values = tuple(v for channel in peaks.channels_nm[: len(self.gratings)] for v in channel)
+        values = tuple(v for channel in channels for v in channel)
         details = {"serial": float(peaks.serial), "device_time_s": peaks.device_time_s}
         return Reading(self.name, self.names, values, ("nm",) * len(values), time_s, details)
 
@@ -162,18 +164,15 @@ class Sm130(_Interrogator):
 
     def _peaks(self) -> tuple[Peaks, float]:
         sent = b"#GET_DATA\n"
-        with self._exchanging(sent):
+        with self._explained(sent):
             payload, time_s = self._ask(sent)
             return parse_peaks(payload), time_s
 
     def _ask(self, sent: bytes) -> tuple[bytes, float]:
-        with self._exchanging(sent) as port:
-            # nothing may be waiting here: every lost or garbled answer ended with a new connection
-            port.drain()
-            deadline = deadline_in(self.timeout_s)
-            port.write(sent, deadline)
-            length = parse_length(port.read_exactly(_LENGTH_DIGITS, deadline))
-            return port.read_exactly(length, deadline), port.arrived_s
+        return self._exchange(
+            sent,
+            lambda port, end: port.read_exactly(parse_length(port.read_exactly(_LENGTH_DIGITS, end)), end),
+        )
 
 
 class Hyperion(_Interrogator):
@@ -184,22 +183,20 @@ class Hyperion(_Interrogator):
 
     def identify(self) -> Identity:
         """Its name and serial number."""
-        parts = [self._repeat(lambda c=c: self._ask(c))[0] for c in ("#GetInstrumentName", "#GetSerialNumber")]  # type: ignore[misc]
-        return Identity(self.kind, " ".join(p.decode("ascii", "replace").strip() for p in parts), self.address)
+        asked = [partial(self._ask, command) for command in ("#GetInstrumentName", "#GetSerialNumber")]
+        words = [self._repeat(ask)[0].decode("ascii", "replace").strip() for ask in asked]
+        return Identity(self.kind, " ".join(words), self.address)
 
     def _peaks(self) -> tuple[Peaks, float]:
         command = "#GetPeaks"
-        with self._exchanging(command.encode()):
+        with self._explained(command.encode()):
             content, time_s = self._ask(command)
             return parse_hyperion_peaks(content), time_s
 
     def _ask(self, command: str) -> tuple[bytes, float]:
         text = command.encode()
-        sent = _HYPERION.pack(0, 0, len(text), 0) + text
-        with self._exchanging(sent) as port:
-            port.drain()
-            deadline = deadline_in(self.timeout_s)
-            port.write(sent, deadline)
+
+        def receive(port: Transport, deadline: float) -> bytes:
             raw = port.read_exactly(_HYPERION.size, deadline)
             status, message_bytes, content_bytes = parse_hyperion_header(raw)
             message = port.read_exactly(message_bytes, deadline)
@@ -207,4 +204,6 @@ class Hyperion(_Interrogator):
             if status:
                 why = message.decode("ascii", "replace")
                 raise Refused(f"refused {command}: {status} {why}", status, why, received=raw + message)
-            return content, port.arrived_s
+            return content
+
+        return self._exchange(_HYPERION.pack(0, 0, len(text), 0) + text, receive)

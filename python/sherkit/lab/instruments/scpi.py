@@ -6,13 +6,12 @@ GPIB or USB, too.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 
 from ...errors import Garbled, InstrumentError, OutOfRange, ShapeError
 from .base import Identity, Instrument, Reading
-from .transport import deadline_in
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 #: SCPI 1999, volume 1, 7.2.1.4 and 5: infinity and "not a number" are numbers beyond any reading.
@@ -30,17 +29,16 @@ def parse_numbers(raw: bytes) -> tuple[float, ...]:
         # a space or an end of line may stand about a number, no other sign that Python takes for one
         words = [word.strip(" \t\r\n") for word in raw.decode("ascii").split(",")]
     except UnicodeDecodeError:
-        raise Garbled("expected numbers parted by commas", received=raw) from None
-    if not all(_NUMBER.fullmatch(word) for word in words):
+        words = [""]
+    if not all(map(_NUMBER.fullmatch, words)):
         raise Garbled("expected numbers parted by commas", received=raw)
-    values = tuple(float(word) for word in words)
+    values = tuple(map(float, words))
     if any(abs(value) >= _INFINITE for value in values):
         raise OutOfRange("has no value: above or below its range, or nothing to measure", received=raw)
-    if not all(math.isfinite(value) for value in values):
-        raise Garbled("expected numbers parted by commas", received=raw)
     return values
 
 
+@dataclass(eq=False, repr=False)
 class Scpi(Instrument):
     """An instrument that answers ``question`` with a number for each of ``names``, in ``unit``.
 
@@ -50,26 +48,19 @@ class Scpi(Instrument):
     kind = "SCPI"
     default_port = 5025
 
-    def __init__(
-        self,
-        address: str,
-        question: str = "READ?",
-        *,
-        names: Sequence[str] = ("value",),
-        unit: str = "mm",
-        name: str = "",
-        timeout_s: float = 2.0,
-        retries: int = 2,
-        baud: int = 115200,
-    ) -> None:
-        super().__init__(address, name=name, timeout_s=timeout_s, retries=retries, baud=baud)
-        if not (question.isascii() and question.isprintable() and question.endswith("?")):
-            raise InstrumentError(f"{self.name}: asks '{question}'; expected a question of SCPI, which ends in '?'")
-        if not names:
+    question: str = "READ?"
+    _: KW_ONLY
+    names: Sequence[str] = ("value",)
+    unit: str = "mm"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (self.question.isascii() and self.question.isprintable() and self.question.endswith("?")):
+            raise InstrumentError(
+                f"{self.name}: asks '{self.question}'; expected a question of SCPI, which ends in '?'"
+            )
+        if not self.names:
             raise ShapeError(f"{self.name}: expected a name for each number of the answer")
-        self.question = question
-        self.names = tuple(names)
-        self.unit = unit
 
     def identify(self) -> Identity:
         """What it answers to ``*IDN?``: maker, model, serial number, version."""
@@ -84,24 +75,14 @@ class Scpi(Instrument):
 
         def ask() -> tuple[tuple[float, ...], float]:
             raw, time_s = self._ask(self.question)
-            try:
+            with self._explained(f"{self.question}\n".encode()):
                 values = parse_numbers(raw)
                 if len(values) != len(self.names):
                     raise Garbled(f"{len(values)} numbers; expected {len(self.names)}", received=raw)
-            except InstrumentError as error:
-                error.complete(instrument=self.name, port=self.address, sent=f"{self.question}\n".encode())
-                raise
             return values, time_s
 
         values, time_s = self._repeat(ask)
-        return Reading(self.name, self.names, values, (self.unit,) * len(values), time_s)
+        return Reading(self.name, tuple(self.names), values, (self.unit,) * len(values), time_s)
 
     def _ask(self, question: str) -> tuple[bytes, float]:
-        sent = f"{question}\n".encode("ascii")
-        with self._exchanging(sent) as port:
-            deadline = deadline_in(self.timeout_s)
-            # nothing may be waiting here: every lost or garbled answer ended with a new connection
-            port.drain()
-            port.write(sent, deadline)
-            raw = port.read_until(b"\n", deadline)
-            return raw, port.arrived_s
+        return self._exchange(f"{question}\n".encode("ascii"), lambda port, deadline: port.read_until(b"\n", deadline))

@@ -215,7 +215,28 @@ class SerialPort(Transport):
         self._serial.close()
 
 
-class TcpPort(Transport):
+class _SocketPort(Transport):
+    """What ports of sockets share."""
+
+    _socket: socket.socket
+
+    def _send(self, data: bytes, timeout_s: float) -> None:
+        self._socket.settimeout(timeout_s)
+        self._socket.sendall(data)
+
+    def _receive(self, timeout_s: float) -> bytes:
+        if not select.select([self._socket], [], [], timeout_s)[0]:
+            return b""
+        return self._received()
+
+    def _received(self) -> bytes:
+        return self._socket.recv(_PIECE)
+
+    def _close(self) -> None:
+        self._socket.close()
+
+
+class TcpPort(_SocketPort):
     """A TCP connection. Raises :class:`~sherkit.errors.Disconnected` where nobody answers within ``timeout_s``."""
 
     def __init__(self, host: str, port: int, timeout_s: float = 5.0) -> None:
@@ -231,23 +252,13 @@ class TcpPort(Transport):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
 
-    def _send(self, data: bytes, timeout_s: float) -> None:
-        self._socket.settimeout(timeout_s)
-        self._socket.sendall(data)
-
-    def _receive(self, timeout_s: float) -> bytes:
-        if not select.select([self._socket], [], [], timeout_s)[0]:
-            return b""
-        piece = self._socket.recv(_PIECE)
-        if not piece:
-            raise ConnectionResetError("closed by the other end")
-        return piece
-
-    def _close(self) -> None:
-        self._socket.close()
+    def _received(self) -> bytes:
+        if piece := super()._received():
+            return piece
+        raise ConnectionResetError("closed by the other end")
 
 
-class UdpPort(Transport):
+class UdpPort(_SocketPort):
     """Datagrams to and from one address. A read never joins two of them: each must be what was asked for.
 
     ``read_exactly`` raises :class:`~sherkit.errors.Garbled` for a datagram of another length, ``read_until`` for one
@@ -259,13 +270,12 @@ class UdpPort(Transport):
         try:
             family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind, protocol)
+            with contextlib.ExitStack() as failing:
+                failing.callback(self._close)
+                # connected: datagrams from anybody else are dropped by the system
+                self._socket.connect(where)
+                failing.pop_all()
         except OSError as error:
-            raise Disconnected(f"cannot be reached ({error.strerror or error})", port=self.name) from None
-        try:
-            # connected: datagrams from anybody else are dropped by the system
-            self._socket.connect(where)
-        except OSError as error:
-            self._socket.close()
             raise Disconnected(f"cannot be reached ({error.strerror or error})", port=self.name) from None
 
     def read_datagram(self, deadline: float) -> bytes:
@@ -289,18 +299,6 @@ class UdpPort(Transport):
         if not data.endswith(terminators):
             raise Garbled(f"a datagram that does not end in {terminators!r}", port=self.name, received=data)
         return data
-
-    def _send(self, data: bytes, timeout_s: float) -> None:
-        self._socket.settimeout(timeout_s)
-        self._socket.send(data)
-
-    def _receive(self, timeout_s: float) -> bytes:
-        if not select.select([self._socket], [], [], timeout_s)[0]:
-            return b""
-        return self._socket.recv(_PIECE)
-
-    def _close(self) -> None:
-        self._socket.close()
 
 
 class VisaPort(Transport):

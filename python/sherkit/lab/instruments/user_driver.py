@@ -19,16 +19,18 @@ import importlib.util
 import math
 import sys
 import time
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from ...base.extensions import INSTRUMENTS
 from ...base.figures import listed, nearest
 from ...errors import Disconnected, ExperimentError, Garbled, InstrumentError, OutOfRange, Timeout
-from .base import Axis, AxisController, AxisReference, Identity, Instrument, Reading
+from .base import Axis, AxisController, AxisReference, Identity, Instrument, Reading, Target
 from .devices import begun, error_of, is_done, waited
 from .transport import now_s
 
@@ -39,39 +41,76 @@ _POLL_S = 0.02
 _SPELT = {"µm": "um", "micron": "um", "microns": "um", "millimeter": "mm", "degree": "deg", "degrees": "deg"}
 
 
+@dataclass(eq=False, repr=False)
 class _Own(Instrument):
-    """What sensors and axes share: made by Python when they are connected."""
+    """What sensors and axes share: made by Python when they are connected. ``said`` names the code in sentences and run
+    files."""
 
     kind = "Python"
-    _made: Any = None
+    #: What it is, for sentences.
+    it: ClassVar[str]
 
-    def __init__(self, make: Make, said: str, *, name: str = "", timeout_s: float = 2.0, retries: int = 2) -> None:
-        super().__init__(said, name=name, timeout_s=timeout_s, retries=retries)
-        self._make = make
+    address: str = field(init=False)
+    make: Make
+    _: KW_ONLY
+    said: str = "Python"
+
+    def __post_init__(self) -> None:
+        self.address = self.said
+        super().__post_init__()
+        self._made: list[Any] = []
 
     @property
     def connected(self) -> bool:
         """Whether it was made."""
-        return self._made is not None
+        return bool(self._made)
+
+    def connect(self) -> Self:
+        """Calls ``make``. Raises :class:`~sherkit.errors.InstrumentError`. Moves nothing."""
+        with self._lock:
+            self._made = self._accepted(self._called(f"what makes {self.it}", self.make))
+            for one in self._made:
+                if isinstance(one, Instrument):
+                    one.connect()
+                    continue
+                if hasattr(one, "connect") and hasattr(one, "describe"):
+                    self._of_device(one, "connect")
+                if hasattr(one, "stage"):
+                    self._of_device(one, "stage")
+        return self
+
+    def close(self) -> None:
+        """Closes what has a ``close``; twice does no harm."""
+        with self._lock:
+            made, self._made = self._made, []
+            for one in made:
+                for method in ("unstage", "close"):
+                    if callable(getattr(one, method, None)):
+                        with contextlib.suppress(InstrumentError):  # what is left in any case
+                            self._of_device(one, method)
 
     def identify(self) -> Identity:
         """What made it, and what it is; an instrument of sherkit's own says what it is itself."""
         made = self._present()
-        if isinstance(made, Instrument):
-            return made.identify()
-        return Identity(self.kind, f"{self.address}, {_kind_of(made)}", self.address)
+        if isinstance(made[0], Instrument):
+            return made[0].identify()
+        return Identity(self.kind, f"{self.address}, {listed(dict.fromkeys(map(_kind_of, made)))}", self.address)
 
-    def _present(self) -> Any:
-        if self._made is None:
+    @abstractmethod
+    def _accepted(self, made: Any) -> list[Any]:
+        """The objects in what was made. Raises :class:`~sherkit.errors.InstrumentError` where it is something else."""
+
+    def _present(self) -> list[Any]:
+        if not self._made:
             raise self.fail(Disconnected, "is not connected; call connect() first")
         return self._made
 
     def _called(self, what: str, function: Callable[[], Any]) -> Any:
         """What a call of the user's code gives; whatever it raises becomes a sentence about this instrument."""
         try:
-            return function()
-        except InstrumentError as error:
-            error.complete(instrument=self.name, port=self.address)
+            with self._explained():
+                return function()
+        except InstrumentError:
             raise
         except TimeoutError:
             raise self.fail(Timeout, f"{what} did not end within {self.timeout_s:g} s") from None
@@ -82,24 +121,8 @@ class _Own(Instrument):
         function = getattr(device, method)
         return self._called(method, lambda: waited(device, function, *arguments, timeout_s=self.timeout_s))
 
-    def _begin(self, parts: Sequence[Any]) -> None:
-        """Connects and stages what wants that."""
-        for one in parts:
-            if isinstance(one, Instrument):
-                one.connect()
-            elif hasattr(one, "connect") and hasattr(one, "describe"):
-                self._of_device(one, "connect")
-            if hasattr(one, "stage") and not isinstance(one, Instrument):
-                self._of_device(one, "stage")
 
-    def _end(self, parts: Sequence[Any]) -> None:
-        for one in parts:
-            for method in ("unstage", "close"):
-                if callable(getattr(one, method, None)):
-                    with contextlib.suppress(InstrumentError):  # what is left in any case
-                        self._of_device(one, method)
-
-
+@dataclass(eq=False, repr=False)
 class OwnSensor(_Own):
     """A sensor that ``make`` gives, whose values are called ``columns``; ``fields`` are theirs in a device's reading.
 
@@ -107,59 +130,45 @@ class OwnSensor(_Own):
     in sentences and run files.
     """
 
-    def __init__(
-        self, make: Make, columns: Sequence[str], *, fields: Sequence[str] = (), said: str = "Python", name: str = "",
-        timeout_s: float = 2.0, retries: int = 2,
-    ) -> None:  # fmt: skip
-        super().__init__(make, said, name=name, timeout_s=timeout_s, retries=retries)
-        self.columns = tuple(columns)
-        self.fields = tuple(fields)
+    it = "it"
 
-    def connect(self) -> Self:
-        """Calls ``make``. Raises :class:`~sherkit.errors.InstrumentError`."""
-        with self._lock:
-            made = self._called("what makes it", self._make)
-            if not (callable(made) or hasattr(made, "read")):
-                raise self.fail(
-                    InstrumentError, f"was given {_kind_of(made)}; expected a function that reads, or what has read()"
-                )
-            self._made = made
-            self._begin([made])
-        return self
+    columns: Sequence[str]
+    _: KW_ONLY
+    fields: Sequence[str] = ()
 
-    def close(self) -> None:
-        """Closes what has a ``close``; twice does no harm."""
-        with self._lock:
-            made, self._made = self._made, None
-            if made is not None:
-                self._end([made])
+    def _accepted(self, made: Any) -> list[Any]:
+        if not (callable(made) or hasattr(made, "read")):
+            raise self.fail(
+                InstrumentError, f"was given {_kind_of(made)}; expected a function that reads, or what has read()"
+            )
+        return [made]
 
     def read(self) -> Reading:
         """One reading. Raises :class:`~sherkit.errors.InstrumentError`, also for whatever the user's code raises."""
         with self._lock:
-            made = self._present()
+            (made,) = self._present()
             if isinstance(made, Instrument):
                 return made.read()
-            named, units = self._of_function(made) if not hasattr(made, "read") else self._of_readable(made)
+            found, units = self._found(made)
             time_s = now_s()
-        values = tuple(self._number(column, value) for column, value in zip(self.columns, named, strict=True))
-        return Reading(self.name, self.columns, values, units, time_s)
+        columns = tuple(self.columns)
+        values = tuple(self._number(column, value) for column, value in zip(columns, found, strict=True))
+        units = [unit or column.rpartition("_")[2] for column, unit in zip(columns, units, strict=True)]
+        return Reading(self.name, columns, values, tuple(units), time_s)
 
-    def _of_function(self, function: Callable[[], Any]) -> tuple[list[Any], tuple[str, ...]]:
-        units = tuple(map(_unit_of, self.columns))
-        return self._in_order(self._called("reading it", function)), units
-
-    def _of_readable(self, device: Any) -> tuple[list[Any], tuple[str, ...]]:
-        if hasattr(device, "trigger"):
-            self._of_device(device, "trigger")
-        found = self._of_device(device, "read")
+    def _found(self, made: Any) -> tuple[list[Any], Sequence[str]]:
+        """A value for each column and, where the device describes it, its unit."""
+        if not hasattr(made, "read"):
+            return self._in_order(self._called("reading it", made)), [""] * len(self.columns)
+        if hasattr(made, "trigger"):
+            self._of_device(made, "trigger")
+        found = self._of_device(made, "read")
         if not (isinstance(found, Mapping) and all(isinstance(v, Mapping) and "value" in v for v in found.values())):
             # a class of the user's own, whose read() gives plain values
-            return self._in_order(found), tuple(map(_unit_of, self.columns))
-        described = self._of_device(device, "describe") if hasattr(device, "describe") else {}
+            return self._in_order(found), [""] * len(self.columns)
+        described = self._of_device(made, "describe") if hasattr(made, "describe") else {}
         fields = self.fields or tuple(found)
-        absent = [field for field in fields if field not in found]
-        if absent:
+        if absent := [field for field in fields if field not in found]:
             raise self.fail(Garbled, f"has no field {listed(absent)}; it has {listed(found, 12)}")
         if len(fields) != len(self.columns):
             raise self.fail(
@@ -167,14 +176,12 @@ class OwnSensor(_Own):
                 f"has the fields {listed(fields, 12)} for {len(self.columns)} columns; name them with fields = […]",
             )
         stated = [str(described.get(field, {}).get("units") or "") for field in fields]
-        units = tuple(_SPELT.get(u, u) or _unit_of(c) for u, c in zip(stated, self.columns, strict=True))
-        return [found[field]["value"] for field in fields], units
+        return [found[field]["value"] for field in fields], [_SPELT.get(unit, unit) for unit in stated]
 
     def _in_order(self, found: Any) -> list[Any]:
         if isinstance(found, Mapping):
             names = self.fields or self.columns
-            absent = [name for name in names if name not in found]
-            if absent:
+            if absent := [name for name in names if name not in found]:
                 raise self.fail(Garbled, f"gave no {listed(absent)}; it gave {listed(found, 12)}")
             return [found[name] for name in names]
         try:
@@ -186,10 +193,8 @@ class OwnSensor(_Own):
         return values
 
     def _number(self, column: str, value: Any) -> float:
-        if value is None:
-            return math.nan
         try:
-            number = float(value)
+            number = math.nan if value is None else float(value)
         except (TypeError, ValueError):
             raise self.fail(Garbled, f"gave {value!r} for '{column}'; expected a number") from None
         if math.isinf(number):
@@ -197,6 +202,7 @@ class OwnSensor(_Own):
         return number
 
 
+@dataclass(eq=False, repr=False)
 class OwnAxes(_Own, AxisController):
     """Axes that ``make`` gives: one object for each of ``axes``, in their order.
 
@@ -205,38 +211,34 @@ class OwnAxes(_Own, AxisController):
     ``speed`` and ``settle_s`` is stopped.
     """
 
-    def __init__(
-        self, make: Make, axes: Sequence[Axis], *, speed: float, acceleration: float, arrived_within: float,
-        settle_s: float = 10.0, said: str = "Python", name: str = "", timeout_s: float = 2.0, retries: int = 2,
-    ) -> None:  # fmt: skip
-        super().__init__(make, said, name=name, timeout_s=timeout_s, retries=retries)
-        self.axes = tuple(axes)
+    it = "them"
+
+    axes: Sequence[Axis]
+    _: KW_ONLY
+    speed: float
+    acceleration: float
+    arrived_within: float
+    settle_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         self.unit = self.axes[0].unit
-        self.speed = speed
-        self.acceleration = acceleration
-        self.arrived_within = arrived_within
-        self.settle_s = settle_s
         self.left_at = {}
         self._moving = False
 
-    def connect(self) -> Self:
-        """Calls ``make``. Raises :class:`~sherkit.errors.InstrumentError`. Moves nothing."""
-        with self._lock:
-            made = self._called("what makes them", self._make)
-            parts = list(made) if isinstance(made, Sequence) else [made]
-            if len(parts) != len(self.axes):
-                raise self.fail(
-                    InstrumentError, f"{len(parts)} axes were given; expected {len(self.axes)}, one for each joint"
-                )
-            for axis, one in zip(self.axes, parts, strict=True):
-                lacks = [m for m in ("set", "stop") if not callable(getattr(one, m, None))]
-                if not any(hasattr(one, m) for m in ("position", "locate", "read")):
-                    lacks.append("position")
-                if lacks:
-                    raise self.fail(InstrumentError, f"{axis.label}: {_kind_of(one)} has no {listed(lacks)}")
-            self._made = parts
-            self._begin(parts)
-        return self
+    def _accepted(self, made: Any) -> list[Any]:
+        parts = list(made) if isinstance(made, Sequence) else [made]
+        if len(parts) != len(self.axes):
+            raise self.fail(
+                InstrumentError, f"{len(parts)} axes were given; expected {len(self.axes)}, one for each joint"
+            )
+        for axis, one in zip(self.axes, parts, strict=True):
+            lacks = [m for m in ("set", "stop") if not callable(getattr(one, m, None))]
+            if not any(hasattr(one, m) for m in ("position", "locate", "read")):
+                lacks.append("position")
+            if lacks:
+                raise self.fail(InstrumentError, f"{axis.label}: {_kind_of(one)} has no {listed(lacks)}")
+        return parts
 
     def close(self) -> None:
         """Stops what this program moves, and closes what has a ``close``."""
@@ -245,14 +247,7 @@ class OwnAxes(_Own, AxisController):
                 if self._moving:
                     self.stop()
             finally:
-                made, self._made = self._made, None
-                if made is not None:
-                    self._end(made)
-
-    def identify(self) -> Identity:
-        """What made them, and what they are."""
-        kinds = listed(dict.fromkeys(_kind_of(one) for one in self._present()))
-        return Identity(self.kind, f"{self.address}, {kinds}", self.address)
+                super().close()
 
     def read(self) -> Reading:
         """Where the axes stand, in their unit."""
@@ -282,29 +277,28 @@ class OwnAxes(_Own, AxisController):
 
     def set_reference(self, positions: Sequence[float]) -> AxisReference:
         """Calls ``set_current_position`` of each axis, as EPICS motors have it."""
-        for one, place in zip(self._every("set_current_position", "its zero be set from here"), positions, strict=True):
-            self._of_device(one, "set_current_position", float(place))
-        self.left_at = {}
-        return self.reference()
+        return self._each("set_current_position", "its zero be set", [[float(place)] for place in positions])
 
     def home(self) -> AxisReference:
         """Calls ``home`` of each axis, one after the other."""
-        for one in self._every("home", "it be homed from here"):
-            self._of_device(one, "home")
-        self.left_at = {}
-        return self.reference()
+        return self._each("home", "it be homed", [[]] * len(self.axes))
 
-    def _every(self, method: str, what: str) -> list[Any]:
-        parts: list[Any] = self._present()
+    def _each(self, method: str, what: str, arguments: Sequence[Sequence[float]]) -> AxisReference:
+        """Calls a method of each axis where all have it, and says where they then stand."""
+        parts = self._present()
         for axis, one in zip(self.axes, parts, strict=True):
             if not callable(getattr(one, method, None)):
                 raise self.fail(
                     InstrumentError,
-                    f"{axis.label} ({_kind_of(one)}) has no {method}(): nor can {what}; do so with its own program",
+                    f"{axis.label} ({_kind_of(one)}) has no {method}(): nor can {what} from here; do so with its own "
+                    "program",
                 )
-        return parts
+        for one, given in zip(parts, arguments, strict=True):
+            self._of_device(one, method, *given)
+        self.left_at = {}
+        return self.reference()
 
-    def move(self, target: Mapping[str, float] | Sequence[float]) -> Reading:
+    def move(self, target: Target) -> Reading:
         """Moves there, and returns where the axes then stand. Any error, also Ctrl-C, stops them first."""
         targets = self.check(target)
         self.require_reference(limits=False)
@@ -314,7 +308,10 @@ class OwnAxes(_Own, AxisController):
         self.left_at = {}
         self._moving = True
         try:
-            under_way = [self._started(one, targets[a.letter]) for a, one in parts]
+            under_way = [
+                self._called("set", partial(begun, one, one.set, targets[a.letter], timeout_s=self.timeout_s))
+                for a, one in parts
+            ]
             end = time.monotonic() + longest_s
             while not all(is_done(status) for status in under_way):
                 if time.monotonic() > end:
@@ -330,9 +327,6 @@ class OwnAxes(_Own, AxisController):
         found = self.read()
         self.left_at = {a.letter: q for a, q in zip(self.axes, found.values, strict=True)}
         return found
-
-    def _started(self, one: Any, value: float) -> Any:
-        return self._called("set", lambda: begun(one, one.set, value, timeout_s=self.timeout_s))
 
     def is_moving(self) -> bool:
         """Whether any axis says so; those that cannot say stand, unless this program moves them."""
@@ -356,11 +350,6 @@ class OwnAxes(_Own, AxisController):
         for one in self._present():
             if callable(getattr(one, "enable", None)):
                 self._of_device(one, "enable")
-
-
-def _unit_of(column: str) -> str:
-    """The end of a column's name."""
-    return column.rpartition("_")[2]
 
 
 def _kind_of(made: Any) -> str:

@@ -10,7 +10,6 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 
 import click
 import numpy as np
@@ -26,14 +25,13 @@ from ...cli.file_kinds import CALIBRATION, PLANNED, PORTS, ROBOT, TABLE
 from ...cli.paths import InputFile, OutputFile, OutputFolder
 from ...data import read_measurements
 from ...data.files import write_whole
-from ...diagnosis import Diagnosis
 from ...errors import ExperimentError
 from ...model.robot_file import load_robot
 from ...robots.delta.robot import POSITION
 from ...study import Study
 from ..experiment import Live, RunFile, RunProgress, export_run, load_experiment, run
 from ..laboratory import RunningLaboratory, load_laboratory
-from .measure import until_diagnosed
+from .measure import signals_to, until_diagnosed
 
 _LOOPBACK = ("127.", "localhost")
 _DEMO = Path("demo-lab")
@@ -74,26 +72,16 @@ def lab(
     if not chosen.host.startswith(_LOOPBACK):
         output.warn(f"the emulators listen on {chosen.host}: every machine that reaches it can drive them")
     over = threading.Event()
-
-    def end(number: int, frame: FrameType | None) -> None:
-        del number, frame
-        over.set()
-
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with RunningLaboratory(chosen) as running:
-            if ports is not None:
-                running.write_ports(ports)
-            if as_json:
-                output.print_json(running.ports())
-            else:
-                _show(running)
-            output.out.file.flush()
-            while not over.wait(0.2):
-                pass
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with signals_to(lambda *_: over.set(), signal.SIGINT, signal.SIGTERM), RunningLaboratory(chosen) as running:
+        if ports is not None:
+            running.write_ports(ports)
+        if as_json:
+            output.print_json(running.ports())
+        else:
+            _show(running)
+        output.out.file.flush()
+        while not over.wait(0.2):
+            pass
 
 
 def _show(running: RunningLaboratory) -> None:
@@ -197,7 +185,11 @@ def lab_demo(folder: Path, *, repeats: int = 2, time_scale: float = _TIME_SCALE)
         took = _measured(folder, "local")
         rows = export_run(folder / "local.sqlite", folder / "local.csv")
         output.say(f"\n{rows} rows in {took:.0f} s: {folder}/local.sqlite, exported to local.csv\n")
-        found, study = _found(folder)
+        study = Study(load_robot(folder / "robot.toml"), read_measurements(folder / "local.csv"))
+        with output.steps(12) as step:
+            found = study.diagnose(step=step)
+            for name in found.effects:
+                study.add(name)
         calibrate(study.robot, study.data, correction="none").calibration.save(folder / "twelve.toml")
         output.out.rule("What is missing?")
         print_diagnosis(found)
@@ -208,7 +200,10 @@ def lab_demo(folder: Path, *, repeats: int = 2, time_scale: float = _TIME_SCALE)
             _measured(folder, name)
         _compare(folder, lab)
         output.out.rule("And without a plan: the robot measures until it is known")
-        _until_known(folder)
+        chosen = folder / "adaptive.toml"
+        experiment = load_experiment(chosen)
+        until_diagnosed(experiment, chosen, experiment.run_path)
+        export_run(experiment.run_path, folder / "adaptive.csv")
     output.say(
         f"\nTo do it yourself, in {folder}/: sherkit lab lab.toml --ports ports.json, and in another terminal\n"
         "  sherkit measure local.toml --live -o again.sqlite\n"
@@ -252,8 +247,8 @@ def _anew(folder: Path, texts: Mapping[str, str]) -> None:
 
     Raises :class:`~sherkit.errors.ExperimentError`, before anything is taken away, for a run of somebody else's.
     """
-    runs = [folder / f"{name}.sqlite" for name in texts]
-    for run_path, text in zip(runs, texts.values(), strict=True):
+    runs = {folder / f"{name}.sqlite": text for name, text in texts.items()}
+    for run_path, text in runs.items():
         if run_path.exists() and run_path.stat().st_size:
             with RunFile.open(run_path) as file:
                 if file.about("experiment") != tomli_w.dumps(tomllib.loads(text)):
@@ -287,22 +282,6 @@ def _measured(folder: Path, name: str) -> float:
     if live is not None:
         output.say(live.sentence())
     return time.monotonic() - began
-
-
-def _until_known(folder: Path) -> None:
-    """The same robot, which chooses its poses itself."""
-    experiment = load_experiment(folder / "adaptive.toml")
-    until_diagnosed(experiment, folder / "adaptive.toml", experiment.run_path)
-    export_run(experiment.run_path, folder / "adaptive.csv")
-
-
-def _found(folder: Path) -> tuple[Diagnosis, Study]:
-    study = Study(load_robot(folder / "robot.toml"), read_measurements(folder / "local.csv"))
-    with output.steps(12) as step:
-        found = study.diagnose(step=step)
-        for name in found.effects:
-            study.add(name)
-    return found, study
 
 
 def _compare(folder: Path, lab: RunningLaboratory) -> None:

@@ -9,7 +9,7 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -79,10 +79,7 @@ def measure(
             f"{experiment}: has no [plan]: let the robot choose its poses with --until diagnosed, or list some"
         )
     live = Live(chosen.robot, chosen.plan, chosen.goal, fitting=is_live)
-    begin = RunFile.resume if resume else RunFile.create
-    with begin(path, chosen.plan, chosen.about()) as file, _ended_by_signals():
-        if accept:
-            output.say(f"{file.accept()} rows that were in doubt are taken as right")
+    with _begun(chosen, path, chosen.plan, resume=resume, accept=accept) as file:
         if is_live:
             # what is in the file already counts
             for point in file.points():
@@ -113,12 +110,8 @@ def until_diagnosed(
         )
     adaptive = AdaptiveRun(chosen.robot, chosen.adaptive)
     loop = adaptive.loop
-    plan = RunFile.plan_in(path) if resume else None
-    plan = plan or adaptive.first()
-    begin = RunFile.resume if resume else RunFile.create
-    with begin(path, plan, chosen.about()) as file, _ended_by_signals():
-        if accept:
-            output.say(f"{file.accept()} rows that were in doubt are taken as right")
+    plan = (RunFile.plan_in(path) if resume else None) or adaptive.first()
+    with _begun(chosen, path, plan, resume=resume, accept=accept) as file:
         adaptive.take(file)
         looks = len(loop.looks)
 
@@ -213,19 +206,29 @@ def _left(seconds: float) -> str:
 
 
 @contextlib.contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """A polite end by another program stops the motors as Ctrl-C does."""
+def _begun(chosen: Experiment, path: Path, plan: Plan, *, resume: bool, accept: bool) -> Iterator[RunFile]:
+    """The run file, until the run ends. A polite end by another program stops the motors as Ctrl-C does."""
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
         del frame
         raise SystemExit(128 + number)
 
-    before = {n: signal.signal(n, end) for n in _POLITE}
+    begin = RunFile.resume if resume else RunFile.create
+    with begin(path, plan, chosen.about()) as file, signals_to(end, *_POLITE):
+        if accept:
+            output.say(f"{file.accept()} rows that were in doubt are taken as right")
+        yield file
+
+
+@contextlib.contextmanager
+def signals_to(handler: Callable[[int, FrameType | None], object], *numbers: int) -> Iterator[None]:
+    """Lets ``handler`` hear of these signals meanwhile."""
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, one in before.items():
+            signal.signal(number, one)
 
 
 # -- Single keys of a terminal, while something runs ------------------------------------------------------------------
@@ -293,10 +296,9 @@ def home(experiment: Path, at: str | None, yes: bool, ports: Path | None, python
         _show(motion)
         if motion.home_at is not None and at is None:
             switches = _places(names, motion.home_at, motion.unit)
-            question = (
-                f"All axes drive to their home switches ({switches}), then to where the plan begins. Is the way free?"
-            )
-            _sure(yes, question)
+            question = f"All axes drive to their home switches ({switches}), then to where the plan begins."
+            if not yes:
+                click.confirm(f"{question} Is the way free?", abort=True)
             motion.enable()
             motion.home()
         else:
@@ -305,7 +307,8 @@ def home(experiment: Path, at: str | None, yes: bool, ports: Path | None, python
             output.say(
                 "2. Check that it stands there. From then on it is taken to be there; then it drives to the start."
             )
-            _sure(yes, "Does it stand there?")
+            if not yes:
+                click.confirm("Does it stand there?", abort=True)
             motion.set_reference(places)
             motion.enable()
         motion.move(chosen.plan.start)
@@ -322,11 +325,6 @@ def _show(motion: AxisController) -> None:
     output.say(f"{motion.name} {known}; its encoders say {now}")
 
 
-def _sure(yes: bool, question: str) -> None:
-    if not yes:
-        click.confirm(question, abort=True)
-
-
 def _read(text: str, count: int) -> tuple[float, ...]:
     try:
         places = tuple(float(word) for word in text.split(","))
@@ -337,7 +335,7 @@ def _read(text: str, count: int) -> tuple[float, ...]:
     return places
 
 
-def _places(names: tuple[str, ...] | list[str], places: tuple[float, ...], unit: str) -> str:
+def _places(names: Sequence[str], places: Sequence[float], unit: str) -> str:
     return listed(
         [f"{name.rpartition('_')[0] or name} = {q:.4g} {unit}" for name, q in zip(names, places, strict=True)]
     )

@@ -81,7 +81,10 @@ def plan(
     _show_effects(effect_powers, rows.layout.unit)
     for line in _sentences(effect_powers):
         output.say(line)
-    if (told := _taken_by_pose(planning, rows)) is not None:
+    # what these poses could not tell from where the sensor stands, and what would
+    model = planning.model
+    taken = taken_by_pose(model, rows, np.zeros(len(model.parameters)), tuple(model.known_effects.values()))
+    if (told := pose_in_words((), taken)) is not None:
         output.say(told)
     _show_parameters(planning)
     if found:
@@ -139,10 +142,10 @@ def _study(
     for o in effect_powers:
         if o.missing_columns or not np.isfinite(o.times):
             continue
+        sizes = {p.name: p.size for p in planning.effect(o.name).parameters}
         for _ in range(_SIGNS):
             # along some signs the fitted parameters may take all of it
             values = planning.found_along(o.name, {k: v * float(rng.choice((-1.0, 1.0))) for k, v in o.values.items()})
-            sizes = {p.name: p.size for p in planning.effect(o.name).parameters}
             if all(abs(v) <= _LARGEST_STUDIED * sizes[k] for k, v in values.items()):
                 sought.append(EffectSize(o.name, values))
                 break
@@ -166,45 +169,29 @@ def _show_effects(effect_powers: tuple[EffectPower, ...], unit: str) -> None:
             made.add_row(o.name, "", "", "", "", f"[dim]needs {listed(o.missing_columns)}[/]")
             continue
         smallest = f"{o.times:.3g} ×" if np.isfinite(o.times) else "never"
-        made.add_row(
-            o.name,
-            f"{100 * o.power:.0f} %",
-            smallest,
-            f"{o.left_um:.2f}",
-            f"{100 * o.absorbed:.1f} %",
-            listed(o.indistinguishable),
-        )
+        made.add_row(o.name, f"{100 * o.power:.0f} %", smallest, f"{o.left_um:.2f}", f"{100 * o.absorbed:.1f} %",
+                     listed(o.indistinguishable))  # fmt: skip
     out.print(made)
 
 
 def _sentences(effect_powers: tuple[EffectPower, ...]) -> list[str]:
-    absorbed = [o.name for o in effect_powers if not o.missing_columns and o.is_absorbed]
-    tied = [o.name for o in effect_powers if o.indistinguishable]
-    missed = [o.name for o in effect_powers if not o.missing_columns and o.power < POWER]
-    said = []
-    if missed:
-        said.append(f"At its plausible size it would rather be missed: {listed(missed)}.")
-    if absorbed:
-        said.append(f"The fitted parameters would take nearly all of: {listed(absorbed)}.")
-    if tied:
-        said.append(f"Found, but not told from what it is tied with: {listed(tied)}.")
-    return said
-
-
-def _taken_by_pose(planning: Planning, rows: Measurements) -> str | None:
-    """What these poses could not tell from where the sensor stands, and what would."""
-    model = planning.model
-    tried = model.known_effects.values()
-    return pose_in_words((), taken_by_pose(model, rows, np.zeros(len(model.parameters)), tuple(tried)))
+    seen = [o for o in effect_powers if not o.missing_columns]
+    named = {
+        "At its plausible size it would rather be missed": [o.name for o in seen if o.power < POWER],
+        "The fitted parameters would take nearly all of": [o.name for o in seen if o.is_absorbed],
+        "Found, but not told from what it is tied with": [o.name for o in effect_powers if o.indistinguishable],
+    }
+    return [f"{said}: {listed(names)}." for said, names in named.items() if names]
 
 
 def _show_parameters(planning: Planning) -> None:
-    design = planning.design
-    note = f"Of {len(planning.parameters)} parameters {design.rank} directions are observed; the others are held."
-    made = table("How well the parameters would be known", "parameter", "standard deviation", "µm where it acts",
-                 note=note)  # fmt: skip
-    for p, std in zip(planning.parameters, design.std, strict=True):
-        made.add_row(p.name, sized(float(std), p.unit), f"{1e3 * std * p.lever_mm:.3g}")
+    made = table(
+        "How well the parameters would be known", "parameter", "standard deviation", "µm where it acts",
+        note=f"Of {len(planning.parameters)} parameters {planning.design.rank} directions are observed; the others are "
+        "held.",
+    )  # fmt: skip
+    for p, std in zip(planning.parameters, planning.design.std.tolist(), strict=True):
+        made.add_row(p.name, sized(std, p.unit), f"{1e3 * std * p.lever_mm:.3g}")
     out.print(made)
 
 

@@ -164,33 +164,26 @@ def intrinsics(
         found = charuco_intrinsics(files, _two("--charuco", charuco or ""), square_mm, marker_mm or 0.0)
     labels = ("focal_px x", "focal_px y", "centre_px u", "centre_px v", "k1", "k2", "p1", "p2")
     values = (*found.focal_px, *found.centre_px, *found.distortion)
-    table = output.table(
-        f"Camera of {found.size_px[0]} × {found.size_px[1]} px from {found.pictures} pictures", "", "value", "± std",
-        note=f"corners are left with an RMS of {found.rms_px:.3f} px",
-    )  # fmt: skip
-    for label, value, std in zip(labels, values, found.std, strict=True):
-        table.add_row(label, f"{value:.5g}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
+    known = list(zip(labels, values, found.std, strict=True))
     if as_json:
         output.print_json({
             "format": "sherkit intrinsics 1", "size_px": list(found.size_px), "pictures": found.pictures,
             "rms_px": found.rms_px, "without": dict(found.without),
-            "values": {
-                label: {"value": float(value), "std": float(std)}
-                for label, value, std in zip(labels, values, found.std, strict=True)
-            },
+            "values": {label: {"value": float(value), "std": float(std)} for label, value, std in known},
         })  # fmt: skip
     else:
+        table = output.table(
+            f"Camera of {found.size_px[0]} × {found.size_px[1]} px from {found.pictures} pictures", "", "value",
+            "± std", note=f"corners are left with an RMS of {found.rms_px:.3f} px",
+        )  # fmt: skip
+        for label, value, std in known:
+            table.add_row(label, f"{value:.5g}" if abs(value) < 10 else f"{value:.2f}", f"{std:.2g}")
         output.out.print(table)
     for name, why in found.without.items():
         output.warn(f"{name}: {why}")
     if destination is not None:
-        lens = {
-            "size_px": list(found.size_px),
-            "focal_px": list(found.focal_px),
-            "centre_px": list(found.centre_px),
-            "distortion": [*found.distortion, 0.0],
-        }
-        write_whole(destination, tomli_w.dumps({"camera": lens}))
+        lens = {name: list(getattr(found, name)) for name in ("size_px", "focal_px", "centre_px")}
+        write_whole(destination, tomli_w.dumps({"camera": {**lens, "distortion": [*found.distortion, 0.0]}}))
         if not as_json:
             output.say(f"{destination}: the lens, for the table [camera] of a robot file; add where the camera stands")
 
