@@ -202,7 +202,7 @@ def held_out_error(
 def known_deviations(fit: FitLike) -> Floats | None:
     """What is known of how far the parameters are off their fitted values, as :class:`~.folds.Folds` has it; None where
     nothing is."""
-    known = np.array([p.known or fit.priors > 0.0 for p in fit.model.parameters], dtype=bool)
+    known = np.array(fit.model.known(drawn=fit.priors > 0.0), dtype=bool)
     if not known.any():
         return None
     precision = np.where(known, 1.0, 0.0) / np.square(fit.sizes)

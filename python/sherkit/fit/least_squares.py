@@ -142,7 +142,7 @@ class LeastSquaresProblem:
     ) -> tuple[_core.Solver, str]:
         """The minimum from ``start``, and whether it was reached; with ``priors`` all plausible sizes are known."""
         model, data = self.model, self.data
-        known = [p.known or priors for p in model.parameters]
+        known = model.known(drawn=priors)
         solver = _core.Solver(start, self.sizes, single_step=linear, known=known, **settings)
         inside = model.in_sockets(data)
         if isinstance(model, ChainModel) and not (model.own or model.relations or inside):

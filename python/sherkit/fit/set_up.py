@@ -392,14 +392,14 @@ def _since(model: ModelWithEffects, data: Measurements, datum: Bools, now: Plaus
     one, found = _anew(model, data, datum)
     if found is None:
         return []
-    moved = (one.data.readings != data.readings).any(axis=1)
+    moved: Bools = np.asarray((one.data.readings != data.readings).any(axis=1))
 
     def off(rows: Measurements, values: Floats) -> Floats:
         return np.where(data.used, rows.readings - model.predict(rows, values), 0.0)
 
     was, now_is = off(data, now.values), off(one.data, found.values)
-    far = (np.abs(was) > _WILD * np.where(np.isfinite(now.rms), now.rms, np.inf)).any(axis=1)
-    used = data.used.any(axis=1)
+    wild = np.abs(was) > _WILD * np.where(np.isfinite(now.rms), now.rms, np.inf)
+    far, used = np.asarray(wild.any(axis=1)), np.asarray(data.used.any(axis=1))
     side = moved if far[moved & used].mean() > far[~moved & used].mean() else ~moved
     rms = [float(np.sqrt(np.mean(each[side & used] ** 2))) for each in (was, now_is)]
     if far[side & used].mean() < _WHOLE or far[~side & used].mean() > 1.0 - _WHOLE or rms[1] > _BETTER * rms[0]:
@@ -415,7 +415,9 @@ def _anew(model: ModelWithEffects, data: Measurements, datum: Bools) -> tuple[Se
         one = set_up_anew(model, data)
     except NOT_COMPUTED:
         one = None
-    return one or SetUpHypothesis("", "", model, data), one and plausible_fit(model, one.data, datum)
+    if one is None:
+        return SetUpHypothesis("", "", model, data), None
+    return one, plausible_fit(model, one.data, datum)
 
 
 def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:

@@ -269,6 +269,12 @@ class ModelWithEffects(Saved, ABC):
         the sensor stands. None where a part of it is known or held."""
         return ()
 
+    def known(self, *, drawn: bool) -> list[bool]:
+        """Which parameters (p,) are known beside what is read: those that somebody has measured, and where what is
+        ``drawn`` counts all but where the instrument stands and its targets sit, as far as nothing is known of that."""
+        anywhere = {*self.free_of_pose, *self.targets_anywhere}
+        return [p.known or (drawn and p.name not in anywhere) for p in self.parameters]
+
     @property
     def targets_anywhere(self) -> tuple[str, ...]:
         """Names of the parameters of where on the tool the targets sit, as far as nothing is known of it: who clamps

@@ -258,6 +258,12 @@ class ChainModel(SeenModel):
         return self.catalogue
 
     @property
+    def may_be_off(self) -> Mapping[str, Effect]:
+        """What a promise counts with that no reading has shown: the catalogue, and numbers of the file that no drawing
+        has exactly."""
+        return self.known_effects
+
+    @property
     def sensitivities(self) -> tuple[Floats, str]:
         """The millimetres that each parameter moves in this robot."""
         return np.array([p.lever_mm for p in self.parameters]), "mm"

@@ -377,7 +377,7 @@ class Accurate(Deployed):
         needs: set[str] = set()
         for part in parts:
             model = part.model(self.robot)
-            hidden = (model.known_effects[one.effect] for one in part.unobserved_effects)
+            hidden = (model.may_be_off[one.effect] for one in part.unobserved_effects)
             needs |= {name for effect in (*model.effects, *hidden) for name in effect.needs}
         return now[1] if TEMPERATURE in needs else None, now[0] if TIME in needs else None
 
@@ -401,7 +401,7 @@ class Accurate(Deployed):
         """By effect what the poses could not show at each place: at which setting it is worst there, and its
         covariance (n, d, d). In the frame of the base what the sensor's pose took of it is missed too."""
         out: dict[str, tuple[list[BiasBound], Floats]] = {}
-        known, functions = part.model(self.robot).known_effects, part.functions(x)
+        known, functions = part.model(self.robot).may_be_off, part.functions(x)
         for one in part.unobserved_effects:
             # lost motion is asked for from both sides
             sides = (1.0, -1.0) if "direction" in known[one.effect].needs else (0.0,)
@@ -424,7 +424,7 @@ class Accurate(Deployed):
         all reached from one ``side``; ``functions`` (n, c) are those of a correction there."""
         model = part.model(self.robot)
         effect, known = (
-            model.known_effects[one.effect],
+            model.may_be_off[one.effect],
             np.tile([*now, *(side for _ in part.now[2:])], (len(joints), 1)),
         )
         by_values, by, by_joints = by_effect(model, part.values, effect, one.setting, part.readings, joints, known)

@@ -59,7 +59,7 @@ class BiasBound:
 
     def called(self, model: ChainModel) -> str:
         """The effect with its period or moment, in words."""
-        effect = model.known_effects[self.effect]
+        effect = model.may_be_off[self.effect]
         if self.setting is None or effect.search is None:
             return self.effect
         unit = unit_in(effect.search)
@@ -88,7 +88,7 @@ class BiasBound:
 
         Raises what the table raises, naming file and key.
         """
-        effect = model.known_effects[table.text("effect", tuple(model.known_effects))]
+        effect = model.may_be_off[table.text("effect", tuple(model.may_be_off))]
         if not effect.is_periodic and any(one.name == effect.name for one in model.effects):
             raise table.fail("effect", "one that is not in the model")
         k = len(effect.parameters)
@@ -110,7 +110,7 @@ class BiasBound:
     def largest(self, model: ChainModel) -> tuple[float, float]:
         """How large it is: in plausible sizes of the effect's own parameters and of those that take of it, whichever is
         more, and in the unit of the coordinates."""
-        own = [p.size for p in model.known_effects[self.effect].parameters]
+        own = [p.size for p in model.may_be_off[self.effect].parameters]
         others = np.array([[p.size] for p in model.parameters])
         errors = np.vstack([np.diag(1.0 / np.array(own)), self.absorbed / others])
         moves = self.corrected.reshape(-1, len(own))
@@ -173,8 +173,9 @@ def waves(by_joints: Floats, joints: Floats, period: float, which: list[int]) ->
 
 def with_effect(model: ChainModel, values: Floats, effect: Effect, setting: float | None) -> tuple[Any, Floats, slice]:
     """The model with one more effect, its values with zeros for that, and where they stand."""
-    wider = model.with_effect(effect, at=setting)
-    own = wider.owns(effect)
+    wider = model.adopting(effect, at=setting)
+    first = [p.name for p in wider.parameters].index(effect.qualified()[0].name)
+    own = slice(first, first + len(effect.parameters))
     return wider, np.insert(values, [own.start] * len(effect.parameters), 0.0), own
 
 

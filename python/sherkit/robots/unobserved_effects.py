@@ -341,7 +341,7 @@ class Search:
     @cached_property
     def _choice(self) -> tuple[list[Effect], dict[str, str]]:
         fit = self.run.fit
-        return fit.model.is_testable(tuple(self._all.deployed.known_effects.values()), fit.data)
+        return fit.model.is_testable(tuple(self._all.deployed.may_be_off.values()), fit.data)
 
     @cached_property
     def _all(self) -> LinearFit:

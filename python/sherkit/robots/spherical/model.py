@@ -7,7 +7,7 @@ Beside it stands the paper's identification, from the residual of the inverse ki
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import ClassVar, cast
@@ -23,7 +23,7 @@ from ...data.noise import noise_of
 from ...errors import FitError, SherkitError
 from ...fit.identify import Fit
 from ...model.chain import SLACK, ChainModel
-from ...model.effect import Effect, Sentences, Setting
+from ...model.effect import Effect, Parameter, Sentences, Setting
 from ...model.kinds import model_of
 from ...model.sensor_pose import POSE
 from ...model.sentences import catalogue_of
@@ -87,6 +87,13 @@ SPHERICAL_CATALOGUE: dict[str, Effect] = catalogue_of(_core.SphericalModel.CATAL
 # -- The model ----------------------------------------------------------------------------------------------------
 
 _DATUM = ("datum_phi", "datum_gamma")
+#: A calibration of a lens leaves its centre open by about a pixel.
+_CENTRE = Effect(
+    name="principal_point", link="sensor", frees=True,
+    parameters=tuple(Parameter(f"principal_point_{axis}", f"δc_{axis}", "px", 1.0) for axis in "uv"),
+    physics="The centre of the lens lies elsewhere in the picture than centre_px says.",
+    remedy="Calibrate the lens with the board in all corners of the picture, or free principal_point_u and _v.",
+)  # fmt: skip
 #: Poses along φ and γ from which the next ones are chosen.
 _GRID = (15, 11)
 #: A robot without a camera reads angles; the core wants one all the same.
@@ -125,6 +132,12 @@ class SphericalModel(ChainModel):
         """Angles move what stands on the sphere."""
         del name
         return self.robot.radius_mm
+
+    @property
+    def may_be_off(self) -> Mapping[str, Effect]:
+        """The catalogue, and the centre of the lens where that is held."""
+        held = self.robot.camera is not None and not any(p.name in self.free for p in _CENTRE.parameters)
+        return {**self.known_effects, _CENTRE.name: _CENTRE} if held else self.known_effects
 
     @property
     def default(self) -> tuple[str, ...]:
