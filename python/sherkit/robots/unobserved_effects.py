@@ -126,16 +126,16 @@ class LinearFit:
         return np.where(self.fit.data.used, 1.0 / self.fit.noise.sigma, 0.0)[self.rows]
 
     @cached_property
-    def _moved(self) -> tuple[Floats, Floats]:
+    def _moved(self) -> tuple[Floats, Floats, Floats]:
         """A basis (N, s) of what the identified values move, and their change (p, s) along it: what they take of
-        something is its part along the basis. Orthonormal, but where the drawing is a measurement: then with its rows,
-        which are none of any effect."""
+        something is its part along the basis. Orthonormal, but where something is known of the values: then with the
+        rows (p, s) of that, which are none of any effect, but see what the values take of it."""
         size, known = self.fit.sizes, known_deviations(self.fit)
         whole = (self._by_values * self._weights[:, :, None] * size).reshape(-1, len(size))
         rows = whole if known is None else np.concatenate([whole, np.diag(size * np.sqrt(known[0] * self._noise))])
         left, singular, right = linalg.svd(rows, full_matrices=False)
         use = singular > _UNOBSERVED * singular[0]
-        return left[: len(whole), use], size[:, None] * (right[use].T / singular[use])
+        return left[: len(whole), use], size[:, None] * (right[use].T / singular[use]), left[len(whole) :, use]
 
     @cached_property
     def _left(self) -> Floats:
@@ -154,6 +154,14 @@ class LinearFit:
         """What the fit leaves (N,), over the noise, before any correction."""
         basis = self._moved[0]
         return self._left if known_deviations(self.fit) is not None else self._left - basis @ (basis.T @ self._left)
+
+    @cached_property
+    def _off_known(self) -> Floats:
+        """What the values (p,) are off what is known of them, as the rows of that have it."""
+        known = known_deviations(self.fit)
+        if known is None:
+            return np.zeros(0)
+        return np.asarray(known[1] / np.sqrt(np.where(known[0] > 0, known[0], 1.0)) * np.sqrt(self._noise))
 
     @cached_property
     def _cells(self) -> Ints:
@@ -200,15 +208,17 @@ class LinearFit:
     def assess(self, effect: Effect, setting: float | None, rows: Floats) -> BiasBound:
         """What the poses leave open of an effect with these columns, without advice."""
         k, d = rows.shape[2], self.asked.coordinates.shape[1]
-        basis, change = self._moved
+        basis, change, known = self._moved
         whole = (rows * self._weights[:, :, None]).reshape(-1, k)
         take = basis.T @ whole
         absorbed = change @ take
         size = np.array([p.size for p in effect.parameters])
         left = (rows[self._full] - self._by_values[self._full] @ absorbed)[:, : self.fit.data.coordinates]
         corrected = np.zeros((0, d, k))
-        kept = whole - basis @ take
-        moment, noise = self._known(kept, self._residual, self._cells.ravel(), basis.shape[1], size)
+        kept = np.concatenate([whole - basis @ take, -known @ take])
+        residual = np.concatenate([self._residual, self._off_known])
+        cells = np.concatenate([self._cells.ravel(), self._cells.max(initial=0) + 1 + np.arange(len(known))])
+        moment, noise = self._known(kept, residual, cells, basis.shape[1], size)
         if self._functions[1].shape[1]:
             functions = self._functions[1]
             flat = left.reshape(len(left), -1)

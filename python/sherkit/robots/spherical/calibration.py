@@ -15,10 +15,11 @@ from ...base import linalg
 from ...base.types import Bools, Floats
 from ...errors import FitError
 from ...fit.identify import Fit, identify
+from ...model.effect import Effect
 from ..accuracy import Planes
 from ..calibrated import Calibration, Note
 from ..calibration_run import CalibrationRun
-from ..deployed import BASE
+from ..deployed import BASE, SENSOR
 from ..identified_model import IdentifiedModel
 from .model import SphericalModel
 from .robot import SPHERICAL_ANGLES, Spherical
@@ -164,11 +165,21 @@ class SphericalCalibration(Calibration):
     # -- accuracy ----------------------------------------------------------------------------------------
 
     def by_values(self, part: IdentifiedModel, joints: Floats, now: list[float]) -> Floats:
-        """Of angles across the tool (n, 2, p), rad; what is the measurement's alone turns no tool."""
+        """Of angles across the tool (n, 2, p), rad."""
+        del part
         angles, by_values, _ = self.core.by_parameters_batch(joints, now, self.model.indices)
+        return _across(by_values, angles)
+
+    def counted(self, part: IdentifiedModel, frame: str) -> Bools:
+        """What is the measurement's alone turns no tool."""
+        del frame
         names = [p.name for p in self.model.parameters[: len(part.values)]]
-        ours = [n not in self.model.of_sensor and n.partition(".")[0] not in _OF_MARKER for n in names]
-        return np.where(ours, _across(by_values, angles), 0.0)
+        others = {*self.model.of_sensor, "radius"}
+        return np.array([n not in others and n.partition(".")[0] not in _OF_MARKER for n in names], dtype=bool)
+
+    def moves(self, effect: Effect, frame: str) -> bool:
+        """Nor does an effect of it; what geometry took of that does."""
+        return effect.link != SENSOR and effect.name not in _OF_MARKER
 
     def carried(self, joints: Floats, by_joints: Floats, missed: Floats) -> Floats:
         """Through the joints to angles across the tool."""
