@@ -6,6 +6,7 @@ Levels: as in test_identification.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -130,23 +131,29 @@ def test_mark_in_the_table_counts() -> None:
 # -- priors --------------------------------------------------------------------------------------------------
 
 
+#: Where the instrument stands, of which no drawing says anything.
+STAND = np.array([p.name.startswith("sensor_") for p in ALL.parameters])
+
+
 def test_priors_decide_where_rows_are_few() -> None:
-    """Catches a prior of wrong size or place: two poses against SciPy's minimum with the sizes as further rows."""
+    """Catches a prior of wrong size or place: three poses against SciPy's minimum with the sizes as further rows, of where
+    the instrument stands a thousand of them."""
+    wide = sizes(ALL) * np.where(STAND, 1e3, 1.0)
     rng = np.random.default_rng(91)
-    poses = POSES[[3, 100]]
-    data = run(ALL, planted(ALL, rng), rng, 0.05, poses, **declared(2, 0.05))
+    poses = POSES[[3, 60, 100]]
+    data = run(ALL, planted(ALL, rng), rng, 0.05, poses, **declared(3, 0.05))
     fit = identify(ALL, data, priors=True)
 
     def miss(values: Floats) -> Floats:
         left = data.readings[:, :3] - exact(ALL, values, data.joints)
-        return np.concatenate([left.ravel() / 0.05, values / sizes(ALL)])
+        return np.concatenate([left.ravel() / 0.05, values / wide])
 
     other = least_squares(miss, np.zeros(COUNT), jac="3-point", x_scale=sizes(ALL), xtol=1e-14, ftol=1e-14, gtol=1e-14)
     np.testing.assert_allclose(fit.values / sizes(ALL), other.x / sizes(ALL), rtol=0, atol=1e-5)
     expected = np.linalg.inv(other.jac.T @ other.jac)
     np.testing.assert_allclose(fit.covariance, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
     assert (np.linalg.eigvalsh(fit.covariance) > 0).all()
-    assert (fit.std < sizes(ALL) * (1 + 1e-9)).all()
+    assert (fit.std < wide * (1 + 1e-9)).all()
     assert fit.unobserved_covariance.max() == 0.0
 
 
@@ -159,9 +166,23 @@ def test_priors_pull_towards_the_drawing() -> None:
     length = []
     for sigma in (0.01, 1.0, 10.0, 1e4):
         fit = identify(ALL, table(q, clean, **declared(len(q), sigma)), priors=True)
-        length.append(float(np.linalg.norm(fit.values / sizes(ALL))))
+        length.append(float(np.linalg.norm((fit.values / sizes(ALL))[~STAND])))
     assert length == sorted(length, reverse=True)
     assert length[-1] < 1e-2 < 1.0 < length[0]
+
+
+@pytest.mark.parametrize("priors", [True, None])
+@pytest.mark.parametrize("shift_mm", [1e3, 3e3, 3e4])
+def test_where_an_instrument_stands_drags_no_drawing(shift_mm: float, priors: bool | None) -> None:
+    """Catches a tracker three metres away that bends a base by forty millimetres: the same run seen from elsewhere
+    leaves every number of the drawing where it was."""
+    rng = np.random.default_rng(95)
+    data = run(ALL, planted(ALL, rng), rng, 0.01, POSES[::8], **declared(len(POSES[::8]), 0.01))
+    by = shift_mm * np.array([0.6, -0.64, 0.48, 0.0])[: data.readings.shape[1]]
+    there = np.where(data.taken, data.readings + by, 0.0)
+    fit, far = (identify(ALL, one, priors=priors) for one in (data, replace(data, readings=there)))
+    off = ((far.values - fit.values) / sizes(ALL))[~STAND]
+    assert np.abs(off).max() < 0.02
 
 
 def test_priors_leave_a_full_run_alone() -> None:
@@ -206,7 +227,7 @@ def test_priors_do_not_need_declared_noise() -> None:
 def test_start_does_not_move_the_prior() -> None:
     """Catches a minimum that depends on where the search began."""
     rng = np.random.default_rng(94)
-    data = run(ALL, planted(ALL, rng), rng, 0.05, POSES[[3, 100]], **declared(2, 0.05))
+    data = run(ALL, planted(ALL, rng), rng, 0.05, POSES[[3, 60, 100]], **declared(3, 0.05))
     fit, other = (identify(ALL, data, priors=True, start=s) for s in (np.zeros(COUNT), 0.5 * sizes(ALL)))
     np.testing.assert_allclose(fit.values, other.values, rtol=0, atol=1e-6)
 

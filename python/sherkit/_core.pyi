@@ -329,9 +329,9 @@ class Solver:
         step_tolerance: float = 1e-5,
         rank_tolerance: float = 1e-9,
         single_step: bool = False,
-        known: list[bool] | None = None,
+        known: list[float] | None = None,
     ) -> Solver:
-        """``known``: which parameters have a row of their own, zero give or take their size; none unless given."""
+        """``known``: parameters that have a row of their own, zero give or take so many of their sizes; 0 has none."""
 
     @property
     def trial(self) -> _Floats: ...

@@ -202,10 +202,10 @@ def held_out_error(
 def known_deviations(fit: FitLike) -> Floats | None:
     """What is known of how far the parameters are off their fitted values, as :class:`~.folds.Folds` has it; None where
     nothing is."""
-    known = np.array(fit.model.known(drawn=fit.priors > 0.0), dtype=bool)
+    known = np.array(fit.model.known(drawn=fit.priors > 0.0))
     if not known.any():
         return None
-    precision = np.where(known, 1.0, 0.0) / np.square(fit.sizes)
+    precision = np.where(known > 0, 1.0 / np.square(np.where(known > 0, known, 1.0) * fit.sizes), 0.0)
     return np.stack([precision, -precision * fit.values])
 
 

@@ -49,7 +49,7 @@ def identify_stream(
             "(read_measurements, identify), or leave the column out where it was not moved"
         )
     solver = _core.Solver(
-        model.start(first), np.array([p.size for p in model.parameters]), known=[p.known for p in model.parameters]
+        model.start(first), np.array([p.size for p in model.parameters]), known=model.known(drawn=False)
     )
     rows = 0
 

@@ -20,6 +20,10 @@ from .rows import EffectRows
 from .tolerances import Apart
 
 
+#: Plausible sizes of where an instrument stands that are as good as none: ten metres, any turn.
+_ANYWHERE = 1e3
+
+
 @dataclass(frozen=True, eq=False)
 class Derivatives:
     """Derivatives of the readings of some rows: ``parameters`` (n, m, p) by what the model identifies, ``inputs``
@@ -269,11 +273,13 @@ class ModelWithEffects(Saved, ABC):
         the sensor stands. None where a part of it is known or held."""
         return ()
 
-    def known(self, *, drawn: bool) -> list[bool]:
-        """Which parameters (p,) are known beside what is read: those that somebody has measured, and where what is
-        ``drawn`` counts all but where the instrument stands and its targets sit, as far as nothing is known of that."""
+    def known(self, *, drawn: bool) -> list[float]:
+        """Within how many sizes each parameter (p,) is known beside what is read, 0 where it is not: what somebody has
+        measured, and where what is ``drawn`` counts all others. Where the instrument stands and its targets sit, as far
+        as nothing is known of that, no drawing says: there it only keeps a few rows from turning about each other."""
         anywhere = {*self.free_of_pose, *self.targets_anywhere}
-        return [p.known or (drawn and p.name not in anywhere) for p in self.parameters]
+        wide = [_ANYWHERE if p.name in anywhere else 1.0 for p in self.parameters]
+        return [1.0 if p.known else far if drawn else 0.0 for p, far in zip(self.parameters, wide, strict=True)]
 
     @property
     def targets_anywhere(self) -> tuple[str, ...]:

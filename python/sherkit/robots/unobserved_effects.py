@@ -40,10 +40,10 @@ Carry = Callable[[Floats, Floats, Floats], Floats]
 @dataclass(frozen=True, eq=False)
 class Counted:
     """What counts in one frame: the ``spread`` (q, d, d) that is known, which of the identified ``values`` (p,) move
-    places there, and which effects do."""
+    places there by what they took of an effect, and which effects do."""
 
     spread: Floats
-    values: Bools
+    values: Callable[[Effect], Bools]
     moves: Callable[[Effect], bool]
 
 
@@ -240,7 +240,7 @@ class LinearFit:
     def missed(self, one: BiasBound, effect: Effect, places: Floats, frame: Counted | None = None) -> Floats:
         """What coordinates miss at the asked places (q, d, k) of an effect whose columns there are ``places`` (q, m,
         k): in a frame, or as readings are."""
-        by_values = self._there[0] if frame is None else np.where(frame.values, self._there[0], 0.0)
+        by_values = self._there[0] if frame is None else np.where(frame.values(effect), self._there[0], 0.0)
         moved = places if frame is None or frame.moves(effect) else np.zeros_like(places)
         missed = one.missed(by_values, moved, self._functions_there)
         return self.asked.carry(self.asked.joints, self._there[1], missed)

@@ -91,8 +91,9 @@ pub struct Solver {
     cost: f64,
     /// Evaluations and cost when the fit was last asked whether it still gains.
     asked: (usize, f64),
-    /// Which parameters are known besides: at zero, the drawing, give or take their plausible size.
-    known: Vec<bool>,
+    /// How well parameters are known besides: zero, the drawing, give or take so many plausible sizes; 0 for those of
+    /// which nothing is.
+    known: Vec<f64>,
     /// One weighted row with its residual, on its way into the stack.
     row: Vec<f64>,
 }
@@ -233,14 +234,14 @@ impl Solver {
         Ok(ended)
     }
 
-    /// Adds a row for each parameter that is known besides: zero, the drawing, give or take its plausible size.
+    /// Adds a row for each parameter that is known besides.
     pub fn add_priors(&mut self) {
         let n = self.stack.columns();
-        for k in (0..n)
-            .filter(|k| self.known.get(*k) == Some(&true))
-            .collect::<Vec<_>>()
-        {
-            let size = self.levenberg.sizes()[k];
+        for k in 0..self.known.len() {
+            if self.known[k] <= 0.0 {
+                continue;
+            }
+            let size = self.known[k] * self.levenberg.sizes()[k];
             let deviation = -self.trial_values()[k];
             self.cost += (deviation / size).powi(2);
             let unit = (0..n).map(move |j| if j == k { 1.0 / size } else { 0.0 });
@@ -267,7 +268,7 @@ impl Solver {
         step_tolerance: f64,
         rank_tolerance: f64,
         single_step: bool,
-        known: Option<Vec<bool>>,
+        known: Option<Vec<f64>>,
     ) -> PyResult<Self> {
         let n = start.len();
         let known = known.unwrap_or_default();

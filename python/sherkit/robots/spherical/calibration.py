@@ -170,9 +170,10 @@ class SphericalCalibration(Calibration):
         angles, by_values, _ = self.core.by_parameters_batch(joints, now, self.model.indices)
         return _across(by_values, angles)
 
-    def counted(self, part: IdentifiedModel, frame: str) -> Bools:
-        """What is the measurement's alone turns no tool."""
-        del frame
+    def counted(self, part: IdentifiedModel, frame: str, effect: Effect | None = None) -> Bools:
+        """What is the measurement's alone turns no tool; where a joint or a limb does, the camera has seen to where."""
+        if effect is not None and self.moves(effect, frame):
+            return np.ones(len(part.values), dtype=bool)
         names = [p.name for p in self.model.parameters[: len(part.values)]]
         others = {*self.model.of_sensor, "radius"}
         return np.array([n not in others and n.partition(".")[0] not in _OF_MARKER for n in names], dtype=bool)
