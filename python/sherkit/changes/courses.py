@@ -19,7 +19,7 @@ from ..evidence.base import Base, log_bayes, total
 from ..evidence.blocks import Block, ColumnPart, Columns, Visits
 from ..evidence.family import Family
 from ..evidence.made import Maker
-from ..evidence.sets import ONE_MORE, EffectSet, Sets
+from ..evidence.sets import ONE_MORE, EffectSet, Sets, ShapeDescription
 from ..evidence.shapes import blocks_of_effects, blocks_of_shapes
 from ..evidence.thresholds import ALARM, TIED, is_plausible
 from .pooled_fit import Change, Joined
@@ -196,6 +196,15 @@ class ChangeSets(Sets):
     def _of_the_instrument(self, lead: EffectSet) -> EffectSet:
         # each run has a pose of the sensor of its own
         return lead
+
+    def described(self, base: Base, most: int, starts: int) -> ShapeDescription:
+        """As of any sets; as effects are, shapes in the place of all of them are held against what says most without a
+        change, and not against what all runs have of themselves."""
+        found = super().described(base, most, starts)
+        if base is not self.base or not found.shapes:
+            return found
+        own = max(float(self.made.base.common[self.family.blocks.index(found.shapes[0])]), 0.0)
+        return replace(found, evidence=found.evidence + own - self._still)
 
     @cached_property
     def _still(self) -> float:
