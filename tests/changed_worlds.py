@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from driven_worlds import UNKNOWN
+from second_arms import SecondArm
 from second_simulator.effects import EFFECTS, draw_pose
 from second_simulator.geometry import FITTED_SIZES, NOMINAL_CONFIG, Robot, draw_geometric_errors
 from second_simulator.plans import make_plan
-from second_simulator.serial import SecondArm
 from second_simulator.simulate import scaled_effect, truth
 from second_simulator.spherical import spherical_plan
 from sherkit.model.kinds import robot_from_tables

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+from second_arms import SecondArm
 from second_simulator.effects import draw_pose
 from second_simulator.geometry import NOMINAL_CONFIG, Robot, draw_geometric_errors
 from second_simulator.plans import grid, make_plan
-from second_simulator.serial import SecondArm
 from second_simulator.simulate import fitted_directions, scaled_effect, truth
 from second_simulator.spherical import GEOMETRY, SPHERICAL_EFFECTS, spherical_plan
 from sherkit.model.kinds import robot_from_tables

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from conventions import written_otherwise
+from second_arms import SecondArm
 from second_machines import MACHINES, run_of, shift, stand_of, turn, zeros_of
 from second_simulator import (
     CATALOGUE,
@@ -36,7 +37,6 @@ from second_simulator import (
     scaled_effect,
     simulate,
 )
-from second_simulator.serial import SecondArm
 from second_simulator.spherical import GEOMETRY, SPHERICAL_EFFECTS, draw_spherical_effect, spherical_plan
 from sherkit.model.kinds import kind_of, model_of
 from sherkit.model.robot_file import run_for

@@ -21,7 +21,7 @@ from scipy import stats
 
 import sherkit as sk
 from consistency import named
-from second_simulator.serial import SecondArm
+from second_arms import SecondArm
 from sherkit.base.types import Floats
 from sherkit.model.kinds import model_of
 from sherkit.robots.serial import Serial, postures

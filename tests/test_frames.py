@@ -24,8 +24,8 @@ from scipy.spatial.transform import Rotation
 import sherkit as sk
 from accuracy_coverage import MIDDLE_RAD
 from running import slow
+from second_arms import SecondArm
 from second_simulator import NOMINAL_CONFIG, Robot, draw_pose, make_plan, simulate, truth
-from second_simulator.serial import SecondArm
 from sherkit.errors import CalibrationError
 from sherkit.fit.error import radius_95
 from sherkit.fit.identify import hold_out

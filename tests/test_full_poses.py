@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from running import slow
-from second_simulator.serial import SecondArm
+from second_arms import SecondArm
 from sherkit.cli import main
 from sherkit.errors import MeasurementError, SherkitWarning
 from sherkit.robots.serial import KIND, Hidden, Serial, points_of_poses, postures

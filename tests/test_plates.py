@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
-from second_simulator.serial import SecondArm
+from second_arms import SecondArm
 from sherkit.errors import RobotError, ShapeError
 from sherkit.model.kinds import known_kinds, model_of
 from sherkit.robots.serial import Serial, postures

@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+from second_arms import SecondArm
 from second_simulator import draw_pose
-from second_simulator.serial import SecondArm
 from sherkit.base.types import Floats
 from sherkit.cli import main
 from sherkit.errors import ExperimentError, OutOfReach, RobotError, ShapeError

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 from running import slow
-from second_simulator.serial import SecondArm
+from second_arms import SecondArm
 from sherkit.errors import FitError, MeasurementError, RobotError
 from sherkit.model.kinds import model_of, robot_from_tables
 from sherkit.robots.serial import KIND, Hidden, Joint, Plane, Serial, postures

@@ -18,8 +18,8 @@ import worlds
 from planar_arm import KIND, PlanarArm, VirtualPlanarArm
 from planar_arm.pose_sets import fan
 from running import slow
+from second_arms import SecondArm
 from second_machines import apart
-from second_simulator.serial import SecondArm
 from sherkit.base.types import Floats
 from sherkit.data import Measurements
 from sherkit.errors import FitError

@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 import sherkit as sk
 from field_worlds import field
-from second_simulator.serial import SecondArm
+from second_arms import SecondArm
 from sherkit.model.kinds import known_kinds
 from sherkit.robots.calibrated import MIDDLE
 from sherkit.robots.delta import VirtualDelta, paper_local

@@ -1,8 +1,8 @@
 """Serial arms with hidden errors and effects, by formulas that share no code with sherkit's.
 
 Frames are 4 x 4 matrices multiplied as the drawing has them, and what a joint carries is the slope of the energy of its
-weights by a difference. :class:`SecondArm` is what an arm and its instruments do, row by row; what is hidden in it, the
-way that it walks and the noise are those of the product's virtual arm.
+weights by a difference. :class:`ArmPhysics` is what an arm and its instruments do, row by row; what is hidden in it is
+said by the class that it is mixed into (``second_arms.py``).
 """
 
 from __future__ import annotations
@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from sherkit.robots.serial import VirtualSerial
-
 Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
@@ -23,8 +21,18 @@ STEP_RAD = 1e-4
 GRAVITY = 9.80665
 
 
-class SecondArm(VirtualSerial):
-    """A virtual arm that does by formulas of its own what it does."""
+class ArmPhysics:
+    """What a virtual arm does: its ``robot`` as drawn, the errors of its geometry, and its ``effects``."""
+
+    robot: Any
+    effects: Any
+    offset: ArrayLike
+    shift_mm: ArrayLike
+    tilt_rad: ArrayLike
+    tool_mm: ArrayLike
+    stand: ArrayLike
+    centres_mm: ArrayLike
+    planes: ArrayLike
 
     def shown(self, slips_s: float, block: Any) -> Floats:
         """What instruments without noise show (n, 4), mm: three coordinates, and a distance or height."""

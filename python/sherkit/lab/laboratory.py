@@ -1,7 +1,7 @@
 """A laboratory of emulated instruments around one virtual robot: what these see, the file that describes it, its ports.
 
-Geometric errors, and what else its kind hides, come from the :class:`~sherkit.model.kinds.Virtual` of that kind, which
-shares no code with the core. What that one does not know (backlash, drift, …) is added as the core has it.
+Geometric errors, and what else its kind hides, come from the :class:`~sherkit.model.kinds.Virtual` of that kind.
+What that one does not know (backlash, drift, …) is added as the core has it.
 """
 
 from __future__ import annotations

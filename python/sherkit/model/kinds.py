@@ -95,7 +95,7 @@ class Option:
 
 
 class Virtual(Protocol):
-    """A robot with hidden errors, to try things on: written apart from the core, so that it can judge it."""
+    """A robot with hidden errors, to try things on."""
 
     #: What a user can choose besides the size of the geometric errors, by name with its unit.
     OPTIONS: ClassVar[Mapping[str, Option]]

@@ -148,17 +148,10 @@ class PredictedAccuracies:
     def to_frame(self) -> pl.DataFrame:
         """A polars frame: radius_mm, addition_mm, total_mm, visit_mm, effect, advice, measured; else null."""
         each = [self[k] for k in range(len(self))]
-        return pl.DataFrame(
-            {
-                "radius_mm": self.radius_mm,
-                "addition_mm": self.addition_mm,
-                "total_mm": self.total_mm,
-                "visit_mm": self.visit_mm,
-                "effect": [one.effect for one in each],
-                "advice": [one.advice for one in each],
-                "measured": [one.beyond == 0.0 for one in each],
-            }
-        ).with_columns(pl.col(pl.Float64).fill_nan(None))
+        names = ("radius_mm", "addition_mm", "total_mm", "visit_mm", "effect", "advice")
+        columns = {name: [getattr(one, name) for one in each] for name in names}
+        columns["measured"] = [one.beyond == 0.0 for one in each]
+        return pl.DataFrame(columns).with_columns(pl.col(pl.Float64).fill_nan(None))
 
 
 # -- Where it comes from ------------------------------------------------------------------------------------------
@@ -343,21 +336,17 @@ class Accurate(Deployed):
         worst: list[Hiding | None] = [None] * len(x)
         known = self.spread(x[rows], joints, frame=where, temperature_c=temperature_c)
         ruled, now = self._ruled(x[rows]), self._now(temperature_c)[:2]
-        far = self.beyond_poses(x[rows], joints)
+        far, whole, scatter = self.beyond_poses(x[rows], joints), np.empty_like(known), np.empty_like(known)
         for part, here in ruled:
             known[here] += (self.grown(part, far[here]) - 1.0)[:, None, None] * self.left_at(part, x[rows[here]])
-        for part, here in ruled if direction is None else ():
-            known[here] += self._either_side(part, joints[here], now)
-        whole, scatter = known.copy(), np.empty_like(known)
-        for part, here in ruled:
-            scatter[here] = part.scatter
-            found = self._beyond(part, x[rows[here]], joints[here], where, now)
-            if found:
-                chosen = [which for which, _ in found.values()]
-                spreads = np.array([spread for _, spread in found.values()])
+            if direction is None:
+                known[here] += self._either_side(part, joints[here], now)
+            whole[here], scatter[here] = known[here], part.scatter
+            if found := self._beyond(part, x[rows[here]], joints[here], where, now):
+                chosen, spreads = (list(each) for each in zip(*found.values(), strict=True))
                 most = np.trace(spreads, axis1=2, axis2=3).argmax(axis=0)
                 each, model = np.arange(len(most)), part.model(self.robot)
-                whole[here] += spreads[most, each]
+                whole[here] += np.array(spreads)[most, each]
                 for k, row in enumerate(rows[here]):
                     one = chosen[most[k]][k]
                     # readings narrow what the instrument's own frame sees of it

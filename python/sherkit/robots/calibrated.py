@@ -264,19 +264,19 @@ class Calibration(Shown, Accurate):
         known: dict[str, type[Self]] = {name: k.calibration for name, k in kinds if k.calibration is not None}
         own = next((name for name, made in known.items() if made is cls), None)
         tables = tables_of(path, own)
-        if own is None:
-            robot = tables.get("robot")
-            found = robot.get("kind") if isinstance(robot, dict) else None
-            if not isinstance(found, str) or found not in known:
-                if isinstance(robot, dict) and "machine" in robot:
-                    raise CalibrationError(
-                        f"{path}: is of the machine {found!r}, which is not known here: import the Python file that "
-                        "makes it first; sherkit verify and sherkit plan --verify take it as --machine FILE.py (no "
-                        "file of data runs code)"
-                    )
-                raise CalibrationError(f"{path}: [robot] kind: expected one of {listed(known)}, found {found!r}")
+        if own is not None:
+            return cls._from_tables(path, tables)
+        robot = tables["robot"] if isinstance(tables.get("robot"), dict) else {}
+        found = robot.get("kind")
+        if isinstance(found, str) and found in known:
             return known[found]._from_tables(path, tables)
-        return cls._from_tables(path, tables)
+        if "machine" in robot:
+            raise CalibrationError(
+                f"{path}: is of the machine {found!r}, which is not known here: import the Python file that makes it "
+                "first; sherkit verify and sherkit plan --verify take it as --machine FILE.py (no file of data runs "
+                "code)"
+            )
+        raise CalibrationError(f"{path}: [robot] kind: expected one of {listed(known)}, found {found!r}")
 
     @classmethod
     def _from_tables(cls, path: Path, tables: dict[str, Any]) -> Self:

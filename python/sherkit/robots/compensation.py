@@ -81,9 +81,7 @@ def axis_table(made: Calibration, axis: str | None = None, points: int = 101) ->
             f"no error of an axis by itself is in this calibration ({what}); calibrate with --effect joint_scale, "
             "encoder_cyclic or backlash, or write a grid"
         )
-    at = _CompensatedAxis(
-        made, replace(made, whole=replace(made.whole, values=np.where(own, 0.0, made.whole.values))), box, k
-    )
+    at = _CompensatedAxis(made, _without(made, own), box, k)
     sent = np.linspace(box[k, 0], box[k, 1], points)
     # what the controller adds is what makes it right there
     trims = {side: at.trim(sent, side) for side in (1.0, -1.0)}
@@ -136,6 +134,11 @@ class _CompensatedAxis:
         return out
 
 
+def _without(made: Calibration, values: Bools) -> Calibration:
+    """The same with some of the identified values (p,) at zero."""
+    return replace(made, whole=replace(made.whole, values=np.where(values, 0.0, made.whole.values)))
+
+
 def _of_axes(made: Calibration) -> Bools:
     """Which identified values (p,) are errors of axes by themselves."""
     model = made.model
@@ -157,7 +160,7 @@ def grid_table(made: Calibration, points: int = 11) -> pl.DataFrame:
         most = int(_MOST_POINTS ** (1.0 / len(names)))
         raise CalibrationError(f"points: expected 2 to {most} along each of {len(names)} axes, got {points}")
     frame = BASE if BASE in made.frames else None
-    drawn = replace(made, whole=replace(made.whole, values=np.zeros_like(made.whole.values)))
+    drawn = _without(made, np.ones(len(made.whole.values), dtype=bool))
     grid = np.stack(np.meshgrid(*(np.linspace(low, high, points) for low, high in box), indexing="ij"), axis=-1)
     joints = np.ascontiguousarray(grid.reshape(-1, len(names)))
     wanted = drawn.forward_batch(joints, frame=frame)

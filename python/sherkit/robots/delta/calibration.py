@@ -287,7 +287,7 @@ class DeltaCalibration(Calibration):
             half = float(self.region_half_width_mm)
             blend = self.blend_mm if self.blend_mm is not None else _BLEND * half
             region = (np.full(3, -half), np.full(3, half), blend)
-        return _core.Calibrated(self._core_part(self.whole), local, region, frame)
+        return _core.Calibrated(self._core_part(self.whole), local, region, BASE if frame == BASE else SENSOR)
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -341,7 +341,7 @@ class DeltaCalibration(Calibration):
         """The highest, middle and lowest plane of the workspace, or of what was measured."""
         robot = self.robot
         corners = np.array(list(product(*zip(self.whole.low, self.whole.high, strict=True))))
-        low, high = robot.box(self.whole.at_base(corners))
+        low, high = robot.workspace_box(self.whole.at_base(corners))
         made = Planes.horizontal(low, high, per_side, ".3g")
         from_axis = np.hypot(made.grid[:, 0], made.grid[:, 1])
         made = replace(made, grid=np.ascontiguousarray(self.whole.at_sensor(made.grid)))

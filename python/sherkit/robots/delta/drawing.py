@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
-from ...data.columns import TEMPERATURE, TIME
 from ...errors import SherkitError
 from ...model.drawing import Drawing, DrawnPart, line, with_target
 from ...model.effect import Effect
 from .model import DeltaModel
-from .robot import DELTA, JOINTS, POSITION, Delta, grid
+from .robot import DELTA, Delta, grid
 
 #: Of a limb the core hands over foot and head of its rail, the ends of its rods at the carriage, those at the platform.
 _PER_LIMB = 6
@@ -75,9 +71,8 @@ def signature(effect: Effect, robot: Delta) -> tuple[Floats, Floats]:
         raise SherkitError("the robot reaches no pose of its workspace; check [workspace] and the geometry")
     joints, poses = batch.values[batch.reached], poses[batch.reached]
     n = len(joints)
-    columns: dict[str, NDArray[Any]] = dict(zip((*JOINTS, *POSITION), (*joints.T, *poses.T), strict=True))
-    columns |= {TIME: np.arange(n) * _SECONDS_PER_POSE, TEMPERATURE: 20.0 + _WARMING_C * np.arange(n) / n}
-    data = Measurements.from_columns(columns, "signature", layout=DELTA)
+    time, warmth = _SECONDS_PER_POSE * np.arange(n, dtype=float), 20.0 + _WARMING_C * np.arange(n) / n
+    data = Measurements.planned(joints, DELTA, "signature", time_s=time, temperature_c=warmth)
     plain = DeltaModel(robot)
     fitted = plain.derivatives(data, np.zeros(len(plain.parameters)))[:, :3].reshape(3 * n, -1)
     at = n * _SECONDS_PER_POSE / 2 if effect.search == "time_s" else None
@@ -86,7 +81,7 @@ def signature(effect: Effect, robot: Delta) -> tuple[Floats, Floats]:
     with_it = plain.with_effect(effect, at=at)
     size = np.array([p.size for p in effect.parameters])
     values = np.zeros(len(with_it.parameters))
-    values[with_it.owns(effect)] = size * np.where(np.arange(len(size)) % 2 == 0, 1.0, -1.0)
+    values[with_it.owns(effect)] = size * np.resize([1.0, -1.0], len(size))
     change = (with_it.predict(data, values) - with_it.predict(data, np.zeros(len(values))))[:, :3].ravel()
     scale = np.linalg.norm(fitted, axis=0)
     left = change - fitted @ (linalg.lstsq(fitted / scale, change, rcond=1e-10)[0] / scale)

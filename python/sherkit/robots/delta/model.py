@@ -195,7 +195,10 @@ class DeltaModel(ChainModel):
         where = robot.forward_batch(data.joints)
         if not where.reached.any():
             return None
-        axes = [np.linspace(a, b, n) for a, b, n in zip(*robot.box(where.values[where.reached]), _GRID, strict=True)]
+        axes = [
+            np.linspace(a, b, n)
+            for a, b, n in zip(*robot.workspace_box(where.values[where.reached]), _GRID, strict=True)
+        ]
         places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         if robot.workspace_radius_mm:
             places = places[np.hypot(places[:, 0], places[:, 1]) <= robot.workspace_radius_mm * (1 + 1e-9)]

@@ -139,7 +139,7 @@ class Delta(Declared, Stating, Saved, Shown):
         columns = (self.base_radius_mm, angle, np.zeros(3), self.rod_length_mm, self.platform_radius_mm, platform_angle)
         return np.array(columns, dtype=float).T.ravel().copy()
 
-    def box(self, places_mm: Floats) -> tuple[Floats, Floats]:
+    def workspace_box(self, places_mm: Floats) -> tuple[Floats, Floats]:
         """Corners (3,) of the workspace; along what the file does not say of it those of places (n, 3)."""
         low, high = places_mm.min(axis=0), places_mm.max(axis=0)
         if self.workspace_radius_mm:

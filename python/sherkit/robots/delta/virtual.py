@@ -112,23 +112,16 @@ class VirtualDelta:
         Raises :class:`~sherkit.errors.OutOfReach` where Newton finds no position.
         """
         q = np.atleast_2d(np.asarray(joints_mm, dtype=float))
-        p = dict(zip(self.robot.parameter_names, self.robot.geometry, strict=True))
-        for name, error in self.errors.items():
-            p[name] += error
-        lean = np.asarray(self.rail_lean_rad, dtype=float)
-        carriages, joints, rods = [], [], []
-        for i, limb in enumerate("123"):
-            angle = p[f"base_angle_{limb}"]
-            out = np.array([np.cos(angle), np.sin(angle), 0.0])
-            along = np.array([-np.sin(angle), np.cos(angle), 0.0])
-            rail = np.array([0.0, 0.0, 1.0]) + lean[i, 0] * out + lean[i, 1] * along
-            rail /= np.linalg.norm(rail)
-            height = q[:, i] + p[f"joint_offset_{limb}"]
-            carriages.append(p[f"base_radius_{limb}"] * out + height[:, None] * rail)
-            angle = p[f"platform_angle_{limb}"]
-            joints.append(p[f"platform_radius_{limb}"] * np.array([np.cos(angle), np.sin(angle), 0.0]))
-            rods.append(p[f"rod_length_{limb}"])
-        x = self._newton(np.stack(carriages, axis=1), np.array(joints), np.array(rods))
+        off = np.array([self.errors.get(name, 0.0) for name in self.robot.parameter_names])
+        radius, angle, zero, rods, joint, at = (self.robot.geometry + off).reshape(3, -1).T
+        flat, lean = np.zeros(3), np.asarray(self.rail_lean_rad, dtype=float)
+        out = np.column_stack([np.cos(angle), np.sin(angle), flat])
+        along = np.column_stack([-np.sin(angle), np.cos(angle), flat])
+        rails = np.array([0.0, 0.0, 1.0]) + lean[:, :1] * out + lean[:, 1:] * along
+        rails /= np.linalg.norm(rails, axis=1, keepdims=True)
+        carriages = radius[:, None] * out + (q + zero)[:, :, None] * rails
+        joints = joint[:, None] * np.column_stack([np.cos(at), np.sin(at), flat])
+        x = self._newton(carriages, joints, rods)
         x = x + np.array(self.robot.target_offset_mm)
         return x + x @ np.asarray(self.beam_matrix, dtype=float).T
 

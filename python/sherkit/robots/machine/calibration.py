@@ -239,16 +239,13 @@ class MachineCalibration(Calibration):
     def planes(self, per_side: int) -> Planes:
         """Its first two readings over where the run went, the others as in the middle of the run."""
         low, high = self.whole.low, self.whole.high
-        middle = 0.5 * (low + high)
-        names = [f"{bare(name)}, {unit_in(name)}" for name in self.coordinates]
-        x = np.linspace(low[0], high[0], per_side)
-        y = np.linspace(low[1], high[1], per_side) if len(low) > 1 else np.zeros(1)
-        grid = np.tile(middle, (len(x) * len(y), 1))
-        grid[:, 0] = np.tile(x, len(y))
-        if len(low) > 1:
-            grid[:, 1] = np.repeat(y, len(x))
+        x, y, *_ = (*(np.linspace(a, b, per_side) for a, b in zip(low, high, strict=True)), np.zeros(1))
+        names = [*(f"{bare(name)}, {unit_in(name)}" for name in self.coordinates), ""]
+        grid = np.tile(0.5 * (low + high), (len(x) * len(y), 1))
+        for axis, places in zip(grid.T, (np.tile(x, len(y)), np.repeat(y, len(x))), strict=False):
+            axis[:] = places
         inside = self.inverse_batch(grid).reached
-        return Planes(x, y, (names[0], names[1] if len(low) > 1 else ""), ("middle of the run",), grid, inside)
+        return Planes(x, y, (names[0], names[1]), ("middle of the run",), grid, inside)
 
     def _settings(self) -> dict[str, Any]:
         own = [{"effect": effect.name, "values": list(values)} for effect, values in self.own]

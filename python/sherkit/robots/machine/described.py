@@ -278,7 +278,8 @@ def not_in(
     """
     every = (sensor_pose(open_of_pose), *effects)
     columns, places = _columns(function, pose, every)
-    taken = _basis(columns[:, : places[0].stop])
+    basis, spread, _ = linalg.svd(columns[:, : places[0].stop], full_matrices=False)
+    taken = basis[:, spread > _SAME * spread.max(initial=0.0)]
     out = [every[0]] if every[0].parameters else []
     for one, place in zip(every[1:], places[1:], strict=True):
         if one.search:
@@ -319,8 +320,3 @@ def _columns(
     columns = columns[whole].reshape(-1, total)
     length = np.sqrt((columns**2).sum(axis=0))
     return columns / np.where(length > 0, length, 1.0), core.places
-
-
-def _basis(columns: Floats) -> Floats:
-    basis, size, _ = linalg.svd(columns, full_matrices=False)
-    return np.asarray(basis[:, size > _SAME * size.max(initial=0.0)])

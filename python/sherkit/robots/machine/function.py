@@ -274,12 +274,9 @@ def starts(forward: Callable[[Floats], Floats], readings: Floats, box: Floats) -
     joints, shown = joints[known], shown[known]
     if not len(joints):
         return np.full((len(readings), len(low)), np.nan)
-    out = np.empty((len(readings), len(low)))
-    for first in range(0, len(readings), 512):
-        part = readings[first : first + 512]
-        apart = ((part[:, None, :] - shown[None, :, :]) ** 2).sum(axis=2)
-        out[first : first + 512] = joints[np.argmin(apart, axis=1)]
-    return out
+    # where nothing is asked for, any place is as good
+    nearest = scipy.spatial.KDTree(shown).query(np.nan_to_num(readings))[1]
+    return np.asarray(joints[nearest])
 
 
 def settled(

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import Layout
@@ -51,11 +52,9 @@ class Towers:
         """The same machine as towers at any three points ``feet`` (3, 2), mm, with these arms (3,) and carriage heights
         at the end stops (3,): any triangle has a circle through its corners, and where the middle of the bed is and
         what direction it faces is the firmware's own choice. Tower C is put at ``third_deg``."""
-        (ax, ay), (bx, by), (cx, cy) = feet
-        d = 2.0 * (ax * (by - cy) + bx * (cy - ay) + cx * (ay - by))
+        # as far from the first as from each of the others
         squares = (feet**2).sum(axis=1)
-        middle = np.array([squares @ [by - cy, cy - ay, ay - by] / d, squares @ [cx - bx, ax - cx, bx - ax] / d])
-        out = feet - middle
+        out = feet - linalg.solve(2.0 * (feet[1:] - feet[0]), squares[1:] - squares[0])
         radius = float(np.hypot(*out.T).mean())
         angle = np.rad2deg(np.arctan2(out[:, 1], out[:, 0]))
         angle = (angle - angle[2] + third_deg) % 360.0
@@ -147,6 +146,10 @@ class ImportedPrinter:
     measurements: Measurements
 
 
+#: Of a row that is no distance.
+_NO_END = np.full(3, np.nan)
+
+
 @dataclass(eq=False)
 class ProbedRows:
     """Collects the rows of a printer; ``source`` is the file, for messages.
@@ -159,8 +162,8 @@ class ProbedRows:
 
     robot: Printer
     source: str
-    _joints: list[Floats] = field(default_factory=list)
-    _others: list[tuple[Floats | None, float, float, str, str]] = field(default_factory=list)
+    #: Joints, those of the other end, reading, turn of the plate, what it is, and of which probing.
+    _rows: list[tuple[Floats, Floats, float, float, str, str]] = field(default_factory=list)
 
     def touch(self, xy: Sequence[float] | Floats, height: float, probing: str, plate_deg: float, where: str) -> None:
         """The tip touched the plate at ``xy``, mm, where the firmware believed it to be at ``height``."""
@@ -169,7 +172,7 @@ class ProbedRows:
             joints = self.robot.inverse((float(xy[0]), float(xy[1]), plane))
         except OutOfReach as error:
             raise RobotError(f"{where} the point {xy[0]:g}, {xy[1]:g} mm cannot be: {error}") from None
-        self._add(joints, None, plane - height, plate_deg, probing, probing)
+        self._rows.append((joints, _NO_END, plane - height, plate_deg, probing, probing))
 
     def touch_at(self, joints: Floats, tip_mm: float, what: str, probing: str, where: str) -> None:
         """The carriages stood at ``joints`` when the tip was ``tip_mm`` above the bed, by the probe or a gauge."""
@@ -178,35 +181,28 @@ class ProbedRows:
             at = self.robot.inverse((x, y, tip_mm))
         except OutOfReach as error:
             raise RobotError(f"{where} cannot be: {error}") from None
-        self._add(at, None, tip_mm - (z - tip_mm), 0.0, what, probing)
+        self._rows.append((at, _NO_END, tip_mm - (z - tip_mm), 0.0, what, probing))
 
     def distance(self, start: Floats, end: Floats, length_mm: float) -> None:
         """Two places of the nozzle are so far apart on a part."""
-        self._add(start, end, length_mm, 0.0, "distance", "")
-
-    def _add(self, joints: Floats, to: Floats | None, reading: float, plate: float, what: str, probing: str) -> None:
-        self._joints.append(joints)
-        self._others.append((to, reading, plate, what, probing))
+        self._rows.append((start, end, length_mm, 0.0, "distance", ""))
 
     def found(self, nothing: str) -> ImportedPrinter:
         """Robot and run. Raises :class:`~sherkit.errors.MeasurementError`, which says ``nothing``, without a row."""
-        if not self._joints:
+        if not self._rows:
             raise MeasurementError(f"{self.source}: {nothing}")
-        ends, readings, plates, what, of = zip(*self._others, strict=True)
-        names = tuple(dict.fromkeys(name for name in of if name))
-        number = np.array([float(names.index(name)) if name else 0.0 for name in of])
-        joints = np.array(self._joints)
-        to = np.array([np.full(3, np.nan) if end is None else end for end in ends])
+        joints, ends, readings, plates, what, of = map(np.array, zip(*self._rows, strict=True))
+        names = tuple(dict.fromkeys(name for name in of.tolist() if name))
+        number = np.array([float(names.index(name)) if name else 0.0 for name in of.tolist()])
         # the same place under a plate that was turned, or probed another time, is none that was read twice
-        place = np.column_stack([joints, np.nan_to_num(to), plates, number])
+        place = np.column_stack([joints, np.nan_to_num(ends), plates, number])
         columns: dict[str, Any] = {
-            **{name: joints[:, k] for k, name in enumerate(PROBED.joints)},
-            **{name: to[:, k] for k, name in enumerate(PROBED.to_joints)},
-            PROBED.coordinates[0]: np.array(readings),
+            **dict(zip((*PROBED.joints, *PROBED.to_joints), (*joints.T, *ends.T), strict=True)),
+            PROBED.coordinates[0]: readings,
             "pose": np.unique(place, axis=0, return_inverse=True)[1].ravel(),
-            PLATE: np.array(plates, dtype=float),
+            PLATE: plates,
             PROBING: number,
-            "what": np.array(what),
+            "what": what,
         }
         robot = replace(self.robot, probings=names)
         return ImportedPrinter(robot, Measurements.from_columns(columns, self.source, layout=PROBED))

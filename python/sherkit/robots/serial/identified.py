@@ -21,7 +21,7 @@ from .calibration import SerialCalibration
 from .frames import about, frame, rpy_of_transform, triple
 from .model import SerialModel
 from .plates import offsets
-from .robot import PAYLOAD, Joint, Serial
+from .robot import PAYLOAD, Serial
 
 # -- As it is drawn ----------------------------------------------------------------------------------------------------
 # The serial arm as it is drawn: its links from joint to joint, the axes, the target.
@@ -75,14 +75,16 @@ def as_identified(made: SerialCalibration, held: Collection[str] = (FOLLOWING,))
     robot, values = made.robot, made.by_name
     before, joints = None, []
     for k, joint in enumerate(robot.joints, start=1):
-        off, share = values.get(f"offset_{k}", 0.0), values.get(f"{FOLLOWING}.share_{k}", 0.0)
-        share = share if FOLLOWING in held else 0.0
+        names = ("offset", "shift_x", "shift_y", "tilt_x", "tilt_y")
+        off, shift_x, shift_y, tilt_x, tilt_y = (values.get(f"{name}_{k}", 0.0) for name in names)
+        share = values.get(f"{FOLLOWING}.share_{k}", 0.0) if FOLLOWING in held else 0.0
         follows = joint.follows + share
         if before is not None:
-            home = before.reading(before.home)
-            off += follows * values.get(f"offset_{k - 1}", 0.0) - share * home
-        drawn = frame(joint.origin_mm, joint.frame[:3, :3])
-        moved = drawn @ _error(values, k) @ _at(joint, off)
+            off += follows * values.get(f"offset_{k - 1}", 0.0) - share * before.reading(before.home)
+        # how the axis lies and leans beside its place, and what the joint moves, in its own frame
+        beside = frame((shift_x, shift_y, 0.0), about(0, tilt_x) @ about(1, tilt_y))
+        by_zero = frame((0.0, 0.0, off), np.eye(3)) if joint.slides else frame((0.0, 0.0, 0.0), about(2, off))
+        moved = joint.frame @ beside @ by_zero
         moved[:3, :3] = moved[:3, :3] @ joint.turn.T
         origin, rpy = rpy_of_transform(moved)
         joints.append(replace(joint, origin_mm=origin, rpy_deg=rpy, follows=follows))
@@ -91,18 +93,6 @@ def as_identified(made: SerialCalibration, held: Collection[str] = (FOLLOWING,))
     off_by = offsets(robot, values)
     first, *more = map(triple, np.array(robot.targets_mm) + off_by @ turn.T)
     return replace(robot, joints=tuple(joints), target_mm=first, more_targets_mm=tuple(more))
-
-
-def _error(values: dict[str, float], k: int) -> Floats:
-    """How the axis of a joint lies and leans beside its place, in its own frame."""
-    shift = (values.get(f"shift_x_{k}", 0.0), values.get(f"shift_y_{k}", 0.0), 0.0)
-    lean = about(0, values.get(f"tilt_x_{k}", 0.0)) @ about(1, values.get(f"tilt_y_{k}", 0.0))
-    return frame(shift, lean)
-
-
-def _at(joint: Joint, value: float) -> Floats:
-    """What a joint moves, in its own frame."""
-    return frame((0.0, 0.0, value), np.eye(3)) if joint.slides else frame((0.0, 0.0, 0.0), about(2, value))
 
 
 # -- What does not fit in ------------------------------------------------------------------------------------------

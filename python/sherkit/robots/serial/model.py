@@ -6,7 +6,6 @@ sentences on them, and which of them an arm has.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -20,7 +19,7 @@ from ...base.figures import listed
 from ...base.types import Floats
 from ...data import Measurements
 from ...data.columns import Layout, unit_in
-from ...errors import FitError, SherkitWarning
+from ...errors import FitError
 from ...model.base import Reachable
 from ...model.chain import Block, ChainModel
 from ...model.effect import Effect, Parameter, Sentences, Setting, effects_of_row, parameters_of_core
@@ -404,14 +403,9 @@ def _every_reading(robot: Serial, joints: Floats) -> Measurements:
     """Rows at these joints (n, k) of all that can be read of an arm: each target by the tracker, and its distances."""
     target, centre, plane = np.tile(robot.reads, (len(joints), 1)).T
     is_place = np.isnan(centre) & np.isnan(plane)
-    layout, places = robot.layout, np.where(is_place, 0.0, np.nan)
-    columns = dict(zip(layout.joints, np.repeat(joints, len(robot.reads), axis=0).T, strict=True))
-    columns |= dict.fromkeys(layout.coordinates, places)
+    columns: dict[str, Any] = dict.fromkeys(robot.layout.coordinates, np.where(is_place, 0.0, np.nan))
     columns |= {"distance_mm": np.where(is_place, np.nan, 0.0), CENTRE: centre, PLANE: plane, TARGET: target}
-    with warnings.catch_warnings():
-        # readings that are all zero look as if they were in another unit
-        warnings.simplefilter("ignore", SherkitWarning)
-        return Measurements.from_columns(columns, "plan", layout=layout)
+    return Measurements.planned(np.repeat(joints, len(robot.reads), axis=0), robot.layout, **columns)
 
 
 @lru_cache(maxsize=32)

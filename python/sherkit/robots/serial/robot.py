@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -368,6 +367,15 @@ class Serial(Declared, Stating, Saved, Shown):
         behind = [*steps, float(np.linalg.norm(self.targets, axis=1).max())]
         return np.cumsum(behind[::-1])[::-1]
 
+    @cached_property
+    def steps(self) -> list[Floats]:
+        """Transforms (4, 4), mm: from the base to the first axis, from each axis, whose z is it, to the next one, and
+        from the last one to the tool."""
+        # a frame is given behind that of the drawing, which is turned from the one before
+        back = [np.eye(4), *(frame(_ZERO, joint.turn.T) for joint in self.joints)]
+        ends = [*(joint.frame for joint in self.joints), placed(self.target_mm, self.tool_rpy_deg)]
+        return [a @ b for a, b in zip(back, ends, strict=True)]
+
     @property
     def knows_masses(self) -> bool:
         """Whether a joint has a mass."""
@@ -382,9 +390,7 @@ class Serial(Declared, Stating, Saved, Shown):
         if self.knows_masses:
             masses = np.array([joint.mass_kg or 0.0 for joint in self.joints])
             return masses, np.array([joint.turn.T @ np.array(joint.centre_mm) for joint in self.joints])
-        # the frame of the next joint stands in that of the drawing, not in the turned one
-        following = [a.turn.T @ b.frame[:3, 3] for a, b in pairwise(self.joints)]
-        ends = np.array([*following, self.targets[0]])
+        ends = np.array([step[:3, 3] for step in self.steps[1:]])
         return np.linalg.norm(ends, axis=1) / 1000.0, 0.5 * ends
 
     def core(
@@ -392,13 +398,10 @@ class Serial(Declared, Stating, Saved, Shown):
     ) -> _core.SerialModel:
         """The compiled chain for the period of the encoders, origin of time and moments of the slips of target,
         joints and sensor; ``periods`` (k,) where joints have their own."""
-        before, rows = np.eye(3), []
-        for joint, mass, centre in zip(self.joints, *self.weights, strict=True):
-            # a frame is given behind that of the drawing, which is turned from the one before
-            turn, shift = before @ joint.frame[:3, :3], before @ joint.frame[:3, 3]
+        rows = []
+        for step, joint, mass, centre in zip(self.steps[:-1], self.joints, *self.weights, strict=True):
             numbers = (joint.slides, joint.follows, joint.reading(joint.home), mass)
-            rows.append([*turn.ravel(), *shift, *numbers, *centre])
-            before = joint.turn.T
+            rows.append([*step[:3, :3].ravel(), *step[:3, 3], *numbers, *centre])
         pull = np.array(self.gravity) / np.linalg.norm(self.gravity)
         centres = np.array(self.centres_mm, dtype=float).reshape(-1, 3)
         planes = np.array([plane.numbers for plane in self.planes], dtype=float).reshape(-1, 6)

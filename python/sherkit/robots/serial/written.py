@@ -158,9 +158,8 @@ class _Link:
 def dh_table(arm: Serial, convention: str = "standard") -> pl.DataFrame:
     """The arm as a table of :func:`~.imported.import_dh`: a row for each joint, before and behind them a ``fixed`` one
     that leads from the base to the first axis and from the last one to the target."""
-    ahead = [*_ahead(arm)]
     rows, carried = [], np.eye(4)
-    for step in ahead:
+    for step in arm.steps:
         found = _link_of(carried @ step)
         rows.append(found)
         carried = found.left
@@ -188,15 +187,6 @@ def dh_table(arm: Serial, convention: str = "standard") -> pl.DataFrame:
         pl.DataFrame(made).with_columns(pl.col("low", "high").cast(pl.Float64)).with_columns(pl.col(pl.Float64) + 0.0)
     )
     return table if any(joint.follows for joint in arm.joints) else table.drop("follows")
-
-
-def _ahead(arm: Serial) -> Iterator[Floats]:
-    """From the base to the first axis, from each axis, whose z is it, to the next one, and to the tool."""
-    before = np.eye(3)
-    for joint in arm.joints:
-        yield frame((0.0, 0.0, 0.0), before) @ joint.frame
-        before = joint.turn.T
-    yield frame((0.0, 0.0, 0.0), before) @ placed(arm.target_mm, arm.tool_rpy_deg)
 
 
 def _link_of(step: Floats) -> _Link:
@@ -242,7 +232,7 @@ def kinematics_yaml(arm: Serial, name: str = "arm") -> str:
         raise RobotError(f"joint '{followers[0]}' follows the one before it, which kinematics.yaml has no key for")
     called = _UR_LINKS if len(arm.joints) == len(_UR_LINKS) else [joint.name for joint in arm.joints]
     lines = []
-    for link, step in zip(called, _ahead(arm), strict=False):
+    for link, step in zip(called, arm.steps, strict=False):
         shift, turn = rpy_of_transform(step)
         cells = (*(v / _MM for v in shift), *np.deg2rad(turn).tolist())
         lines.append(f"  {link}:")

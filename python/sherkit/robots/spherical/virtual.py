@@ -25,6 +25,8 @@ from .robot import SPHERICAL_JOINTS, SPHERICAL_PIXELS, CameraView, Spherical, ax
 
 #: What the paper identified on its robot, less what the drawing says (Table I): rad and mm.
 PAPER_ERRORS = {"alpha": 0.7634 - 0.7854, "beta": 0.8037 - 0.7854, "radius": 22.1}
+#: What joints and limbs differ by from one another.
+_EACH_ITS_WAY = np.array([1.0, -0.5])
 _DWELL_S = 2.0
 _TRAVEL_S = 1.0
 
@@ -57,14 +59,8 @@ class VirtualSpherical:
     def simulated(cls, robot: Spherical, seed: int, errors: float, sizes: Mapping[str, float]) -> VirtualSpherical:
         """One with ``errors`` times the paper's, the same for every seed, and ``sizes`` of each of :attr:`OPTIONS`."""
         del seed
-        offset, unequal = 1e-3 * sizes["joint_offset_mrad"], 1e-3 * sizes["unequal_limbs_mrad"]
-        return cls(
-            robot,
-            {name: errors * value for name, value in PAPER_ERRORS.items()},
-            joint_offset_rad=(offset, -0.5 * offset),
-            unequal_limbs_rad=(unequal, -0.5 * unequal),
-            noise_px=sizes["noise_px"],
-        )
+        offset, unequal = (1e-3 * sizes[name] * _EACH_ITS_WAY for name in ("joint_offset_mrad", "unequal_limbs_mrad"))
+        return cls(robot, cls._of_paper(errors), offset, unequal, noise_px=sizes["noise_px"])
 
     @classmethod
     def hidden(cls, robot: Spherical, seed: int, table: Table) -> VirtualSpherical:
@@ -73,16 +69,14 @@ class VirtualSpherical:
         ``errors`` times the paper's, ``joint_offset_mrad`` and ``unequal_limbs_mrad`` (2,), ``marker_mm`` (3,).
         """
         del seed
-        size = table.number("errors", 0.0)
-        offset, unequal = (table.numbers(key, 2, (0.0, 0.0)) for key in ("joint_offset_mrad", "unequal_limbs_mrad"))
-        return cls(
-            robot,
-            {name: size * value for name, value in PAPER_ERRORS.items()},
-            joint_offset_rad=1e-3 * np.array(offset),
-            unequal_limbs_rad=1e-3 * np.array(unequal),
-            marker_mm=table.numbers("marker_mm", 3, (0.0, 0.0, 0.0)),
-            noise_px=0.0,
-        )
+        errors = cls._of_paper(table.number("errors", 0.0))
+        both = (table.numbers(key, 2, (0.0, 0.0)) for key in ("joint_offset_mrad", "unequal_limbs_mrad"))
+        offset, unequal = (1e-3 * np.array(one) for one in both)
+        return cls(robot, errors, offset, unequal, table.numbers("marker_mm", 3, (0.0, 0.0, 0.0)), noise_px=0.0)
+
+    @staticmethod
+    def _of_paper(size: float) -> dict[str, float]:
+        return {name: size * value for name, value in PAPER_ERRORS.items()}
 
     def truth(self) -> dict[str, Any]:
         """The hidden errors, for TOML: mm and rad."""
