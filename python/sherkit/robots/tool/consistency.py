@@ -9,7 +9,7 @@ about zero, not about their mean: a bias that lasts is one error). Sources: Bar-
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -228,3 +228,8 @@ def judge(e: Estimate) -> list[ErrorStatistics]:
             made.append(SignalErrors(name, total, first, second, float(size.max())))
         out.append(ErrorStatistics(truth.quantity, truth.name, float(t0.mean()), tuple(made)))
     return out
+
+
+def mean_errors(judged: Sequence[ErrorStatistics]) -> dict[str, dict[str, float]]:
+    """Mean errors over the whole run, mm, by quantity and signal."""
+    return {j.quantity: {x.signal: x.total for x in j.errors} for j in judged}

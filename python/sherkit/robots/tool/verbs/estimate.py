@@ -23,7 +23,7 @@ from ....diagnosis import Diagnosis
 from ..alignment import Aligned, align_run
 from ..calibration import ToolCalibration, read_loads
 from ..calibration import calibrate_tool as run_calibration
-from ..consistency import ErrorStatistics, NeesConsistency, SignalErrors, judge, known
+from ..consistency import ErrorStatistics, NeesConsistency, SignalErrors, judge, known, mean_errors
 from ..filters import Estimate, status_in_words
 from ..filters import estimate as run_filters
 from ..model import Applied
@@ -110,7 +110,7 @@ def estimate(
 
 def _bars(judged: Sequence[ErrorStatistics]) -> tuple[Bar, ...]:
     """Mean errors of the depth beside the paper's filter, where the run tells them."""
-    errors = {e.signal: e.total for j in judged if j.quantity == "depth" for e in j.errors}
+    errors = mean_errors(judged).get("depth", {})
     which = ((BEFORE, "paper's filter"), (AFTER, "filter"))
     return tuple(
         Bar(what, f"depth, {name}", errors[name]) for what, name in which if np.isfinite(errors.get(name, np.nan))
