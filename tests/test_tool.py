@@ -121,7 +121,7 @@ def test_the_contact_is_in_balance() -> None:
     virtual = VirtualTool(small, hole_mn_mm=80.0)
     rng = np.random.default_rng(0)
     depth, offset = rng.uniform(0.1, 25.0, 200), 4.0 * rng.standard_normal((200, 2))
-    force = virtual._force(depth, offset, 2.0)
+    force, _ = virtual._pressed(depth, offset, 2.0)
     size, pushed = np.linalg.norm(force, axis=1), np.linalg.norm(offset, axis=1)
     assert (size[pushed <= 2.0] == 0).all()
     on = pushed > 2.0
@@ -143,6 +143,13 @@ def test_a_run_is_lossless(tmp_path: Path) -> None:
         for field in ("time_s", "position_mm", "turn_rad", "wavelengths_nm", "camera_time_s", "camera_mm", "depth_mm",
                       "fibre_time_s"):  # fmt: skip
             np.testing.assert_array_equal(getattr(again, field), getattr(run, field))
+
+
+def test_late_fibres_have_not_frozen() -> None:
+    """Catches a first reading that a virtual tool holds until its late fibres begin, which then counts as frozen."""
+    run = VirtualTool(FlexibleTool()).changed(fibre_delay_s=0.25).run("vessels", seconds=3.0)
+    assert run.froze == []
+    assert np.flatnonzero(run.present)[0] == 50
 
 
 def test_a_reading_that_stands_in_two_rows_is_one() -> None:

@@ -36,8 +36,6 @@ _ROUNDS = 4
 #: How well rows must tell a term that the model lacks, of the largest that is expected.
 _TOLD = 0.05
 _STEP = 1e-4
-#: Residuals of a row that scatter together: along the load, and across it.
-_BLOCKS = (slice(0, 3), slice(3, 5))
 #: Two differences of three fibres, orthonormal, without what is common to them.
 DIFFERENCES = np.array([[2.0, -1.0, -1.0], [0.0, np.sqrt(3.0), -np.sqrt(3.0)]]) / np.sqrt(6.0)
 
@@ -133,6 +131,12 @@ class BenchModel:
     convention: Convention
     noise_nm: float
 
+    @property
+    def drawn_rod(self) -> Floats:
+        """What the vector (13,) says of sections, rod and zero (5,), as they are drawn."""
+        d = self.drawn
+        return np.array([*d.distances_mm, d.length_mm, np.log(d.stiffness_mn_mm2), 0.0])
+
     def residuals(self, x: Floats, larger: float = 1.0) -> tuple[Floats, Floats, Floats]:
         """Residuals (n, 5) of the moments along the load at I and II, of the deflection, of the moments across it;
         what was expected of the first three (n, 3), and the true loads (n, 2): force across the rod, arc; for loads
@@ -150,8 +154,9 @@ class BenchModel:
         bend = np.where(r.bent > 0, np.nan_to_num(r.deflection_mm) - loads[:, 4], 0.0)
         return np.column_stack([along, bend, across]), loads[:, 2:], loads[:, :2]
 
-    def covariance(self, x: Floats, s: Scatter) -> Floats:
-        """Of each row's residuals (n, 5, 5)."""
+    def spread(self, x: Floats) -> Floats:
+        """Covariances of each row's residuals (5, n, 5, 5) by a variance of one of wavelengths, load, friction and
+        gauge; and one of a deflection that was not read."""
         p, r = Parameters.of(x), self.rows
         _, expected, loads = self.residuals(x)
         force, arc = loads.T
@@ -167,50 +172,31 @@ class BenchModel:
             # and it takes a part in what a cell feels across the unbent axis
             more = self.residuals(x, 1.0 + _STEP)[1]
             by_drag -= (more - expected) / (_STEP * r.size_mn[:, None]) * force[:, None] * bend / 2 * (1 - bend**2 / 20)
-        out = np.zeros((len(force), 5, 5))
-        out[:, :3, :3] = s.load_mn**2 * _outer(by_load) + s.friction**2 * _outer(by_drag)
-        none = r.bent == 0
-        out[none, 2, :] = out[none, :, 2] = 0.0
-        out[:, 3:, 3:] = s.load_mn**2 * _outer(by_load[:, :2])
-        noise = s.wavelength_nm**2 * (p.by_difference**2).sum(axis=(1, 2)) / 2.0
-        own_variance = [*noise, s.gauge_mm**2, *noise]
-        out[:, range(5), range(5)] += own_variance
-        out[none, 2, 2] = 1.0
+        by_load[:, 2] *= r.bent
+        by_drag[:, 2] *= r.bent
+        out = np.zeros((5, len(force), 5, 5))
+        moments = [0, 1, 3, 4]
+        out[0][:, moments, moments] = np.tile((p.by_difference**2).sum(axis=(1, 2)) / 2.0, 2)
+        out[1, :, :3, :3], out[1, :, 3:, 3:] = _outer(by_load), _outer(by_load[:, :2])
+        out[2, :, :3, :3] = _outer(by_drag)
+        out[3, :, 2, 2], out[4, :, 2, 2] = r.bent, 1.0 - r.bent
         return out
 
     def prior(self, x: Floats) -> Floats:
         """How far the drawing is left (5,), in deviations."""
-        p, d = Parameters.of(x), self.drawn
-        return np.concatenate([
-            (p.distances_mm - d.distances_mm) / SECTION_MM,
-            [(p.length_mm - d.length_mm) / LENGTH_MM],
-            [np.log(p.stiffness_mn_mm2 / d.stiffness_mn_mm2) / _STIFFNESS],
-            [p.zero_mm / ZERO_MM],
-        ])  # fmt: skip
+        return (x[8:] - self.drawn_rod) / np.array([SECTION_MM, SECTION_MM, LENGTH_MM, _STIFFNESS, ZERO_MM])
 
     def deviance(self, x: Floats, s: Scatter) -> float:
         """Minus twice the logarithm of the likelihood."""
-        left, covariance = self.residuals(x)[0], self.covariance(x, s)
-        total = float((self.prior(x) ** 2).sum())
-        for some in _BLOCKS:
-            one, block = left[:, some], covariance[:, some, some]
-            total += float(np.einsum("ni,ni->", one, linalg.solve(block, one[..., None])[..., 0]))
-            total += float(np.linalg.slogdet(block)[1].sum())
-        return total
+        return float((self.prior(x) ** 2).sum()) + _deviance(_whitener(self.spread(x), s), self.residuals(x)[0])
 
-    def whitener(self, x: Floats, s: Scatter) -> list[Floats]:
-        """Takes residuals of each row to those of variance one, (n, 3, 3) along the load and (n, 2, 2) across it."""
-        covariance = self.covariance(x, s)
-        return [linalg.inv(linalg.cholesky(covariance[:, some, some])) for some in _BLOCKS]
-
-    def whitened(self, x: Floats, by: list[Floats]) -> Floats:
-        """What is minimised: whitened residuals, first of all rows along the load, then the prior's."""
-        left = self.residuals(x)[0]
-        parts = (np.einsum("nij,nj->ni", w, left[:, some]).ravel() for w, some in zip(by, _BLOCKS, strict=True))
-        return np.concatenate([*parts, self.prior(x)])
+    def whitened(self, x: Floats, by: Floats) -> Floats:
+        """What is minimised: residuals whitened by (n, 5, 5), row by row, then the prior's."""
+        return np.append(np.einsum("nij,nj->ni", by, self.residuals(x)[0]), self.prior(x))
 
     def scattered(self, x: Floats, before: Scatter) -> Scatter:
         """The scatter of largest likelihood."""
+        left, spread = self.residuals(x)[0], self.spread(x)
         least = np.array([self.noise_nm, 1e-3, 1e-4, 1e-4])
         start = np.log(np.maximum(astuple(before), 2.0 * least))
 
@@ -218,9 +204,23 @@ class BenchModel:
             return Scatter(*np.maximum(np.exp(v), least).tolist())
 
         simplex = np.vstack([start, start + 0.7 * np.eye(4)])
-        options = {"xatol": 0.02, "fatol": 0.02, "maxiter": 300, "initial_simplex": simplex}
-        found = minimize(lambda v: self.deviance(x, scatter_of(v)), start, method="Nelder-Mead", options=options)
+        # so near that rounding does not decide where it ends
+        options = {"xatol": 2e-3, "fatol": 2e-3, "maxiter": 1000, "initial_simplex": simplex}
+        found = minimize(
+            lambda v: _deviance(_whitener(spread, scatter_of(v)), left), start, method="Nelder-Mead", options=options
+        )
         return scatter_of(found.x)
+
+
+def _whitener(spread: Floats, s: Scatter) -> Floats:
+    """Takes residuals of each row to those of variance one (n, 5, 5)."""
+    return linalg.inv(linalg.cholesky(np.tensordot(np.append(np.square(astuple(s)), 1.0), spread, 1)))
+
+
+def _deviance(by: Floats, left: Floats) -> float:
+    """Of residuals (n, 5) alone, by what whitens them."""
+    squares = (np.einsum("nij,nj->ni", by, left) ** 2).sum()
+    return float(squares - 2.0 * np.log(np.einsum("nii->ni", by)).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +250,7 @@ def fit_bench(model: BenchModel, scatter: Scatter | None = None) -> BenchFit:
     scale = np.concatenate([np.full(8, 0.1 * np.abs(x[:8]).max()), [0.3, 0.3, 0.5, 0.1, 0.2]])
 
     def settled(x: Floats, s: Scatter) -> Any:
-        by = model.whitener(x, s)
+        by = _whitener(model.spread(x), s)
         return least_squares(model.whitened, x, x_scale=scale, args=(by,), method="trf", max_nfev=60)
 
     found = scatter or Scatter(model.noise_nm, 1.0, 0.03, 0.02)
@@ -267,8 +267,7 @@ def fit_bench(model: BenchModel, scatter: Scatter | None = None) -> BenchFit:
 
 def _start(model: BenchModel) -> Floats:
     """Gains by plain least squares at the drawing's rod."""
-    d, r = model.drawn, model.rows
-    x = np.concatenate([np.zeros(8), d.distances_mm, [d.length_mm, np.log(d.stiffness_mn_mm2), 0.0]])
+    r, x = model.rows, np.append(np.zeros(8), model.drawn_rod)
     _, expected, _ = model.residuals(x)
     for s in range(2):
         found = linalg.lstsq(r.differences_nm[:, s], expected[:, s, None] * r.way, rcond=None)[0]
@@ -303,7 +302,7 @@ class Lack:
 def lack_of_fit(fit: BenchFit) -> tuple[Lack, ...]:
     """Score tests of terms in load squared and cubed and in load times depth, for moments and deflections."""
     r, (fun, jac) = fit.model.rows, fit.whitened
-    by = fit.model.whitener(fit.x, fit.scatter)[0]
+    by = _whitener(fit.model.spread(fit.x), fit.scatter)
     deep = r.depth_mm / max(float(r.depth_mm.max()), 1e-9)
     out = []
     names = (("the moments at section I", "mN mm"), ("the moments at section II", "mN mm"), ("the deflections", "mm"))
@@ -316,7 +315,7 @@ def lack_of_fit(fit: BenchFit) -> tuple[Lack, ...]:
         scaled = expected / largest
         more = np.stack([scaled**2, scaled**3, scaled * deep], axis=1) * rows[:, None]
         white = np.zeros((len(fun), 3))
-        white[: 3 * len(by)] = np.einsum("ni,nk->nik", by[:, :, column], more).reshape(-1, 3)
+        white[: by[:, 0].size] = np.einsum("ni,nk->nik", by[:, :, column], more).reshape(-1, 3)
         white = white - jac @ linalg.lstsq(jac, white, rcond=None)[0]
         # loads at few depths show less than three terms
         left, seen, terms = linalg.svd(white * largest, full_matrices=False)

@@ -9,8 +9,9 @@ about zero, not about their mean: a bias that lasts is one error). Sources: Bar-
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy
@@ -132,10 +133,10 @@ def knowledge(
     Rows whose estimate or covariance is no number cover nothing, and are left out of the NEES.
     """
     rows, k = off.shape
+    of = partial(NeesConsistency, quantity, signal, truth, condition, rows)
     usable = np.isfinite(off).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     if not usable.any():
-        return NeesConsistency(quantity, signal, truth, condition, rows, coverage=0.0, nees=np.inf, low=0.0, high=0.0,
-                            largest=np.inf, of_truth=0.0, least_coverage=STATED)  # fmt: skip
+        return of(coverage=0.0, nees=np.inf, low=0.0, high=0.0, largest=np.inf, of_truth=0.0, least_coverage=STATED)
     off, spread = off[usable], covariance[usable] + (of_truth + _FINEST_MM**2) * np.eye(k)
     whitened = linalg.solve(linalg.cholesky(spread), off[..., None])[..., 0]
     squared = (whitened**2).sum(axis=1)
@@ -145,9 +146,8 @@ def knowledge(
     low, high = scipy.stats.chi2.ppf([(1 - NIS_LEVEL) / 2, (1 + NIS_LEVEL) / 2], independent * k) / (independent * k)
     own = of_truth * k / np.einsum("nii->n", spread)
     inside = int((squared <= scipy.stats.chi2.ppf(STATED, k)).sum())
-    return NeesConsistency(
-        quantity=quantity, signal=signal, truth=truth, condition=condition, rows=rows, coverage=inside / rows,
-        nees=nees, low=float(low), high=float(high),
+    return of(
+        coverage=inside / rows, nees=nees, low=float(low), high=float(high),
         largest=float((np.abs(off) / np.sqrt(np.einsum("nii->ni", spread))).max()), of_truth=float(np.median(own)),
         least_coverage=float(scipy.stats.binom.ppf((1 - NIS_LEVEL) / 2, some, STATED) / some),
     )  # fmt: skip
@@ -228,3 +228,8 @@ def judge(e: Estimate) -> list[ErrorStatistics]:
             made.append(SignalErrors(name, total, first, second, float(size.max())))
         out.append(ErrorStatistics(truth.quantity, truth.name, float(t0.mean()), tuple(made)))
     return out
+
+
+def mean_errors(judged: Sequence[ErrorStatistics]) -> dict[str, dict[str, float]]:
+    """Mean errors over the whole run, mm, by quantity and signal."""
+    return {j.quantity: {x.signal: x.total for x in j.errors} for j in judged}

@@ -1,8 +1,9 @@
 """The catalogue of the flexible tool: what gratings, shaft and camera do that the calibrated model does not say.
 
-An effect is one entry: its parameters, three sentences, and a function that says where the tip would be with it. All of
-them are identified offline, on a recorded run against the stereo camera; their values are changes of the tool file, of
-the wavelengths or of the camera, which the compiled code carries to the tip.
+An effect is one entry: its parameters, three sentences, and what a tool file with it says, or, where that is not all or
+no file can say it, a function that says where the tip would be. All of them are identified offline, on a recorded run
+against the stereo camera; their values are changes of the tool file, of the wavelengths or of the camera, which the
+compiled code carries to the tip.
 """
 
 from __future__ import annotations
@@ -32,38 +33,33 @@ class ToolEffect(Effect):
     tool: ToolWith | None = field(default=None, repr=False)
 
 
-TOOL_CATALOGUE: dict[str, ToolEffect] = {}
-
 #: Two patterns of three fibres without a common part.
 _PATTERNS = np.array([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]])
 
 
-def _stiffer(tool: FlexibleTool, values: Floats) -> FlexibleTool:
-    return replace(tool, stiffness_mn_mm2=tool.stiffness_mn_mm2 * (1.0 + float(values[0])))
-
-
-def _longer(tool: FlexibleTool, values: Floats) -> FlexibleTool:
-    return replace(tool, length_mm=tool.length_mm + float(values[0]))
+def _of_fibres(values: Floats) -> Floats:
+    """Numbers (2, 3) of the fibres of sections I and II, by two numbers a section."""
+    return np.asarray(values.reshape(2, 2) @ _PATTERNS)
 
 
 def _stronger(tool: FlexibleTool, values: Floats) -> FlexibleTool:
     """A section that answers more strongly needs a smaller gain."""
-    gains = np.array(tool.gains) / (1.0 + values)[:, None, None]
-    return replace(tool, gains=gains.tolist())
+    return replace(tool, gains=nested(np.array(tool.gains) / (1.0 + values)[:, None, None]))
 
 
 def _crept(tool: FlexibleTool, values: Floats) -> FlexibleTool:
-    shift = np.concatenate([_of_fibres(values)[0], np.zeros(3)])
-    return replace(tool, reference_nm=tuple((np.array(tool.reference_nm) + shift).tolist()))
+    shift = np.append(_of_fibres(values), np.zeros(3))
+    return replace(tool, reference_nm=nested(np.array(tool.reference_nm) + shift))
 
 
-def _unlike(tool: FlexibleTool, values: Floats) -> FlexibleTool:
-    return replace(tool, warmth=nested(np.array(tool.warmth) + _of_fibres(values).reshape(2, 3)))
+def _dragged(at: TipPlaces, values: Floats) -> Floats:
+    return at.tip(at.tool, replace(at.felt, beside_mn=at.ahead(float(values[0]))))
 
 
-def _of_fibres(values: Floats) -> Floats:
-    """Shifts (1, 6) of the fibres of sections I and II, two numbers a section."""
-    return np.asarray((values.reshape(2, 2) @ _PATTERNS).reshape(1, 6))
+def _turned(at: TipPlaces, values: Floats) -> Floats:
+    # about the middle of the run, so that it does not take the part of the camera's offset
+    middle = at.tip_mm.mean(axis=0)
+    return middle + (at.tip_mm - middle) @ rotation_of(values)[0].T
 
 
 def _p(name: str, unit: str, size: float) -> Parameter:
@@ -71,152 +67,123 @@ def _p(name: str, unit: str, size: float) -> Parameter:
 
 
 def _effect(
-    link: str, *parameters: Parameter, physics: str, residuals: str, remedy: str, tool: ToolWith | None = None
-) -> Callable[[TipWith], TipWith]:
-    """Enters a function, by its name, in the catalogue."""
+    name: str, link: str, *parameters: Parameter, physics: str, residuals: str, remedy: str,
+    tool: ToolWith | None = None, places: TipWith | None = None,
+) -> ToolEffect:  # fmt: skip
+    """An effect whose tip is, unless something else is said, that of the tool whose file says it."""
+    if places is None:
+        assert tool is not None
 
-    def enter(places: TipWith) -> TipWith:
-        name = places.__name__
-        TOOL_CATALOGUE[name] = ToolEffect(
-            name, link, parameters, physics=physics, residuals=residuals, remedy=remedy, places=places,
-            tool=tool,
-        )  # fmt: skip
-        return places
+        def places(at: TipPlaces, values: Floats) -> Floats:
+            changed = tool(at.tool, values)
+            return at.tip(changed, at.feel(changed))
 
-    return enter
-
-
-@_effect(
-    "structure",
-    _p("relative", "1", 0.05),
-    physics="The shaft is stiffer or softer than calibrated: every bend has another size.",
-    residuals="Along the force, in proportion to it, more the less deep the tool is.",
-    remedy="Load the shaft at a known place and measure the bend; identify EI again.",
-    tool=_stiffer,
-)
-def tool_stiffness(at: TipPlaces, values: Floats) -> Floats:
-    return at.tip(_stiffer(at.tool, values), at.felt)
+    return ToolEffect(
+        name, link, parameters, physics=physics, residuals=residuals, remedy=remedy, places=places, tool=tool
+    )
 
 
-@_effect(
-    "structure",
-    _p("length", "mm", 1.0),
-    physics="The shaft is clamped elsewhere than drawn: the free length h is another.",
-    residuals="Along the force, growing with depth otherwise than those of a stiffness.",
-    remedy="Measure from the clamp to the tip.",
-    tool=_longer,
-)
-def tool_length(at: TipPlaces, values: Floats) -> Floats:
-    return at.tip(_longer(at.tool, values), at.felt)
-
-
-@_effect(
-    "body",
-    _p("x", "mm", 1.0),
-    _p("y", "mm", 1.0),
-    physics="The shaft is not straight: without any force its tip is off the robot's axis.",
-    residuals="Constant in the tool's frame, so that it turns with the tool; a camera's offset does not.",
-    remedy="Turn the tool about its shaft before the camera: a bent tip walks on a circle.",
-)
-def shaft_bend(at: TipPlaces, values: Floats) -> Floats:
-    return at.tip_mm + np.einsum("nij,j->ni", at.turn[:, :, :2], values)
-
-
-@_effect(
-    "sensor",
-    _p("section_I", "1", 0.03),
-    _p("section_II", "1", 0.03),
-    physics="The gratings of a section answer more or less strongly than calibrated.",
-    residuals="Along the force; force and depth are both off.",
-    remedy="Calibrate K_I and K_II again with known forces at known places.",
-    tool=_stronger,
-)
-def fbg_gain(at: TipPlaces, values: Floats) -> Floats:
-    stronger = _stronger(at.tool, values)
-    return at.tip(stronger, at.feel(stronger))
-
-
-@_effect(
-    "sensor",
-    *(_p(f"{s}_{k}", "nm", 0.01) for s in ("I", "II") for k in (1, 2)),
-    physics="Wavelengths of the unloaded tool have crept: a force is felt where there is none.",
-    residuals="Constant in the tool's frame where the tool is free, and a wrong depth where forces are small.",
-    remedy="Read the unloaded tool before each run and take that as reference_nm.",
-    tool=_crept,
-)
-def fbg_bias(at: TipPlaces, values: Floats) -> Floats:
-    return _shifted(at, _of_fibres(values))
-
-
-@_effect(
-    "sensor",
-    *(_p(f"{s}_{k}", "nm/nm", 0.1) for s in ("I", "II") for k in (1, 2)),
-    physics="The three fibres of a section answer unlike to warmth: taking out what is common leaves a rest.",
-    residuals="Follow the common shift of the wavelengths: slow, as the tool warms in the eye.",
-    remedy="Warm the unloaded tool and watch the moments; wait until it is warm before the run.",
-    tool=_unlike,
-)
-def fbg_temperature(at: TipPlaces, values: Floats) -> Floats:
-    common = (at.waves_nm - np.array(at.tool.reference_nm)).reshape(-1, 3, 3).mean(axis=2)
-    return _shifted(at, np.repeat(common[:, :2], 3, axis=1) * _of_fibres(values))
-
-
-@_effect(
-    "sensor",
-    _p("width", "mN", 5.0),
-    physics="Glue and fibres yield late: the force that is felt lags behind the true one by a width.",
-    residuals="Change sides with the direction in which the force changes.",
-    remedy="Load and unload slowly at one place; look for a loop.",
-)
-def force_hysteresis(at: TipPlaces, values: Floats) -> Floats:
-    return at.tip(at.tool, replace(at.felt, beside_mn=at.ahead(float(values[0]))))
-
-
-@_effect(
-    "sensor",
-    _p("turn_x", "rad", 0.02),
-    _p("turn_y", "rad", 0.02),
-    _p("turn_z", "rad", 0.02),
-    physics="The camera's frame is turned against what its registration says.",
-    residuals="Grow from the middle of the run's places outwards, across the axis of the turn.",
-    remedy="Register again, with the free tool led through the whole workspace (sherkit register).",
-)
-def registration(at: TipPlaces, values: Floats) -> Floats:
-    # about the middle of the run, so that it does not take the part of the camera's offset
-    middle = at.tip_mm.mean(axis=0)
-    return middle + (at.tip_mm - middle) @ rotation_of(values)[0].T
-
-
-@_effect(
-    "sensor",
-    _p("delay", "s", 0.02),
-    physics="The camera's clock is later or earlier than its setting says.",
-    residuals="In proportion to the velocity of the tip.",
-    remedy="Let both clocks see one sharp motion; set delay_s.",
-    tool=lambda tool, values: replace(tool, camera_delay_s=tool.camera_delay_s + float(values[0])),
-)
-def camera_delay(at: TipPlaces, values: Floats) -> Floats:
-    return at.tip(at.tool, at.felt, at.moments_s - values[0])
-
-
-@_effect(
-    "sensor",
-    # slow ones are late by 0.3 s
-    _p("delay", "s", 0.06),
-    physics=(
-        "Interrogator and robot are not of one time, as the setting has it: above zero a force is felt after it was "
-        "there, below zero the robot's rows are late."
+_EFFECTS = (
+    _effect(
+        "tool_stiffness",
+        "structure",
+        _p("relative", "1", 0.05),
+        physics="The shaft is stiffer or softer than calibrated: every bend has another size.",
+        residuals="Along the force, in proportion to it, more the less deep the tool is.",
+        remedy="Load the shaft at a known place and measure the bend; identify EI again.",
+        tool=lambda tool, v: replace(tool, stiffness_mn_mm2=tool.stiffness_mn_mm2 * (1.0 + float(v[0]))),
     ),
-    residuals="Along the force, in proportion to how fast it changes.",
-    remedy="Let robot and interrogator see one sharp touch; set [gratings] delay_s, or write fbg_time_s.",
-    tool=lambda tool, values: replace(tool, fibre_delay_s=tool.fibre_delay_s + float(values[0])),
+    _effect(
+        "tool_length",
+        "structure",
+        _p("length", "mm", 1.0),
+        physics="The shaft is clamped elsewhere than drawn: the free length h is another.",
+        residuals="Along the force, growing with depth otherwise than those of a stiffness.",
+        remedy="Measure from the clamp to the tip.",
+        tool=lambda tool, v: replace(tool, length_mm=tool.length_mm + float(v[0])),
+    ),
+    _effect(
+        "shaft_bend",
+        "body",
+        _p("x", "mm", 1.0),
+        _p("y", "mm", 1.0),
+        physics="The shaft is not straight: without any force its tip is off the robot's axis.",
+        residuals="Constant in the tool's frame, so that it turns with the tool; a camera's offset does not.",
+        remedy="Turn the tool about its shaft before the camera: a bent tip walks on a circle.",
+        places=lambda at, v: at.tip_mm + np.einsum("nij,j->ni", at.turn[:, :, :2], v),
+    ),
+    _effect(
+        "fbg_gain",
+        "sensor",
+        _p("section_I", "1", 0.03),
+        _p("section_II", "1", 0.03),
+        physics="The gratings of a section answer more or less strongly than calibrated.",
+        residuals="Along the force; force and depth are both off.",
+        remedy="Calibrate K_I and K_II again with known forces at known places.",
+        tool=_stronger,
+    ),
+    _effect(
+        "fbg_bias",
+        "sensor",
+        *(_p(f"{s}_{k}", "nm", 0.01) for s in ("I", "II") for k in (1, 2)),
+        physics="Wavelengths of the unloaded tool have crept: a force is felt where there is none.",
+        residuals="Constant in the tool's frame where the tool is free, and a wrong depth where forces are small.",
+        remedy="Read the unloaded tool before each run and take that as reference_nm.",
+        tool=_crept,
+    ),
+    _effect(
+        "fbg_temperature",
+        "sensor",
+        *(_p(f"{s}_{k}", "nm/nm", 0.1) for s in ("I", "II") for k in (1, 2)),
+        physics="The three fibres of a section answer unlike to warmth: taking out what is common leaves a rest.",
+        residuals="Follow the common shift of the wavelengths: slow, as the tool warms in the eye.",
+        remedy="Warm the unloaded tool and watch the moments; wait until it is warm before the run.",
+        tool=lambda tool, v: replace(tool, warmth=nested(np.array(tool.warmth) + _of_fibres(v))),
+    ),
+    _effect(
+        "force_hysteresis",
+        "sensor",
+        _p("width", "mN", 5.0),
+        physics="Glue and fibres yield late: the force that is felt lags behind the true one by a width.",
+        residuals="Change sides with the direction in which the force changes.",
+        remedy="Load and unload slowly at one place; look for a loop.",
+        places=_dragged,
+    ),
+    _effect(
+        "registration",
+        "sensor",
+        _p("turn_x", "rad", 0.02),
+        _p("turn_y", "rad", 0.02),
+        _p("turn_z", "rad", 0.02),
+        physics="The camera's frame is turned against what its registration says.",
+        residuals="Grow from the middle of the run's places outwards, across the axis of the turn.",
+        remedy="Register again, with the free tool led through the whole workspace (sherkit register).",
+        places=_turned,
+    ),
+    _effect(
+        "camera_delay",
+        "sensor",
+        _p("delay", "s", 0.02),
+        physics="The camera's clock is later or earlier than its setting says.",
+        residuals="In proportion to the velocity of the tip.",
+        remedy="Let both clocks see one sharp motion; set delay_s.",
+        tool=lambda tool, v: replace(tool, camera_delay_s=tool.camera_delay_s + float(v[0])),
+        places=lambda at, v: at.tip(at.tool, at.felt, at.moments_s - v[0]),
+    ),
+    _effect(
+        "fibre_delay",
+        "sensor",
+        # slow ones are late by 0.3 s
+        _p("delay", "s", 0.06),
+        physics=(
+            "Interrogator and robot are not of one time, as the setting has it: above zero a force is felt after it "
+            "was there, below zero the robot's rows are late."
+        ),
+        residuals="Along the force, in proportion to how fast it changes.",
+        remedy="Let robot and interrogator see one sharp touch; set [gratings] delay_s, or write fbg_time_s.",
+        # a file says no delay below zero, and a robot may be late
+        tool=lambda tool, v: replace(tool, fibre_delay_s=tool.fibre_delay_s + float(v[0])),
+        places=lambda at, v: at.tip(at.tool, at.feel(at.tool, at.waves_later(float(v[0])))),
+    ),
 )
-def fibre_delay(at: TipPlaces, values: Floats) -> Floats:
-    return at.tip(at.tool, at.feel(at.tool, at.waves_later(float(values[0]))))
-
-
-def _shifted(at: TipPlaces, shift_nm: Floats) -> Floats:
-    """The tip where the wavelengths of sections I and II hold a shift (n, 6) or (1, 6) that is no force."""
-    waves = at.waves_nm.copy()
-    waves[:, :6] -= shift_nm
-    return at.tip(at.tool, at.feel(at.tool, waves))
+TOOL_CATALOGUE: dict[str, ToolEffect] = {effect.name: effect for effect in _EFFECTS}

@@ -105,17 +105,13 @@ _LEAST_WANDER_MM2_S = 1e-5
 @dataclass(frozen=True, eq=False)
 class Felt:
     """What the gratings say at the rows of the robot: ``noisy_mn`` (n, 2) is the force as it was read, in the tool's
-    frame, ``depth_mm`` (n,); ``beside_mn`` (n, 2) is a force that they do not feel."""
+    frame, ``force_mn`` without most of its noise; ``depth_mm`` (n,); ``beside_mn`` (n, 2) is a force that they do not
+    feel."""
 
-    time_s: Floats
     noisy_mn: Floats
+    force_mn: Floats
     depth_mm: Floats
     beside_mn: Floats | None = None
-
-    @cached_property
-    def force_mn(self) -> Floats:
-        """The force (n, 2) without most of its noise."""
-        return calmed(self.time_s) @ self.noisy_mn
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,14 +243,13 @@ class TipPlaces:
         variance = noise[1] * (1.0 - share) ** 2 + noise[0] * share**2
         squared = (force**2).sum(axis=1)
         least = _TELLS**2 * 2.0 * (noise[0] + noise[1]) / (far - near) ** 2
-        tells = np.where(there, (squared / (squared + least)) ** 2 / (variance + tool.floor_mm2[0] * squared), 0.0)
-        weight = np.where(there, tells * squared, 0.0)
-        seen = np.where(there, tells * (far * squared - (upper * force).sum(axis=1)), 0.0)
-        depth = _smoothed(tool, run, weight, seen, led)
+        tells = (squared / (squared + least)) ** 2 / (variance + tool.floor_mm2[0] * squared)
+        weight, seen = tells * squared, tells * (far * squared - (upper * force).sum(axis=1))
+        depth = _smoothed(tool, run, np.where(there, weight, 0.0), np.where(there, seen, 0.0), led)
         if not there.all():
             here = np.flatnonzero(there)
             force = np.column_stack([np.interp(run.time_s, run.time_s[here], force[here, k]) for k in range(2)])
-        return Felt(run.time_s, force, depth)
+        return Felt(force, self._calmed @ force, depth)
 
     def tip(self, tool: FlexibleTool, felt: Felt, moments_s: Floats | None = None) -> Floats:
         """The tip (k, 3) of another tool, under another force, or at other moments."""

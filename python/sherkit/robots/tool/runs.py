@@ -120,6 +120,16 @@ class Likeness:
         """With or without a reflection."""
         return max(self.rigid, self.mirrored)
 
+    @property
+    def other_units(self) -> str:
+        """What is wrong where the first is a robot's and the second a camera's in other units, or nothing."""
+        if 1.0 / _SCALE < self.scale < _SCALE:
+            return ""
+        return (
+            f"the camera's places span {self.scale:.3g} times those of the robot; expected both in mm ({CAMERA[0]}, "
+            f"{POSITION[0]})"
+        )
+
 
 def likeness(first_mm: Floats, second_mm: Floats) -> Likeness:
     """Of points (n, 3) to points (n, 3) (Umeyama, IEEE PAMI 1991)."""
@@ -143,11 +153,8 @@ def check_shapes(robot_mm: Floats, camera_mm: Floats, source: str) -> None:
             f"{source}: the camera's places do not follow the robot's (likeness {alike.best:.2f}, where 1 is the same "
             "motion): did the camera see the tip of the free tool, in the same seconds?"
         )
-    if not 1.0 / _SCALE < alike.scale < _SCALE:
-        raise FitError(
-            f"{source}: the camera's places span {alike.scale:.3g} times those of the robot; expected both in mm "
-            f"({CAMERA[0]}, {POSITION[0]})"
-        )
+    if wrong := alike.other_units:
+        raise FitError(f"{source}: {wrong}")
     if alike.mirrored > _SAME and alike.mirrored - alike.rigid > _MIRRORED:
         raise FitError(
             f"{source}: the camera sees the motion mirrored: one of {', '.join(CAMERA)} is turned round, or two of "
@@ -159,11 +166,8 @@ def check_camera(robot_mm: Floats, seen_mm: Floats, source: str) -> None:
     """Of a run: places (n, 3) of the unbent tip, and of the tip as a registered camera saw it in the base. Raises
     :class:`~sherkit.errors.MeasurementError` for other units, and warns of a camera that stands elsewhere."""
     alike = likeness(robot_mm, seen_mm)
-    if alike.rigid > _SAME and not 1.0 / _SCALE < alike.scale < _SCALE:
-        raise MeasurementError(
-            f"{source}: the camera's places span {alike.scale:.3g} times those of the robot; expected both in mm "
-            f"({CAMERA[0]}, {POSITION[0]})"
-        )
+    if alike.rigid > _SAME and (wrong := alike.other_units):
+        raise MeasurementError(f"{source}: {wrong}")
     off = float(np.median(np.linalg.norm(seen_mm - robot_mm, axis=1)))
     if off > _ELSEWHERE_MM:
         warnings.warn(

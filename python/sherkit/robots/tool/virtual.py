@@ -68,16 +68,16 @@ class VirtualTool:
         t = np.arange(round(seconds * _ROBOT_HZ) + 1) / _ROBOT_HZ
         make = {"phantom": self._phantom, "bends": self._bends, "vessels": self._vessels}[experiment]
         position, turn, depth, offset, clearance = make(t, rng)
-        force = self._force(depth, offset, clearance)
+        force, arc = self._pressed(depth, offset, clearance)
         # where the tool is bent in free space there is no insertion whose depth could be off
         known = None if experiment == "bends" else depth
-        depth = depth - self._shortening(np.linalg.norm(force, axis=1), depth)
-        waves = self._wavelengths(force, depth, t, rng)
+        waves = self._wavelengths(force, arc, t, rng)
         if late := self._there.fibre_delay_s:
-            waves = np.column_stack([np.interp(t - late, t, w) for w in waves.T])
+            # what was read before the run began nobody has; a reading that is held would be one that froze
+            waves = np.column_stack([np.interp(t - late, t, w, left=np.nan) for w in waves.T])
         if self.lost > 0:
             waves[rng.random(len(t)) < self.lost] = np.nan
-        seen = self._seen(t, position, turn, self._tip(force, depth), rng)
+        seen = self._seen(t, position, turn, self._tip(force, arc), rng)
         return ToolRun(t, position, turn, waves, *seen, known, f"simulated {experiment}")
 
     def free_motion(self, *, seconds: float = 20.0, seed: int = 0) -> ToolRun:
@@ -113,10 +113,9 @@ class VirtualTool:
     def pressed(self, offset_mm: Floats, depth_mm: Floats, clearance_mm: float) -> tuple[Floats, Floats]:
         """Force (n, 2), mN, tool frame, and wavelengths (n, 9), nm, where the hole stands ``offset_mm`` (n, 2) off the
         unbent shaft, ``depth_mm`` (n,) from the tip. Without noise and at the reference's warmth."""
-        force = self._force(depth_mm, offset_mm, clearance_mm)
-        depth_mm = depth_mm - self._shortening(np.linalg.norm(force, axis=1), depth_mm)
+        force, arc = self._pressed(depth_mm, offset_mm, clearance_mm)
         still = replace(self, noise_nm=0.0)
-        return force, still._wavelengths(force, depth_mm, np.zeros(len(force)), np.random.default_rng(0))
+        return force, still._wavelengths(force, arc, np.zeros(len(force)), np.random.default_rng(0))
 
     # -- what the robot does: pose (n, 3), (n, 3), depth (n,), the hole off the shaft (n, 2), clearance --------
 
@@ -200,16 +199,16 @@ class VirtualTool:
         """The tool in the world."""
         return self.true or self.tool
 
-    def _force(self, depth: Floats, offset: Floats, clearance: float) -> Floats:
-        """Sclera force (n, 2), mN, tool frame."""
+    def _pressed(self, depth: Floats, offset: Floats, clearance: float) -> tuple[Floats, Floats]:
+        """Sclera force (n, 2), mN, tool frame, and the length of shaft beyond the hole (n,), mm."""
         size = np.linalg.norm(offset, axis=1)
         pressed = (size - clearance).clip(0.0) * (depth > 0)
         force = np.zeros(len(depth))
         for _ in range(12 if self._there.bending == "exact" else 1):
             a = self._there.length_mm - depth + self._shortening(force, depth)
             force = pressed / (np.cos(self._angle(force, a)) / self.hole_mn_mm + self._softness(force, a))
-        way = offset / np.where(size > 0, size, 1.0)[:, None]
-        return np.asarray(force[:, None] * way)
+        pushed = force[:, None] * (offset / np.where(size > 0, size, 1.0)[:, None])
+        return pushed, depth - self._shortening(np.linalg.norm(pushed, axis=1), depth)
 
     def _tip(self, force: Floats, depth: Floats) -> Floats:
         """Where the bent tip is (n, 3), mm, tool frame: the contact and the straight rest beyond it, which points along

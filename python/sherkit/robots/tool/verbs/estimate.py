@@ -21,9 +21,8 @@ from ....cli.paths import InputFile, OutputFile
 from ....data.tables import write_table
 from ....diagnosis import Diagnosis
 from ..alignment import Aligned, align_run
-from ..calibration import ToolCalibration, read_loads
-from ..calibration import calibrate_tool as run_calibration
-from ..consistency import ErrorStatistics, NeesConsistency, SignalErrors, judge, known
+from ..calibration import ToolCalibration
+from ..consistency import ErrorStatistics, NeesConsistency, SignalErrors, judge, known, mean_errors
 from ..filters import Estimate, status_in_words
 from ..filters import estimate as run_filters
 from ..model import Applied
@@ -110,7 +109,7 @@ def estimate(
 
 def _bars(judged: Sequence[ErrorStatistics]) -> tuple[Bar, ...]:
     """Mean errors of the depth beside the paper's filter, where the run tells them."""
-    errors = {e.signal: e.total for j in judged if j.quantity == "depth" for e in j.errors}
+    errors = mean_errors(judged).get("depth", {})
     which = ((BEFORE, "paper's filter"), (AFTER, "filter"))
     return tuple(
         Bar(what, f"depth, {name}", errors[name]) for what, name in which if np.isfinite(errors.get(name, np.nan))
@@ -223,15 +222,6 @@ def _left_gratings(e: Estimate) -> str:
     total = sum(b - a for a, b in spans)
     some = listed((f"{a:.1f} to {b:.1f} s" for a, b in spans), 4)
     return f"the filter left its own gratings by more than their deviation for {total:.1f} s: {some}"
-
-
-def calibrate_tool(tool: Path, loads: Path, destination: Path | None) -> None:
-    """Gains, stiffness and length from a bench of known loads, printed and written."""
-    result = run_calibration(load_tool(tool), read_loads(loads))
-    print_calibration(result)
-    if destination is not None:
-        result.tool.save(destination)
-        output.say(f"calibrated tool written to {destination}")
 
 
 def print_calibration(result: ToolCalibration) -> None:

@@ -20,7 +20,7 @@ from ....fit.identify import identify
 from ..alignment import Aligned, align_run
 from ..calibration import ToolCalibration, read_loads
 from ..calibration import calibrate_tool as run_calibration
-from ..consistency import judge, known
+from ..consistency import judge, known, mean_errors
 from ..filters import Estimate
 from ..filters import estimate as run_filters
 from ..model import Applied, ToolModel, mended
@@ -126,13 +126,8 @@ def _say(heading: str, path: Path) -> None:
     output.out.print(f"\n[bold]{heading}[/]  ({path.name})")
 
 
-def _errors(e: Estimate) -> dict[str, dict[str, float]]:
-    """Mean errors, mm, by quantity and signal."""
-    return {j.quantity: {x.signal: x.total for x in j.errors} for j in judge(e)}
-
-
 def _print_errors(before: Estimate, after: Estimate) -> None:
-    first, last = _errors(before), _errors(after)
+    first, last = mean_errors(judge(before)), mean_errors(judge(after))
     if not last:
         raise MeasurementError(f"{after.run.source}: neither depth_mm nor a camera to judge by")
     table = output.table("Mean error, mm", "", "before", "with what was named")
@@ -147,7 +142,7 @@ def _json(
     before: Estimate, after: Estimate,
 ) -> dict[str, Any]:  # fmt: skip
     errors = {
-        name: {q: {s: finite(v) for s, v in one.items()} for q, one in _errors(e).items()}
+        name: {q: {s: finite(v) for s, v in one.items()} for q, one in mean_errors(judge(e)).items()}
         for name, e in (("before", before), ("after", after))
     }
     return {

@@ -24,13 +24,14 @@ from ....model.base import ModelWithEffects
 from ....model.effect import Effect, load_effects
 from ....model.kinds import model_of
 from ..c_header import tool_header
+from ..calibration import calibrate_tool, read_loads
 from ..effects import TOOL_CATALOGUE
 from ..filters import estimate
 from ..model import ToolModel, mended
 from ..runs import read_tool_run
 from ..tool import KIND, FlexibleTool, load_tool
 from ..virtual import EXPERIMENTS, VirtualTool
-from .estimate import calibrate_tool, sentences_of, write_tool_report
+from .estimate import print_calibration, sentences_of, write_tool_report
 
 
 class ToolFile:
@@ -89,7 +90,11 @@ class ToolFile:
         refuse_given("robot", "runs", "destination", "columns", why="is not for the known loads of a flexible tool")
         if destination is not None:
             require_kind(destination, "--output", (TOOL,))
-        calibrate_tool(self.path, loads, destination)
+        result = calibrate_tool(load_tool(self.path), read_loads(loads))
+        print_calibration(result)
+        if destination is not None:
+            result.tool.save(destination)
+            output.say(f"calibrated tool written to {destination}")
 
     def _app(self, run: Path, files: Sequence[Path], *, opened: bool) -> None:
         """Estimates and diagnoses the run, writes the page beside it and opens it: depth over time with its errors,
