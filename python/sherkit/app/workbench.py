@@ -221,7 +221,7 @@ class Workbench:
 
     def _apply(self, what: str, work: Callable[[Study, Progress], object], about: str) -> None:
         """All of a change, or nothing of it: where it cannot be saved, it did not happen either."""
-        before, sources, typed = _copy(self._study), list(self.sources), self._typed.state
+        before, sources, typed = _copy(self._study), list(self.sources), self._typed.names
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             try:
@@ -230,8 +230,7 @@ class Workbench:
                 self._save()
                 self.page_state = self._page_state()
             except BaseException as error:  # whatever a user's effect raises is shown, and nothing is lost
-                self._study, self.sources = before, sources
-                self._typed.restore(typed)
+                self._study, self.sources, self._typed.names = before, sources, typed
                 self._told_of(error, what, about)
                 return
         self._say("moment", self.page_state)

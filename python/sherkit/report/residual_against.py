@@ -28,6 +28,7 @@ from .picture import (
     quantity,
     rows_to_draw,
     rule,
+    shortened,
     sources_of,
 )
 from .residuals import Residuals, at_the_rim
@@ -263,30 +264,21 @@ def run_in_time(left: Residuals) -> Picture[Residuals]:
     legend(made)
     figures = [made]
     for name in _below(left):
-        label = quantity(name)
-        short = label if len(label) <= _LETTERS else label[: _LETTERS - 1] + "…"
-        lower = figure(up=short, height=_BELOW, x_range=made.x_range)
+        lower = figure(up=shortened(quantity(name), _LETTERS), height=_BELOW, x_range=made.x_range)
         lower.yaxis.ticker.desired_num_ticks = 3
         lower.scatter("t", name, source=sources["run"], size=4, color=MUTED)
         figures.append(lower)
     figures[-1].xaxis.axis_label = "time, s" if "time_s" in left.variables else "reading"
-    n = len(left)
-    drawn = (
-        f"{_MOST_IN_TIME} of {n} rows, chosen at random, marked outliers first"
-        if n > _MOST_IN_TIME
-        else f"all {n} rows"
-    )
+    few = f"{_MOST_IN_TIME} of {len(left)} rows, chosen at random, marked outliers first"
+    drawn = few if len(left) > _MOST_IN_TIME else f"all {len(left)} rows"
     note = f"What the model leaves, in the order of the run: {drawn}. Rows that are left out stand at the rim."
     return Picture.of("run", figures, sources, _in_time, note=note)
 
 
 def _below(left: Residuals) -> list[str]:
     """Covariates, not coordinates, joints, directions or time; at most two."""
-    known = {*left.place, "time_s"}
-    names = [
-        n for n in left.variables if n not in known and not n.startswith(("direction_", "q1", "q2", "q3", "theta"))
-    ]
-    return names[:2]
+    known, joints = {*left.place, "time_s"}, ("direction_", "q1", "q2", "q3", "theta")
+    return [name for name in left.variables if name not in known and not name.startswith(joints)][:2]
 
 
 def _in_time(left: Residuals) -> Tables:
