@@ -133,10 +133,11 @@ class StudyPage:
 
     def _own_lines(self) -> Any:
         """The field in which effects are typed, folded."""
-        place = self._notices.place[LINES]
+        place, typed = self._notices.place[LINES], self.bench.typed_path
         if self.bench.trusted:
             self._lines = TextAreaInput(
-                name="lines", value=self._typed_before(), rows=14, width=_LEFT - 16, max_length=20_000,
+                name="lines", rows=14, value=typed.read_text(encoding="utf-8") if typed.exists() else _LINES,
+                width=_LEFT - 16, max_length=20_000,
                 title="Effects, as NumPy lines", stylesheets=[TYPE, _CODE],
             )  # fmt: skip
             run = button("Run these lines", "run_lines", width=160)
@@ -161,10 +162,6 @@ class StudyPage:
         for attribute in ("filename", "value"):  # the same name again with other bytes is another file
             self._drop.on_change(attribute, lambda attr, old, new: self._drop_soon())
         return self._drop
-
-    def _typed_before(self) -> str:
-        path = self.bench.typed_path
-        return path.read_text(encoding="utf-8") if path.exists() else _LINES
 
     # -- what happens ------------------------------------------------------------------------------------
 

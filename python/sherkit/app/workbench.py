@@ -227,7 +227,11 @@ class Workbench:
             try:
                 work(self._study, step := self._step(what))
                 step("")  # what was cancelled meanwhile did not happen
-                self._save()
+                try:
+                    self._study.save(self.folder)
+                except OSError as error:
+                    said_so = f"the study cannot be saved: {error.strerror}; nothing was changed"
+                    raise SherkitError(f"{self.folder}: {said_so}") from error
                 self.page_state = self._page_state()
             except BaseException as error:  # whatever a user's effect raises is shown, and nothing is lost
                 self._study, self.sources, self._typed.names = before, sources, typed
@@ -239,14 +243,6 @@ class Workbench:
             if issubclass(one.category, SherkitWarning) and text not in self._warned:
                 self._warned.add(text)
                 self._say("warning", Said(text, about))
-
-    def _save(self) -> None:
-        try:
-            self._study.save(self.folder)
-        except OSError as error:
-            raise SherkitError(
-                f"{self.folder}: the study cannot be saved: {error.strerror}; nothing was changed"
-            ) from error
 
     @property
     def typed_path(self) -> Path:
