@@ -54,11 +54,10 @@ def parameters(fit: Fit) -> Picture[Fit]:
 
     Dark: what the readings leave; pale: with what they do not tell at all, from plausible sizes.
     """
-    tables = _tables(fit)
-    sources = sources_of(tables)
+    sources = sources_of(_tables(fit))
     figures = []
     for unit in _units(fit):
-        source = sources[_key(unit)]
+        source = sources[f"unit_{unit}"]
         made = figure(
             f"identified error, {unit or 'relative'}", height=_ROW_HEIGHT * len(source.data["name"]) + _AROUND,
             y_range=FactorRange(*source.data["name"][::-1]), x_range=_reach(source.data),
@@ -78,7 +77,7 @@ def parameters(fit: Fit) -> Picture[Fit]:
 
     def tune(new: Fit) -> None:
         for unit, made in zip(_units(new), figures, strict=False):
-            table = _tables(new)[_key(unit)]
+            table = _tables(new)[f"unit_{unit}"]
             names, reach = table["name"], _reach(table)
             made.x_range.start, made.x_range.end = reach.start, reach.end
             made.y_range.factors = names[::-1]
@@ -103,22 +102,18 @@ def _units(fit: Fit) -> list[str]:
     return list(dict.fromkeys(_shown(p.unit)[0] for p in fit.parameters))
 
 
-def _key(unit: str) -> str:
-    return f"unit_{unit}"
-
-
 def _tables(fit: Fit) -> Tables:
     out: Tables = {}
     for unit in _units(fit):
         rows = [k for k, p in enumerate(fit.parameters) if _shown(p.unit)[0] == unit]
         factor = np.array([_shown(fit.parameters[k].unit)[1] for k in rows])
-        value, std, std_all = (np.asarray(v)[rows] * factor for v in (fit.values, fit.std_from_readings, fit.std))
-        out[_key(unit)] = {
-            "name": [fit.parameters[k].name for k in rows],
-            "value": value, "std": std, "std_all": std_all,
-            "low": value - _CONFIDENCE * std, "high": value + _CONFIDENCE * std,
-            "low_all": value - _CONFIDENCE * std_all, "high_all": value + _CONFIDENCE * std_all,
-        }  # fmt: skip
+        value = fit.values[rows] * factor
+        table: Table = {"name": [fit.parameters[k].name for k in rows], "value": value}
+        for ending, every in (("", fit.std_from_readings), ("_all", fit.std)):
+            std = every[rows] * factor
+            ends = {"low": value - _CONFIDENCE * std, "high": value + _CONFIDENCE * std, "std": std}
+            table |= {f"{name}{ending}": column for name, column in ends.items()}
+        out[f"unit_{unit}"] = table
     return out
 
 
