@@ -33,6 +33,7 @@ from .picture import (
     Tables,
     colour_bar,
     figure,
+    float32,
     hover,
     padded,
     quantity,
@@ -142,7 +143,7 @@ def _correlation_tables(fit: Fit) -> Tables:
     std = np.sqrt(np.diag(covariance).clip(1e-300))
     matrix = np.clip(covariance / np.outer(std, std), -1.0, 1.0)
     a, b = zip(*product(names, names), strict=True)
-    return {"cells": {"a": list(a), "b": list(b), "value": matrix.ravel().astype(np.float32)}}
+    return {"cells": {"a": list(a), "b": list(b), "value": float32(matrix.ravel())}}
 
 
 def directions(fit: Fit) -> Picture[Fit]:
@@ -252,15 +253,8 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
             hatch_weight=1.0,
         )  # fmt: skip
         made.multi_line("xs", "ys", source=sources[f"outline_{k}"], line_color=REFUSED, line_width=3, line_cap="square")
-        made.add_tools(
-            hover(
-                [cells],
-                (state.labels[0], "$x{0.0}"),
-                (state.labels[1], "$y{0.0}"),
-                ("95 % within", "@um{0.0} µm"),
-                ("of it unseen", "@unseen{0.0} µm"),
-            )
-        )
+        shown = (state.labels[0], "$x{0.0}"), (state.labels[1], "$y{0.0}"), ("95 % within", "@um{0.0} µm")
+        made.add_tools(hover([cells], *shown, ("of it unseen", "@unseen{0.0} µm")))
         figures.append(made)
     colour_bar(figures[-1], mapper, "95 % within, µm")
     hidden = state.unseen_um[np.isfinite(state.unseen_um)]
@@ -281,11 +275,8 @@ def _accuracies(state: AccuracyMap) -> Tables:
     (x0, dw), (y0, dh) = (_extent(v) for v in (state.x, state.y))
     for k in range(len(state.titles)):
         value = state.value_um[k]
-        out[f"plane_{k}"] = {
-            "um": [value.astype(np.float32)],
-            "unseen": [state.unseen_um[k].astype(np.float32)],
-            "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
-        }  # fmt: skip
+        images = {"um": [float32(value)], "unseen": [float32(state.unseen_um[k])]}
+        out[f"plane_{k}"] = images | {"x": [x0], "y": [y0], "dw": [dw], "dh": [dh]}
         out[f"beyond_{k}"] = _runs(state.x, state.y, ~state.measured[k] & np.isfinite(value))
         out[f"outline_{k}"] = _outline(state.x, state.y, value <= (state.required_um or 0.0))
     return out
@@ -374,7 +365,7 @@ def _drawn(state: NextPoses) -> list[str]:
 
 def _pose_tables(state: NextPoses) -> Tables:
     first = np.unique(state.left.group, return_index=True)[1][:2000]
-    measured = {name: v[first].astype(np.float32) for name, v in state.left.place.items()}
+    measured = {name: float32(v[first]) for name, v in state.left.place.items()}
     keys = list(state.poses[0]) if state.poses else []
     table: dict[str, Any] = {key: [pose[key] for pose in state.poses] for key in keys}
     table["order"] = [str(k) for k in range(1, len(state.poses) + 1)]
@@ -398,10 +389,8 @@ def _spans(state: NextPoses, names: Sequence[str]) -> dict[str, tuple[float, flo
     """Range of each coordinate; equally long where the units are the same, so that shapes are as they are."""
     ends: dict[str, tuple[float, float]] = {}
     for name in names:
-        values = [np.array([pose[name] for pose in state.poses if name in pose])]
-        values += [state.left.place[name]] if name in state.left.place else []
-        known = np.concatenate(values) if values else np.zeros(0)
-        ends[name] = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+        known = [*(pose[name] for pose in state.poses if name in pose), *state.left.place.get(name, ())]
+        ends[name] = (float(min(known)), float(max(known))) if known else (0.0, 1.0)
     units = {quantity(name).partition(", ")[2] for name in names}
     longest = max((high - low for low, high in ends.values()), default=1.0)
     out = {}

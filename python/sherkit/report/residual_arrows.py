@@ -125,14 +125,12 @@ class Sheet:
                 a = _arrows(left, panels, mask)
                 # numbers on hover stay in the unit of the run
                 hovered = a if left is plain else _arrows(plain, panels, mask)
-                colour = a["ez"] if self.coloured else np.zeros(len(a["x"]))
-                out[f"{moment}_{k}"] = {
-                    "x": float32(a["x"]), "y": float32(a["y"]),
-                    "x1": float32(a["x"] + per_unit * a["ex"]), "y1": float32(a["y"] + per_unit * a["ey"]),
-                    "ex": float32(hovered["ex"]), "ey": float32(hovered["ey"]), "ez": float32(hovered["ez"]),
-                    "colour": float32(colour),
-                    "n": a["n"], "lines": a["lines"], "rows": a["rows"],
+                drawn = {
+                    "x": a["x"], "y": a["y"], "x1": a["x"] + per_unit * a["ex"], "y1": a["y"] + per_unit * a["ey"],
+                    **{name: hovered[name] for name in ("ex", "ey", "ez")}, "colour": a["ez"] * self.coloured,
                 }  # fmt: skip
+                table = {name: float32(column) for name, column in drawn.items()}
+                out[f"{moment}_{k}"] = table | {name: a[name] for name in ("n", "lines", "rows")}
                 use = mask & ~left.outlier
                 rms = float(np.sqrt(np.nansum(np.nanmean(left.values[use] ** 2, axis=0)))) if use.any() else 0.0
                 out[f"{moment}_{k}_key"] = self._key(moment, left, title, k, rms)
