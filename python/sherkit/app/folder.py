@@ -154,16 +154,8 @@ class Typed:
         self._patience_s = patience_s
         #: Effects of older lines, which a step that is undone may bring back, and of those that are kept.
         self._sandbox: list[Sandbox] = []
-        self._names: frozenset[str] = frozenset()
-
-    @property
-    def state(self) -> frozenset[str]:
-        """What :meth:`restore` needs where a change did not happen."""
-        return self._names
-
-    def restore(self, state: frozenset[str]) -> None:
-        """Back to an earlier state."""
-        self._names = state
+        #: Of the effects that the lines define: what goes back to what it was where a change did not happen.
+        self.names: frozenset[str] = frozenset()
 
     def again(self) -> tuple[Effect, ...]:
         """Runs the lines that are kept, if there are any."""
@@ -179,7 +171,7 @@ class Typed:
         trial = self.path.with_name(f"next.{self.path.name}")
         write_whole(trial, source)
         known = dict(study.own)
-        used = self._names & set(study.effects)
+        used = self.names & set(study.effects)
         made: Sandbox | None = None
         try:
             if used and not _contains(source, self.path.read_text(encoding="utf-8")):
@@ -207,7 +199,7 @@ class Typed:
     def _kept(self, made: Sandbox) -> tuple[Effect, ...]:
         self.end()  # those that are asked again begin again, with their own lines
         self._sandbox.append(made)
-        self._names = frozenset(e.name for e in made.effects)
+        self.names = frozenset(e.name for e in made.effects)
         return made.effects
 
     def forgive(self) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -132,10 +133,11 @@ class StudyPage:
 
     def _own_lines(self) -> Any:
         """The field in which effects are typed, folded."""
-        place = self._notices.place[LINES]
+        place, typed = self._notices.place[LINES], self.bench.typed_path
         if self.bench.trusted:
             self._lines = TextAreaInput(
-                name="lines", value=self._typed_before(), rows=14, width=_LEFT - 16, max_length=20_000,
+                name="lines", rows=14, value=typed.read_text(encoding="utf-8") if typed.exists() else _LINES,
+                width=_LEFT - 16, max_length=20_000,
                 title="Effects, as NumPy lines", stylesheets=[TYPE, _CODE],
             )  # fmt: skip
             run = button("Run these lines", "run_lines", width=160)
@@ -161,23 +163,16 @@ class StudyPage:
             self._drop.on_change(attribute, lambda attr, old, new: self._drop_soon())
         return self._drop
 
-    def _typed_before(self) -> str:
-        path = self.bench.typed_path
-        return path.read_text(encoding="utf-8") if path.exists() else _LINES
-
     # -- what happens ------------------------------------------------------------------------------------
 
     def _told(self, kind: str, value: Any) -> None:
-        self._together(lambda: self._tell(kind, value))
+        self._together(self._tell, kind, value)
 
-    def _rest(self) -> None:
-        self._together(self._draw_below)
-
-    def _together(self, work: Callable[[], None]) -> None:
+    def _together(self, work: Callable[..., None], *about: Any) -> None:
         """One message and one layout for everything that changes together."""
         self.document.hold("collect")
         try:
-            work()
+            work(*about)
         finally:
             self.document.unhold()
 
@@ -185,7 +180,7 @@ class StudyPage:
         if kind == "moment":
             self._draw(value)
             # a browser paints the answer before it is given the rest
-            self.document.add_timeout_callback(self._rest, _ANSWER_MS)
+            self.document.add_timeout_callback(partial(self._together, self._draw_below), _ANSWER_MS)
         elif kind == "space":
             self.page_state = value
             self._show_space(value)
@@ -235,8 +230,9 @@ class StudyPage:
         self._draw_numbers(page_state)
         self._draw_headline(page_state)
         self._effects.show(page_state)
-        self._undo.visible, self._undo.label = bool(page_state.undoes), _called("Undo", page_state.undoes)
-        self._redo.visible, self._redo.label = bool(page_state.redoes), _called("Redo", page_state.redoes)
+        undoes, redoes = page_state.undoes, page_state.redoes
+        for one, verb, action in ((self._undo, "Undo", undoes), (self._redo, "Redo", redoes)):
+            one.visible, one.label = bool(action), f"{verb}: {action}" if action else verb
         idle = page_state.diagnosis.not_needed if page_state.diagnosis is not None else ()
         self._advised.visible = bool(idle)
         if idle:
@@ -259,17 +255,15 @@ class StudyPage:
     def _draw_numbers(self, page_state: PageState) -> None:
         left, last = page_state.now, page_state.history[-1]
         unit = escape(left.unit)
-        beside = []
-        if left.noise_origin != "unknown":
-            beside.append(f"noise {number(left.noise_size)} {unit}")
+        beside = [f"in the model: {escape(listed(page_state.effects, 20)) or 'the geometry alone'}"]
         if page_state.required_um and left.unit == "µm":
-            beside.append(f"target {page_state.required_um:g} {unit}")
+            beside.insert(0, f"target {page_state.required_um:g} {unit}")
+        if left.noise_origin != "unknown":
+            beside.insert(0, f"noise {number(left.noise_size)} {unit}")
         self._numbers.text = (
             f'<span style="font-size:34px;line-height:1"><b id="error-now">{number(last.error.rms)}</b> {unit}</span>'
             f" RMS {last.error.in_words} is how far the model is off at poses that it was not fitted to;"
-            f" 95 % are within {number(last.error.p95)} {unit}<br>"
-            f"{' · '.join(beside)}{' · ' if beside else ''}"
-            f"in the model: {escape(listed(page_state.effects, 20)) or 'the geometry alone'}"
+            f" 95 % are within {number(last.error.p95)} {unit}<br>{' · '.join(beside)}"
         )
 
     def _draw_headline(self, page_state: PageState) -> None:
@@ -292,10 +286,6 @@ class StudyPage:
         shown = [one.to_do for one in found.findings if one.about == "left_out"]
         shown += [one.answer for one in found.findings if one.about in ("elsewhere", "tie", "shape")]
         self._findings.text = "<br>".join(map(escape, shown))
-
-
-def _called(verb: str, action: str) -> str:
-    return f"{verb}: {action}" if action else verb
 
 
 def _gone(again: str) -> str:

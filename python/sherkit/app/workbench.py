@@ -221,17 +221,20 @@ class Workbench:
 
     def _apply(self, what: str, work: Callable[[Study, Progress], object], about: str) -> None:
         """All of a change, or nothing of it: where it cannot be saved, it did not happen either."""
-        before, sources, typed = _copy(self._study), list(self.sources), self._typed.state
+        before, sources, typed = _copy(self._study), list(self.sources), self._typed.names
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             try:
                 work(self._study, step := self._step(what))
                 step("")  # what was cancelled meanwhile did not happen
-                self._save()
+                try:
+                    self._study.save(self.folder)
+                except OSError as error:
+                    said_so = f"the study cannot be saved: {error.strerror}; nothing was changed"
+                    raise SherkitError(f"{self.folder}: {said_so}") from error
                 self.page_state = self._page_state()
             except BaseException as error:  # whatever a user's effect raises is shown, and nothing is lost
-                self._study, self.sources = before, sources
-                self._typed.restore(typed)
+                self._study, self.sources, self._typed.names = before, sources, typed
                 self._told_of(error, what, about)
                 return
         self._say("moment", self.page_state)
@@ -240,14 +243,6 @@ class Workbench:
             if issubclass(one.category, SherkitWarning) and text not in self._warned:
                 self._warned.add(text)
                 self._say("warning", Said(text, about))
-
-    def _save(self) -> None:
-        try:
-            self._study.save(self.folder)
-        except OSError as error:
-            raise SherkitError(
-                f"{self.folder}: the study cannot be saved: {error.strerror}; nothing was changed"
-            ) from error
 
     @property
     def typed_path(self) -> Path:

@@ -189,22 +189,15 @@ def _axes_settings(table: Table, robot: Robot, address: str) -> dict[str, Any]:
     }
 
 
-def _made_by(one: InstrumentSettings) -> tuple[Make, dict[str, Any]]:
-    """What makes it with what its file gives, and the settings that are left."""
+def _own(one: InstrumentSettings, robot: Robot) -> OwnSensor | OwnAxes:
+    """What its code makes with what its file gives."""
     settings = dict(one.settings)
     name, given = settings.pop("make"), settings.pop("with")
     if one.make is None:
         raise ExperimentError(f"{one.name}: '{name}' is made by Python code that was not given")
-    return partial(one.make, **given), settings
-
-
-def _own_sensor(one: InstrumentSettings, _: Robot) -> OwnSensor:
-    make, settings = _made_by(one)
-    return OwnSensor(make, one.columns, said=one.said, name=one.name, **settings)
-
-
-def _own_axes(one: InstrumentSettings, robot: Robot) -> OwnAxes:
-    make, settings = _made_by(one)
+    make = partial(one.make, **given)
+    if "resolution" not in settings:
+        return OwnSensor(make, one.columns, said=one.said, name=one.name, **settings)
     axes = _axes_of(robot, one.name, 1.0 / settings.pop("resolution"))
     return OwnAxes(make, axes, said=one.said, name=one.name, **settings)
 
@@ -300,8 +293,8 @@ INSTRUMENTS: Mapping[str, InstrumentKind] = {
         _camera, "camera.NetworkCamera", ("http",),
         lambda table, _: {"noise_grey": table.number("noise_grey", 2.0)}, place_unit="px",
     ),
-    "python": InstrumentKind(_sensor_settings, _own_sensor, own=True, meaning=("make", "with", "fields")),
-    "python_axes": InstrumentKind(_axes_settings, _own_axes, own=True, moves=True, meaning=("make", "with")),
+    "python": InstrumentKind(_sensor_settings, _own, own=True, meaning=("make", "with", "fields")),
+    "python_axes": InstrumentKind(_axes_settings, _own, own=True, moves=True, meaning=("make", "with")),
 }  # fmt: skip
 
 

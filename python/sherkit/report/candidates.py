@@ -31,6 +31,7 @@ from .picture import (
     Picture,
     Tables,
     figure,
+    float32,
     hover,
     quantity,
     rule,
@@ -298,17 +299,13 @@ def _tiles(atlas: Atlas) -> Tables:
     per_unit = 0.11 * span / typical
     out: Tables = {}
     for k, tile in enumerate(atlas.tiles):
-        up = tile.error[:, 1] if tile.error.shape[1] > 1 else np.zeros(len(tile.error))
-        out[f"tile_{k}"] = {
-            "x": atlas.x.astype(np.float32), "y": atlas.y.astype(np.float32),
-            "x1": (atlas.x + per_unit * tile.error[:, 0]).astype(np.float32),
-            "y1": (atlas.y + per_unit * up).astype(np.float32),
-        }  # fmt: skip
+        up = tile.error[:, 1] if tile.error.shape[1] > 1 else 0.0
+        ends = {"x1": atlas.x + per_unit * tile.error[:, 0], "y1": atlas.y + per_unit * up}
+        out[f"tile_{k}"] = {name: float32(v) for name, v in {"x": atlas.x, "y": atlas.y, **ends}.items()}
     (x0, x1), (y0, y1) = _room(atlas.x), _room(atlas.y)
-    wide = x1 - x0
     # at least a tenth of the tile
-    bar = round_number(max(typical, 0.1 * wide / per_unit), up=True)
-    end = x1 - 0.04 * wide
+    bar = round_number(max(typical, 0.1 * (x1 - x0) / per_unit), up=True)
+    end = x1 - 0.04 * (x1 - x0)
     out["scale"] = {
         "x0": [end - bar * per_unit], "x1": [end], "y": [y0 + 0.04 * (y1 - y0)], "text": [f"{bar:g} {atlas.unit}"],
     }  # fmt: skip

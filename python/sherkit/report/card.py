@@ -109,41 +109,43 @@ def exaggerated(
         full[place] = factor * values
         return draw(model, these, full, None)
 
-    everywhere = drawn(rows, 0.0)
-    moved = np.linalg.norm(drawn(rows, 1.0).shown_mm - everywhere.shown_mm, axis=1)
-    best = int(np.argmax(np.nan_to_num(moved)))
-    row = rows.select(np.array([best]))
-    frames, begin = growing(lambda factor: drawn(row, factor))
-    if not frames:
+    row, moves_mm, frames, begin = growing(drawn, rows)
+    if len(frames) == 1:
         raise SherkitError(f"{effect.name} of this size leaves no machine to be drawn")
-    factors, drawings = zip(*frames, strict=True)
-    nominal = drawn(row, 0.0)
+    (_, nominal), *grown = frames
+    factors, drawings = zip(*grown, strict=True)
     where = f"at {row.counted} {row.line[0]} of the run" if measured else "at the pose where it shows most"
     told = f"This is the machine {where}{_moment(effect, row, measured)}."
-    return Exaggerated(effect, values, nominal, factors, drawings, float(moved[best]), begin, told, model, row)
+    return Exaggerated(effect, values, nominal, factors, drawings, moves_mm, begin, told, model, row)
 
 
-def growing(drawn: Callable[[float], Drawing]) -> tuple[list[tuple[float, Drawing]], float]:
-    """A machine at one pose, drawn at more and more of :data:`FACTORS` as long as it is one, and the factor at which
-    what becomes of it is easily seen."""
-    points = drawn(0.0).points_mm[0]
+def growing(
+    drawn: Callable[[Measurements, float], Drawing], rows: Measurements
+) -> tuple[Measurements, float, list[tuple[float, Drawing]], float]:
+    """A machine at the one of the rows where what it is ``drawn`` with shows most: that row; how far what is read moves
+    there, in the drawing's unit; the machine without it and with more and more of it, as long as it is one; and the
+    factor at which that is easily seen."""
+    moved = np.linalg.norm(drawn(rows, 1.0).shown_mm - drawn(rows, 0.0).shown_mm, axis=1)
+    best = int(np.argmax(np.nan_to_num(moved)))
+    row = rows.select(np.array([best]))
+    frames = [(0.0, drawn(row, 0.0))]
+    points = frames[0][1].points_mm[0]
     size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
-    frames: list[tuple[float, Drawing]] = []
     begin, last = 0.0, 0.0
     for factor in FACTORS:
         try:
-            one = drawn(factor)
+            one = drawn(row, factor)
         except SherkitError:
             break
         away = float(np.linalg.norm(one.points_mm[0] - points, axis=1).max())
         # what comes nearer again has turned once round
-        if not np.isfinite(away) or (frames and not last <= away <= _MOST * size):
+        if not np.isfinite(away) or (len(frames) > 1 and not last <= away <= _MOST * size):
             break
         frames.append((factor, one))
         if last < _SEEN * size:
             begin = factor
         last = away
-    return frames, begin
+    return row, float(moved[best]), frames, begin
 
 
 def _moment(effect: Effect, row: Measurements, measured: bool) -> str:

@@ -188,8 +188,7 @@ def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] |
     base, last = drawn(found.base), drawn(study.fit)
     before, after = residuals_of(base), residuals_of(last)
     out: dict[str, Picture[Any]] = {}
-    swaps: dict[str, Any] | None = None
-    atlas: Atlas | None = None
+    swaps, atlas = None, None
     states, now = _states(report, base)
     chosen = states[now]
     change = Change(before, chosen.left, states[0].title, chosen.title)
@@ -271,12 +270,8 @@ def _measured(report: Report) -> list[tuple[str, str]]:
 
 def _error_lines(report: Report) -> list[dict[str, Any]]:
     """Table I of every run: lines with their cells, the paper's beside them in a simulation of its experiments."""
-    out = []
-    if report.result is not None:
-        for key, one in (("whole", report.result.whole), ("local", report.result.local)):
-            if one is not None:
-                out.append(_table_one(one, key, report.printed.get(key, {})))
-    return out
+    runs = [] if (result := report.result) is None else [("whole", result.whole), ("local", result.local)]
+    return [_table_one(one, key, report.printed.get(key, {})) for key, one in runs if one is not None]
 
 
 def _table_one(run: CalibrationRun, key: str, beside: Mapping[str, Mapping[str, tuple[int, int]]]) -> dict[str, Any]:
@@ -295,9 +290,8 @@ def _table_one(run: CalibrationRun, key: str, beside: Mapping[str, Mapping[str, 
         cells = [f"± {number(per_unit * repeats.sigma[a])}" if a in repeats.sigma else "" for a in axes]
         rows.append(("repeatability (1 σ)", ["", "", *cells], False))
     title = {"whole": "the whole workspace", "local": "the region of interest"}[key]
-    unit = run.fit.data.layout.unit
     columns = [f"error {run.fit.error.in_words}", "95 % within", *(a.rsplit("_", 1)[0] for a in axes)]
-    return {"title": title, "axes": columns, "unit": unit, "rows": rows}
+    return {"title": title, "axes": columns, "unit": run.fit.data.layout.unit, "rows": rows}
 
 
 def _parameter_lines(report: Report) -> list[tuple[str, str, str, str, str, str]]:

@@ -120,10 +120,6 @@ class SourceFile:
         return cls(str(path), hashlib.sha256(Path(path).read_bytes()).hexdigest())
 
 
-def _as_it_is(command: str) -> str:
-    return command
-
-
 @dataclass(frozen=True)
 class Made:
     """How a page was made: the ``command`` that makes it again from ``sources``; ``given`` puts their names, and the
@@ -132,7 +128,7 @@ class Made:
     about: str
     command: str = ""
     sources: Sequence[SourceFile] = ()
-    given: Callable[[str], str] = _as_it_is
+    given: Callable[[str], str] = str
 
     @classmethod
     def of(

@@ -94,23 +94,20 @@ def mechanism_with_change(found: Comparison) -> tuple[Scene, str] | None:
         return None
     rows = data.select(spread_over(np.arange(len(data)), _POSES))
     try:
-        moved = np.linalg.norm(
-            draw(model, rows, values + change, None).shown_mm - draw(model, rows, values, None).shown_mm, axis=1
+        row, moves, frames, begin = growing(
+            lambda these, factor: draw(model, these, values + factor * change, None), rows
         )
-        best = int(np.argmax(np.nan_to_num(moved)))
-        row = rows.select(np.array([best]))
-        frames, begin = growing(lambda factor: draw(model, row, values + factor * change, None))
     except SherkitError:
         return None
-    if not frames or not moved[best] > _ROUNDING_MM:
+    if len(frames) == 1 or not moves > _ROUNDING_MM:
         return None
-    plain = draw(model, row, values, None)
+    drawn_in = frames[0][1].unit
     names = " and ".join(found.changed)
-    scene = Scene(f"The machine with {names} changed, exaggerated", [(0.0, plain), *frames], begin, unit=plain.unit)
-    unit, times = ("µm", 1e3) if plain.unit == "mm" else (plain.unit, 1.0)
+    scene = Scene(f"The machine with {names} changed, exaggerated", frames, begin, unit=drawn_in)
+    unit, times = ("µm", 1e3) if drawn_in == "mm" else (drawn_in, 1.0)
     read = (
         f"Grey: as before. In colour: with what has changed of {names}, so much larger that it can be seen (slider). "
-        f"As it is, it moves what is read by {number(times * float(moved[best]))} {unit} at this pose, "
+        f"As it is, it moves what is read by {number(times * moves)} {unit} at this pose, "
         f"{row.counted} {row.line[0]} of the last run."
     )
     return scene, read

@@ -33,6 +33,7 @@ from .picture import (
     Tables,
     colour_bar,
     figure,
+    float32,
     hover,
     padded,
     quantity,
@@ -54,11 +55,10 @@ def parameters(fit: Fit) -> Picture[Fit]:
 
     Dark: what the readings leave; pale: with what they do not tell at all, from plausible sizes.
     """
-    tables = _tables(fit)
-    sources = sources_of(tables)
+    sources = sources_of(_tables(fit))
     figures = []
     for unit in _units(fit):
-        source = sources[_key(unit)]
+        source = sources[f"unit_{unit}"]
         made = figure(
             f"identified error, {unit or 'relative'}", height=_ROW_HEIGHT * len(source.data["name"]) + _AROUND,
             y_range=FactorRange(*source.data["name"][::-1]), x_range=_reach(source.data),
@@ -78,7 +78,7 @@ def parameters(fit: Fit) -> Picture[Fit]:
 
     def tune(new: Fit) -> None:
         for unit, made in zip(_units(new), figures, strict=False):
-            table = _tables(new)[_key(unit)]
+            table = _tables(new)[f"unit_{unit}"]
             names, reach = table["name"], _reach(table)
             made.x_range.start, made.x_range.end = reach.start, reach.end
             made.y_range.factors = names[::-1]
@@ -103,22 +103,18 @@ def _units(fit: Fit) -> list[str]:
     return list(dict.fromkeys(_shown(p.unit)[0] for p in fit.parameters))
 
 
-def _key(unit: str) -> str:
-    return f"unit_{unit}"
-
-
 def _tables(fit: Fit) -> Tables:
     out: Tables = {}
     for unit in _units(fit):
         rows = [k for k, p in enumerate(fit.parameters) if _shown(p.unit)[0] == unit]
         factor = np.array([_shown(fit.parameters[k].unit)[1] for k in rows])
-        value, std, std_all = (np.asarray(v)[rows] * factor for v in (fit.values, fit.std_from_readings, fit.std))
-        out[_key(unit)] = {
-            "name": [fit.parameters[k].name for k in rows],
-            "value": value, "std": std, "std_all": std_all,
-            "low": value - _CONFIDENCE * std, "high": value + _CONFIDENCE * std,
-            "low_all": value - _CONFIDENCE * std_all, "high_all": value + _CONFIDENCE * std_all,
-        }  # fmt: skip
+        value = fit.values[rows] * factor
+        table: Table = {"name": [fit.parameters[k].name for k in rows], "value": value}
+        for ending, every in (("", fit.std_from_readings), ("_all", fit.std)):
+            std = every[rows] * factor
+            ends = {"low": value - _CONFIDENCE * std, "high": value + _CONFIDENCE * std, "std": std}
+            table |= {f"{name}{ending}": column for name, column in ends.items()}
+        out[f"unit_{unit}"] = table
     return out
 
 
@@ -147,7 +143,7 @@ def _correlation_tables(fit: Fit) -> Tables:
     std = np.sqrt(np.diag(covariance).clip(1e-300))
     matrix = np.clip(covariance / np.outer(std, std), -1.0, 1.0)
     a, b = zip(*product(names, names), strict=True)
-    return {"cells": {"a": list(a), "b": list(b), "value": matrix.ravel().astype(np.float32)}}
+    return {"cells": {"a": list(a), "b": list(b), "value": float32(matrix.ravel())}}
 
 
 def directions(fit: Fit) -> Picture[Fit]:
@@ -257,15 +253,8 @@ def accuracy_map(state: AccuracyMap) -> Picture[AccuracyMap]:
             hatch_weight=1.0,
         )  # fmt: skip
         made.multi_line("xs", "ys", source=sources[f"outline_{k}"], line_color=REFUSED, line_width=3, line_cap="square")
-        made.add_tools(
-            hover(
-                [cells],
-                (state.labels[0], "$x{0.0}"),
-                (state.labels[1], "$y{0.0}"),
-                ("95 % within", "@um{0.0} µm"),
-                ("of it unseen", "@unseen{0.0} µm"),
-            )
-        )
+        shown = (state.labels[0], "$x{0.0}"), (state.labels[1], "$y{0.0}"), ("95 % within", "@um{0.0} µm")
+        made.add_tools(hover([cells], *shown, ("of it unseen", "@unseen{0.0} µm")))
         figures.append(made)
     colour_bar(figures[-1], mapper, "95 % within, µm")
     hidden = state.unseen_um[np.isfinite(state.unseen_um)]
@@ -286,11 +275,8 @@ def _accuracies(state: AccuracyMap) -> Tables:
     (x0, dw), (y0, dh) = (_extent(v) for v in (state.x, state.y))
     for k in range(len(state.titles)):
         value = state.value_um[k]
-        out[f"plane_{k}"] = {
-            "um": [value.astype(np.float32)],
-            "unseen": [state.unseen_um[k].astype(np.float32)],
-            "x": [x0], "y": [y0], "dw": [dw], "dh": [dh],
-        }  # fmt: skip
+        images = {"um": [float32(value)], "unseen": [float32(state.unseen_um[k])]}
+        out[f"plane_{k}"] = images | {"x": [x0], "y": [y0], "dw": [dw], "dh": [dh]}
         out[f"beyond_{k}"] = _runs(state.x, state.y, ~state.measured[k] & np.isfinite(value))
         out[f"outline_{k}"] = _outline(state.x, state.y, value <= (state.required_um or 0.0))
     return out
@@ -379,7 +365,7 @@ def _drawn(state: NextPoses) -> list[str]:
 
 def _pose_tables(state: NextPoses) -> Tables:
     first = np.unique(state.left.group, return_index=True)[1][:2000]
-    measured = {name: v[first].astype(np.float32) for name, v in state.left.place.items()}
+    measured = {name: float32(v[first]) for name, v in state.left.place.items()}
     keys = list(state.poses[0]) if state.poses else []
     table: dict[str, Any] = {key: [pose[key] for pose in state.poses] for key in keys}
     table["order"] = [str(k) for k in range(1, len(state.poses) + 1)]
@@ -403,10 +389,8 @@ def _spans(state: NextPoses, names: Sequence[str]) -> dict[str, tuple[float, flo
     """Range of each coordinate; equally long where the units are the same, so that shapes are as they are."""
     ends: dict[str, tuple[float, float]] = {}
     for name in names:
-        values = [np.array([pose[name] for pose in state.poses if name in pose])]
-        values += [state.left.place[name]] if name in state.left.place else []
-        known = np.concatenate(values) if values else np.zeros(0)
-        ends[name] = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+        known = [*(pose[name] for pose in state.poses if name in pose), *state.left.place.get(name, ())]
+        ends[name] = (float(min(known)), float(max(known))) if known else (0.0, 1.0)
     units = {quantity(name).partition(", ")[2] for name in names}
     longest = max((high - low for low, high in ends.values()), default=1.0)
     out = {}

@@ -129,6 +129,11 @@ def padded(low: float, high: float, part: float = 0.06) -> Range1d:
     return Range1d(low - room, high + room)
 
 
+def shortened(text: str, most: int) -> str:
+    """A text of at most so many letters."""
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
 def quantity(name: str) -> str:
     """A column's name as an axis label: ``x_mm`` becomes ``x, mm``."""
     for unit, text in _UNITS:

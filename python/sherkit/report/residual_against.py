@@ -28,6 +28,7 @@ from .picture import (
     quantity,
     rows_to_draw,
     rule,
+    shortened,
     sources_of,
 )
 from .residuals import Residuals, at_the_rim
@@ -117,8 +118,8 @@ def points(left: Residuals) -> Table:
     out["beyond"] = [beyond[row] for row in rows]
     out["line"], out["row"] = left.line[rows].astype(np.int32), left.row[rows].astype(np.int32)
     few = len(rows) < _FEW_ROWS
-    out["alpha"] = np.where(left.outlier[rows], 0.9, 0.8 if few else 0.35).astype(np.float32)
-    out["size"] = np.where(left.outlier[rows], 11, 7 if few else 4).astype(np.float32)
+    out["alpha"] = float32(np.where(left.outlier[rows], 0.9, 0.8 if few else 0.35))
+    out["size"] = float32(np.where(left.outlier[rows], 11, 7 if few else 4))
     return out
 
 
@@ -263,30 +264,21 @@ def run_in_time(left: Residuals) -> Picture[Residuals]:
     legend(made)
     figures = [made]
     for name in _below(left):
-        label = quantity(name)
-        short = label if len(label) <= _LETTERS else label[: _LETTERS - 1] + "…"
-        lower = figure(up=short, height=_BELOW, x_range=made.x_range)
+        lower = figure(up=shortened(quantity(name), _LETTERS), height=_BELOW, x_range=made.x_range)
         lower.yaxis.ticker.desired_num_ticks = 3
         lower.scatter("t", name, source=sources["run"], size=4, color=MUTED)
         figures.append(lower)
     figures[-1].xaxis.axis_label = "time, s" if "time_s" in left.variables else "reading"
-    n = len(left)
-    drawn = (
-        f"{_MOST_IN_TIME} of {n} rows, chosen at random, marked outliers first"
-        if n > _MOST_IN_TIME
-        else f"all {n} rows"
-    )
+    few = f"{_MOST_IN_TIME} of {len(left)} rows, chosen at random, marked outliers first"
+    drawn = few if len(left) > _MOST_IN_TIME else f"all {len(left)} rows"
     note = f"What the model leaves, in the order of the run: {drawn}. Rows that are left out stand at the rim."
     return Picture.of("run", figures, sources, _in_time, note=note)
 
 
 def _below(left: Residuals) -> list[str]:
     """Covariates, not coordinates, joints, directions or time; at most two."""
-    known = {*left.place, "time_s"}
-    names = [
-        n for n in left.variables if n not in known and not n.startswith(("direction_", "q1", "q2", "q3", "theta"))
-    ]
-    return names[:2]
+    known, joints = {*left.place, "time_s"}, ("direction_", "q1", "q2", "q3", "theta")
+    return [name for name in left.variables if name not in known and not name.startswith(joints)][:2]
 
 
 def _in_time(left: Residuals) -> Tables:
@@ -295,7 +287,7 @@ def _in_time(left: Residuals) -> Tables:
     table: dict[str, Any] = {"t": time[rows], "line": left.line[rows].astype(np.int32)}
     table["size"] = np.where(left.outlier[rows], 11, 7 if len(left) < _FEW_ROWS else 4)
     values, beyond = at_the_rim(left, left.values)
-    table |= {f"r{k}": values[rows, k].astype(np.float32) for k in range(len(left.names))}
+    table |= {f"r{k}": float32(values[rows, k]) for k in range(len(left.names))}
     table["beyond"] = [beyond[row] for row in rows]
     table |= {name: left.variables[name][rows] for name in _below(left)}
     return {"run": table}
@@ -341,15 +333,13 @@ def noise_picture(left: Residuals) -> Picture[Residuals]:
 
 
 def _distribution(left: Residuals) -> Tables:
-    bins: dict[str, Any] = {}
-    quantiles: dict[str, Any] = {}
     # few readings in many bars are a comb
     readings = int(np.isfinite(left.values[~left.outlier]).sum()) / max(len(left.names), 1)
     edges = np.linspace(-5, 5, int(np.clip(np.sqrt(readings), *_BINS)) // 2 * 2 + 2)
-    bins["at"] = 0.5 * (edges[1:] + edges[:-1])
+    bins = {"at": 0.5 * (edges[1:] + edges[:-1])}
     count = min(int(np.isfinite(left.values).all(axis=1).sum()), _QUANTILES)
     level = (np.arange(count) + 0.5) / max(count, 1)
-    quantiles["gauss"] = scipy.special.ndtri(level)
+    quantiles = {"gauss": scipy.special.ndtri(level)}
     for k in range(len(left.names)):
         u = _over_noise(left, k)
         # what lies beyond the picture is counted in its last bins: nothing is left out

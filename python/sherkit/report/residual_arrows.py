@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.types import Bools, Floats
-from .picture import Table, Tables, float32, number, padded, quantity
+from .picture import Table, Tables, float32, number, padded, quantity, shortened
 from .residuals import Residuals, in_noise, in_place
 
 #: One scale for before and after; each its own, so that what is left is seen too; its own, counted in the noise of each
@@ -83,8 +83,8 @@ class Sheet:
         typical: dict[str, float] = {}
         for moment in MOMENTS:
             counted = arrows if change.scale == "shared" else each[moment]
-            length = np.concatenate([np.hypot(a["ex"], a["ey"]) for a in counted]) if counted else np.zeros(0)
-            colour = np.concatenate([np.abs(a["ez"]) for a in counted]) if counted else np.zeros(0)
+            ex, ey, ez = (np.concatenate([np.zeros(0), *(a[k] for a in counted)]) for k in ("ex", "ey", "ez"))
+            length, colour = np.hypot(ex, ey), np.abs(ez)
             typical[moment] = float(np.quantile(length, 0.95)) if len(length) else 0.0
             self.per_unit[moment] = 1.3 * spacing / typical[moment] if typical[moment] > 0 else 1.0
             high = float(np.quantile(colour, 0.98)) if len(colour) else 1.0
@@ -125,14 +125,12 @@ class Sheet:
                 a = _arrows(left, panels, mask)
                 # numbers on hover stay in the unit of the run
                 hovered = a if left is plain else _arrows(plain, panels, mask)
-                colour = a["ez"] if self.coloured else np.zeros(len(a["x"]))
-                out[f"{moment}_{k}"] = {
-                    "x": float32(a["x"]), "y": float32(a["y"]),
-                    "x1": float32(a["x"] + per_unit * a["ex"]), "y1": float32(a["y"] + per_unit * a["ey"]),
-                    "ex": float32(hovered["ex"]), "ey": float32(hovered["ey"]), "ez": float32(hovered["ez"]),
-                    "colour": float32(colour),
-                    "n": a["n"], "lines": a["lines"], "rows": a["rows"],
+                drawn = {
+                    "x": a["x"], "y": a["y"], "x1": a["x"] + per_unit * a["ex"], "y1": a["y"] + per_unit * a["ey"],
+                    **{name: hovered[name] for name in ("ex", "ey", "ez")}, "colour": a["ez"] * self.coloured,
                 }  # fmt: skip
+                table = {name: float32(column) for name, column in drawn.items()}
+                out[f"{moment}_{k}"] = table | {name: a[name] for name in ("n", "lines", "rows")}
                 use = mask & ~left.outlier
                 rms = float(np.sqrt(np.nansum(np.nanmean(left.values[use] ** 2, axis=0)))) if use.any() else 0.0
                 out[f"{moment}_{k}_key"] = self._key(moment, left, title, k, rms)
@@ -146,7 +144,7 @@ class Sheet:
         figure_of = f"{plane + ': ' if plane else ''}{number(rms)} {left.unit}"
         if len(figure_of) + 4 <= self.letters:
             figure_of += " RMS"
-        heading = f"{_short(title, self.letters)}\n{figure_of}"
+        heading = f"{shortened(title, self.letters)}\n{figure_of}"
         bar = self.bars[moment] * self.per_unit[moment]
         circle = self.circles[moment][panel]
         return {
@@ -291,10 +289,6 @@ def shown(change: Change) -> tuple[Residuals, Residuals]:
     before, after = in_place(change.before), in_place(change.after)
     counted = change.scale == "noise" and before.noise_origin != "unknown"
     return (in_noise(before), in_noise(after)) if counted else (before, after)
-
-
-def _short(text: str, most: int) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def _ranges(

@@ -166,7 +166,9 @@ def still(*changes: Change, caption: str = "", width_px: int = 290) -> str:
         for across, column in enumerate(columns)
         for down, panel in enumerate(column)
     )
-    said = f"{caption} {_legend(changes[0].before)}".strip()
+    names = changes[0].before.names
+    colour = f"; blue: {names[2]} lower, orange: higher" if len(names) > 2 else ""
+    said = f"{caption} Arrows: {' and '.join(names[:2])}{colour}.".strip()
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {bottom + _GAP // 2}" width="{width}" '
         f'style="max-width:100%;height:auto" font-family="{FONT}" font-size="{FONT_SIZE}" fill="{INK}" '
@@ -174,11 +176,6 @@ def still(*changes: Change, caption: str = "", width_px: int = 290) -> str:
         f'<rect width="{width}" height="{bottom + _GAP // 2}" fill="#fff"/>\n{placed}\n'
         f'<text x="{_GAP}" y="{bottom}" font-size="14">{escape(said)}</text>\n</svg>\n'
     )
-
-
-def _legend(left: Residuals) -> str:
-    colour = f"; blue: {left.names[2]} lower, orange: higher" if len(left.names) > 2 else ""
-    return f"Arrows: {' and '.join(left.names[:2])}{colour}."
 
 
 def _still_panel(sheet: Sheet, tables: Tables, moment: str, k: int) -> str:

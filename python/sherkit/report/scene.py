@@ -142,7 +142,17 @@ class Scene:
             "parts": [[p.name, p.look, p.path_mm.shape[1]] for p in parts],
             "frames": [{"at": at, "p": _packed(d.points_mm[0])} for at, d in self.frames],
             "arrows": None if self.arrows is None else _told_arrows(self.arrows, size),
-            "field": None if self.field is None else _told_field(self.field),
+            "field": None
+            if (f := self.field) is None
+            else {
+                "where": _packed(f.where_mm),
+                "value": _packed(f.value),
+                "low": f.low,
+                "high": f.high,
+                "unit": f.unit,
+                "title": f.title,
+                "cell": f.cell_mm,
+            },
         }
 
     def still(self, width_px: int = _STILL_PX) -> str:
@@ -219,13 +229,6 @@ def _told_arrows(a: Arrows, size: float) -> dict[str, Any]:
         "where": _packed(a.where_mm), "errors": [*map(_packed, a.errors_mm)], "titles": a.titles,
         "line": _packed(a.line), "counted": a.counted, "worst": [*map(_packed, a.worst)], "slabs": a.slabs,
         "height": a.height, "unit": a.unit, "perUnit": a.per_mm, "bar": a.bar_mm, "times": _times(a, size),
-    }  # fmt: skip
-
-
-def _told_field(f: Field) -> dict[str, Any]:
-    return {
-        "where": _packed(f.where_mm), "value": _packed(f.value), "low": f.low, "high": f.high, "unit": f.unit,
-        "title": f.title, "cell": f.cell_mm,
     }  # fmt: skip
 
 

@@ -38,7 +38,7 @@ from .picture import (
 )
 from .residual_against import Windows, gained, means, points, shown
 from .residual_arrows import Change
-from .residuals import ModelState, Residuals, drawn
+from .residuals import ModelState, drawn
 
 #: Effects that a reader can see added alone: those that would bring most.
 _MOST_SINGLE = 5
@@ -78,25 +78,19 @@ def packed(states: Sequence[ModelState], maps: Picture[Change]) -> dict[str, Any
     variables = list(base.variables)
     out: dict[str, Any] = {"titles": [s.title for s in states], "variables": variables, "states": []}
     windows = {name: Windows.of(base, name) for name in variables}
-    out["values"] = {name: _numbers(_at(base, name)) for name in variables}
+    rows = shown(base)
+    out["values"] = {name: _numbers(values[rows]) for name, values in base.variables.items()}
     for state in states:
         change = Change(base, state.left, states[0].title, state.title)
         tables = {name: _text(t) for name, t in maps.tables(change).items() if name.startswith("after")}
-        rows = points(state.left)
-        tables["points"] = {key: _numbers(rows[key]) for key in rows if key.startswith("r") and key != "row"}
-        by_variable = {
-            name: {
-                "mean": _text(means(state.left, name, along)),
-                "gained": _text(gained(base, state.left, name, along)),
-            }
-            for name, along in windows.items()
-        }
+        drawn_now = points(state.left).items()
+        tables["points"] = {key: _numbers(v) for key, v in drawn_now if key.startswith("r") and key != "row"}
+        by_variable = {}
+        for name, along in windows.items():
+            lines = {"mean": means(state.left, name, along), "gained": gained(base, state.left, name, along)}
+            by_variable[name] = {key: _text(table) for key, table in lines.items()}
         out["states"].append({"tables": tables, "against": by_variable})
     return out
-
-
-def _at(left: Residuals, name: str) -> Any:
-    return left.variables[name][shown(left)]
 
 
 def _text(table: Table) -> dict[str, Any]:
@@ -105,9 +99,8 @@ def _text(table: Table) -> dict[str, Any]:
     for key, column in table.items():
         if key in ("rows", "lines", "n"):
             continue
-        out[key] = (
-            list(column) if column is not None and len(column) and isinstance(column[0], str) else _numbers(column)
-        )
+        words = len(column) and isinstance(column[0], str)
+        out[key] = list(column) if words else _numbers(column)
     return out
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.figures import listed
-from ..base.types import Floats
+from ..base.types import Floats, Ints
 from ..errors import SherkitError
 from .pictures import CameraPicture, picture_in, picture_of
 
@@ -168,22 +168,18 @@ def draw_marker(
     axis = rotation @ (normal / np.linalg.norm(normal))
     first = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
     first /= np.linalg.norm(first)
-    second = np.cross(axis, first)
-    first, second = (
-        np.cos(turn_rad) * first + np.sin(turn_rad) * second,
-        -np.sin(turn_rad) * first + np.cos(turn_rad) * second,
-    )
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    # the marker's own axes in its plane
+    axes = np.array([[cos, sin], [-sin, cos]]) @ [first, np.cross(axis, first)]
     angle = np.linspace(0, 2 * np.pi, 60)
-    rim = centre + 1.2 * radius_mm * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)
+    rim = centre + 1.2 * radius_mm * np.column_stack([np.cos(angle), np.sin(angle)]) @ axes
     if (rim[:, 2] > 0).all():
         i = view.intrinsics
         around = cv2.projectPoints(rim, np.zeros(3), np.zeros(3), i.matrix, np.array(i.distortion))[0].reshape(-1, 2)
         low = np.clip(np.floor(around.min(axis=0)).astype(int), 0, [width, height])
         high = np.clip(np.ceil(around.max(axis=0)).astype(int) + 1, 0, [width, height])
         if (high > low).all():
-            picture[low[1] : high[1], low[0] : high[0]] = _patch(
-                view, low, high, centre, axis, first, second, radius_mm
-            )
+            picture[low[1] : high[1], low[0] : high[0]] = _patch(i, low, high, centre, axis, axes, radius_mm)
     if blur_px > 0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur_px))
     picture = picture + noise * rng.standard_normal(picture.shape)
@@ -191,13 +187,11 @@ def draw_marker(
 
 
 def _patch(
-    view: View, low: NDArray[np.int64], high: NDArray[np.int64], centre: Floats, axis: Floats, first: Floats,
-    second: Floats, radius_mm: float,
-) -> Floats:  # fmt: skip
+    i: Intrinsics, low: Ints, high: Ints, centre: Floats, axis: Floats, axes: Floats, radius_mm: float
+) -> Floats:
     """Grey values of a rectangle, each the mean of several rays."""
     # a lens bends rays so little over a pixel that those between its corners follow from these
     corners = np.stack(np.meshgrid(*(np.arange(a, b + 1) - 0.5 for a, b in zip(low, high, strict=True))), axis=-1)
-    i = view.intrinsics
     ray = cv2.undistortPoints(
         corners.reshape(-1, 1, 2), i.matrix, np.array(i.distortion),
         criteria=(cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-12),
@@ -206,9 +200,9 @@ def _patch(
     shape = (high[1] - low[1], _SAMPLES, high[0] - low[0], _SAMPLES)
     ray = np.column_stack([ray.reshape(-1, 2), np.ones(np.prod(shape))])
     facing = ray @ axis
-    reach = np.where(np.abs(facing) > 1e-9, (centre @ axis) / np.where(np.abs(facing) > 1e-9, facing, 1.0), np.inf)
-    hit = ray * reach[:, None] - centre
-    a, b = hit @ first, hit @ second
+    meets = np.abs(facing) > 1e-9
+    reach = np.where(meets, (centre @ axis) / np.where(meets, facing, 1.0), np.inf)
+    a, b = axes @ (ray * reach[:, None] - centre).T
     inside = (np.hypot(a, b) <= radius_mm) & (reach > 0)
     grey = np.where(inside, np.where((a > 0) == (b > 0), _BLACK, _WHITE), _PAPER)
     return np.asarray(grey.reshape(shape).mean(axis=(1, 3)))

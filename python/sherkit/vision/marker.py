@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,20 +107,15 @@ def _corner(grey: NDArray[np.uint8]) -> SeenMarker:
             continue
         best.append((likeness, u, v))
     if not best:
-        soft = soft or any(_four_fields_anywhere(smaller) for smaller in _pyramid(grey))
+        # at half and at a quarter of its size, soft edges are sharp again
+        half = np.asarray(cv2.pyrDown(grey), np.uint8)
+        soft = soft or _four_fields_anywhere(half) or _four_fields_anywhere(np.asarray(cv2.pyrDown(half), np.uint8))
         return _none("blurred: a marker is there, and its edges are too soft" if soft else "no marker was found")
     if len(best) > 1:
         places = "; ".join(f"{u:.0f}, {v:.0f}" for _, u, v in sorted(best, reverse=True)[:4])
         return _none(f"{len(best)} candidates look like the marker, at {places}")
     _, u, v = best[0]
     return SeenMarker(*_refined(grey, u, v))
-
-
-def _pyramid(grey: NDArray[np.uint8]) -> Iterator[NDArray[np.uint8]]:
-    """The picture at half and at a quarter of its size, where soft edges are sharp again."""
-    for _ in range(2):
-        grey = np.asarray(cv2.pyrDown(grey), np.uint8)
-        yield grey
 
 
 def _four_fields_anywhere(grey: NDArray[np.uint8]) -> bool:
@@ -211,18 +205,12 @@ def _tag(grey: NDArray[np.uint8], kind: str, identity: int | None) -> SeenMarker
     if len(wanted) > 1:
         return _none(f"{len(wanted)} candidates: tags {', '.join(str(numbers[k]) for k in wanted)}")
     four = np.asarray(corners[wanted[0]], dtype=float).reshape(4, 2)
-    u, v = _crossing(four)
     if min(edge_width(grey, a, b) for a, b in four) > _BLURRED:
         return _none("blurred: a tag is there, and its edges are too soft")
+    # where the diagonals cross: the middle of a square stays there under perspective, the mean of corners does not
+    a, b, c, d = four
+    u, v = (a + linalg.solve(np.stack([c - a, b - d], axis=1), b - a)[0] * (c - a)).tolist()
     return SeenMarker(u, v, _TAG_CORNER_PX / 2.0)
-
-
-def _crossing(four: Floats) -> tuple[float, float]:
-    """Where the diagonals cross: the middle of a square stays there under perspective, the mean of corners does not."""
-    a, c, b, d = four[0], four[2], four[1], four[3]
-    s = linalg.solve(np.stack([c - a, b - d], axis=1), b - a)[0]
-    middle = a + s * (c - a)
-    return float(middle[0]), float(middle[1])
 
 
 # -- markers to print, on paper in their right size -------------------------------------------------------------------

@@ -126,10 +126,9 @@ def joined_by_time(
         row = int(np.argmin(np.diff(at) > 0)) + 1 if len(at) > 1 else 0
         raise MeasurementError(f"joints: time_s does not grow at row {row}; expected readings in the order of time")
     moment = camera[TIME].to_numpy().astype(float) - delay_s
-    place = np.searchsorted(at, moment, side="right")
     outside = (moment < at[0]) | (moment > at[-1]) | ~np.isfinite(moment)
-    before, after = np.clip(place - 1, 0, len(at) - 2), np.clip(place, 1, len(at) - 1)
-    after = np.maximum(after, before + 1)
+    after = np.clip(np.searchsorted(at, moment, side="right"), 1, len(at) - 1)
+    before = after - 1
     gap = (at[after] - at[before] > longest_gap_s) & (moment != at[before])
     if (outside | gap).any():
         row = int(np.argmax(outside | gap))
@@ -138,10 +137,9 @@ def joined_by_time(
             f"camera: row {row} at {moment[row]:.4f} s {why} ({at[0]:.4f} to {at[-1]:.4f} s); "
             f"{int((outside | gap).sum())} rows of {len(moment)} are so"
         )
-    share = (moment - at[before]) / (at[after] - at[before])
-    made = []
+    made = {}
     for name in columns:
         q = joints[name].to_numpy().astype(float)
-        made.append(pl.Series(name, q[before] + share * (q[after] - q[before])))
-        made.append(pl.Series(f"{name}_per_s", (q[after] - q[before]) / (at[after] - at[before])))
-    return camera.with_columns(made)
+        made[name] = np.interp(moment, at, q)
+        made[f"{name}_per_s"] = (q[after] - q[before]) / (at[after] - at[before])
+    return camera.with_columns(**{name: pl.Series(values) for name, values in made.items()})

@@ -43,16 +43,11 @@ class Sm130Emulator(LineEmulator, _InterrogatorEmulator):
 
     def _payload(self, channels: list[list[float]]) -> bytes:
         channels = [*channels, [], [], [], []][:4]
-        now = self.world.now_s()
-        header = bytearray(88)
-        for at, channel in zip((16, 18, 20, 22), channels, strict=True):
-            struct.pack_into("<H", header, at, len(channel))
-        struct.pack_into("<III", header, 28, self.serial & 0xFFFFFFFF, int(now % 1 * 1e6), int(now))
-        struct.pack_into("<H", header, 50, 88)
-        struct.pack_into("<I", header, 72, self.granularity)
-        struct.pack_into("<II", header, 80, 1510 * self.granularity, 1590 * self.granularity)
-        raw = [round(v * self.granularity) for channel in channels for v in channel]
-        return bytes(header) + struct.pack(f"<{len(raw)}I", *raw)
+        now, unit = self.world.now_s(), self.granularity
+        clock = self.serial & 0xFFFFFFFF, int(now % 1 * 1e6), int(now)
+        header = struct.pack("<16x4H4x3I10xH20xI4x2I", *map(len, channels), *clock, 88, unit, 1510 * unit, 1590 * unit)
+        raw = [round(v * unit) for channel in channels for v in channel]
+        return header + struct.pack(f"<{len(raw)}I", *raw)
 
 
 class HyperionEmulator(_InterrogatorEmulator):

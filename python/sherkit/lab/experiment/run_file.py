@@ -240,22 +240,24 @@ class RunFile:
         Where a loop has chosen the poses, ``reason`` says why. Where rows are in doubt, they have a 1 in the column
         ``outlier``: no fit uses them.
         """
-        points = self._db.execute("SELECT step, time_s, pose, repeat FROM point ORDER BY step").fetchall()
-        place = {row[0]: k for k, row in enumerate(points)}
-        columns: dict[str, list[float | None]] = {}
-        for step, name, value in self._db.execute("SELECT step, name, value FROM reading ORDER BY step, place"):
-            columns.setdefault(str(name), [None] * len(points))[place[step]] = value
-        head = {
-            "step": pl.Series([row[0] for row in points], dtype=pl.Int64),
-            TIME: pl.Series([row[1] for row in points], dtype=pl.Float64),
-            POSE: pl.Series([row[2] for row in points], dtype=pl.Int64),
-            REPEAT: pl.Series([row[3] for row in points], dtype=pl.Int64),
-        }
+        points = self._table(
+            "SELECT step, time_s, pose, repeat FROM point ORDER BY step",
+            {"step": pl.Int64, TIME: pl.Float64, POSE: pl.Int64, REPEAT: pl.Int64},
+        )
+        readings = self._table(
+            "SELECT step, name, value FROM reading ORDER BY step, place",
+            {"step": pl.Int64, "name": pl.String, "value": pl.Float64},
+        )
+        steps, values = points["step"], readings.pivot("name", index="step", values="value")
         if doubts := self.doubts():
-            head[OUTLIER] = pl.Series([int(row[0] in doubts) for row in points], dtype=pl.Int64)
-        reasons = {k: step.reason for k, step in enumerate(self.plan.steps)} if points else {}
-        told = {REASON: pl.Series([reasons.get(row[0], "") for row in points])} if any(reasons.values()) else {}
-        return pl.DataFrame({**head, **{n: pl.Series(v, dtype=pl.Float64) for n, v in columns.items()}, **told})
+            points = points.with_columns(steps.is_in([*doubts]).cast(pl.Int64).alias(OUTLIER))
+        frame = points.join(values, on="step", how="left", maintain_order="left")
+        reasons = {k: step.reason for k, step in enumerate(self.plan.steps)} if len(points) else {}
+        told = [reasons.get(step, "") for step in steps] if any(reasons.values()) else None
+        return frame if told is None else frame.with_columns(pl.Series(REASON, told))
+
+    def _table(self, question: str, schema: dict[str, Any]) -> pl.DataFrame:
+        return pl.DataFrame(self._db.execute(question).fetchall(), schema, orient="row")
 
     def measurements(self) -> Measurements:
         """The rows as measurements, by time. Raises :class:`~sherkit.errors.MeasurementError` where there are none."""

@@ -43,33 +43,28 @@ class RunLock:
             self.release()
             raise
 
-    @classmethod
-    def _locked(cls, lock: Path, run: Path) -> int:
+    @staticmethod
+    def _locked(lock: Path, run: Path) -> int:
         while True:
-            file = cls._opened(lock, run)
+            file = opened_lock(lock)
+            try:
+                _take(file)
+            except OSError as error:
+                who = os.read(file, 64).decode("ascii", "replace").strip()
+                os.close(file)
+                if not isinstance(error, BlockingIOError | PermissionError):
+                    raise ExperimentError(
+                        f"{lock}: cannot be locked: {error.strerror}; put the run file on a disk of this computer"
+                    ) from None
+                raise ExperimentError(
+                    f"{run}: is being measured by another program{f' (process {who})' if who.isdigit() else ''}; one "
+                    "run has one runner. End that one first"
+                ) from None
             # who had it may have taken its file away meanwhile: then it is a lock of nothing
             with suppress(OSError):
                 if os.path.samestat(os.fstat(file), os.lstat(lock)):
                     return file
             os.close(file)
-
-    @staticmethod
-    def _opened(lock: Path, run: Path) -> int:
-        file = opened_lock(lock)
-        try:
-            _take(file)
-        except OSError as error:
-            who = os.read(file, 64).decode("ascii", "replace").strip()
-            os.close(file)
-            if not isinstance(error, BlockingIOError | PermissionError):
-                raise ExperimentError(
-                    f"{lock}: cannot be locked: {error.strerror}; put the run file on a disk of this computer"
-                ) from None
-            raise ExperimentError(
-                f"{run}: is being measured by another program{f' (process {who})' if who.isdigit() else ''}; one run "
-                "has one runner. End that one first"
-            ) from None
-        return file
 
     def release(self) -> None:
         """Gives it back; twice does no harm."""

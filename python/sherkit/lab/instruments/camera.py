@@ -54,18 +54,20 @@ class Frame:
     time_s: float
 
 
+@dataclass(frozen=True)
 class Snapshots:
     """A camera that hands out single pictures at an address (PNG or JPEG over HTTP), as many network cameras do.
 
     Each read asks anew, so that no picture comes from a buffer. Anything else than a picture is no frame.
     """
 
-    def __init__(self, address: str, timeout_s: float = 5.0) -> None:
-        if not address.startswith(("http://", "https://")):
+    address: str
+    timeout_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not self.address.startswith(("http://", "https://")):
             # an address of another kind could be a file of this machine
-            raise InstrumentError(f"'{address}': expected http://<address of the picture>")
-        self._address = address
-        self._timeout_s = timeout_s
+            raise InstrumentError(f"'{self.address}': expected http://<address of the picture>")
 
     def isOpened(self) -> bool:  # noqa: N802
         """Whether there is a picture."""
@@ -74,7 +76,7 @@ class Snapshots:
     def read(self) -> tuple[bool, Any]:
         """Whether there is a picture, and the picture (rows, columns)."""
         try:
-            with urllib.request.urlopen(self._address, timeout=self._timeout_s) as answer:
+            with urllib.request.urlopen(self.address, timeout=self.timeout_s) as answer:
                 data = answer.read(_MOST_BYTES)
         except (OSError, http.client.HTTPException):
             return False, None

@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import inspect
 import threading
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from typing import Any
@@ -195,10 +194,11 @@ class _Device:
         return self.instrument.read()
 
 
-class _Mover(_Device, ABC):
-    """What one axis and all axes share."""
+class _Mover(_Device):
+    """What one axis and all axes share: its values are numbers, or those of all axes together."""
 
     instrument: Galil
+    _is_one = False
 
     def __init__(self, galil: Galil, name: str, columns: Mapping[Axis, str]) -> None:
         super().__init__(galil, name, {a.label: (column, galil.unit) for a, column in columns.items()})
@@ -208,13 +208,15 @@ class _Mover(_Device, ABC):
         self._lock = threading.Lock()
         self._setpoint: dict[str, float] = {}
 
-    @abstractmethod
     def _targets(self, value: Any) -> dict[str, float]:
         """What ``set`` was given, by letters; refused outside the soft limits."""
+        if self._is_one:
+            value = {self.axes[0].letter: float(value)}
+        return self.instrument.check(value if isinstance(value, Mapping) else [float(v) for v in value])
 
-    @abstractmethod
     def _shown(self, values: tuple[float, ...]) -> Any:
         """Values of the axes, as ``set`` takes them."""
+        return values[0] if self._is_one else values
 
     @property
     def position(self) -> Any:
@@ -279,6 +281,8 @@ class _Mover(_Device, ABC):
 class GalilAxis(_Mover):
     """One axis, moved by ``set(mm)``, which is its one column. Called as its joint unless ``name`` says otherwise."""
 
+    _is_one = True
+
     def __init__(self, galil: Galil, axis: str, name: str = "") -> None:
         found = [a for a in galil.axes if axis in (a.label, a.letter)]
         if not found:
@@ -286,12 +290,6 @@ class GalilAxis(_Mover):
         self.axis = found[0]
         name = name or self.axis.label
         super().__init__(galil, name, {self.axis: name})
-
-    def _targets(self, value: float) -> dict[str, float]:
-        return self.instrument.check({self.axis.letter: float(value)})
-
-    def _shown(self, values: tuple[float, ...]) -> float:
-        return values[0]
 
 
 class GalilAxes(_Mover):
@@ -303,12 +301,6 @@ class GalilAxes(_Mover):
     def __init__(self, galil: Galil, name: str = "") -> None:
         name = name or galil.name
         super().__init__(galil, name, {a: f"{name}_{a.label}" for a in galil.axes})
-
-    def _targets(self, value: Sequence[float] | Mapping[str, float]) -> dict[str, float]:
-        return self.instrument.check(value if isinstance(value, Mapping) else [float(v) for v in value])
-
-    def _shown(self, values: tuple[float, ...]) -> tuple[float, ...]:
-        return values
 
 
 class Detector(_Device):

@@ -19,9 +19,9 @@ from .base import Identity, Instrument, Reading
 from .transport import Transport
 
 _LENGTH_DIGITS = 10
-_HEADER_BYTES = 88
-#: Peaks on each of the four channels.
-_COUNTS = struct.Struct("<4H")
+#: Of the x30: peaks on each of four channels; serial number of the sample, µs and s; its own size; units of a nm; the
+#: shortest and the longest wavelength.
+_X30 = struct.Struct("<16x4H4x3I10xH20xI4x2I")
 #: More peaks than any of them finds; a longer answer is garbled.
 _MOST_BYTES = 1 << 20
 _HYPERION = struct.Struct("<BBHI")
@@ -50,24 +50,21 @@ def parse_length(raw: bytes) -> int:
 
 def parse_peaks(payload: bytes) -> Peaks:
     """The answer to ``#GET_DATA``: 88 bytes of header, then the peaks. Raises :class:`~sherkit.errors.Garbled`."""
-    if len(payload) < _HEADER_BYTES:
-        raise Garbled(f"{len(payload)} bytes; expected a header of {_HEADER_BYTES}", received=payload)
-    counts = _COUNTS.unpack_from(payload, 16)
-    serial, micros, seconds = struct.unpack_from("<III", payload, 28)
-    (header,) = struct.unpack_from("<H", payload, 50)
-    granularity, start, end = struct.unpack_from("<I4xII", payload, 72)
-    if header != _HEADER_BYTES or granularity == 0 or micros >= 1_000_000:
+    if len(payload) < _X30.size:
+        raise Garbled(f"{len(payload)} bytes; expected a header of {_X30.size}", received=payload)
+    *counts, serial, micros, seconds, header, granularity, start, end = _X30.unpack_from(payload)
+    if header != _X30.size or granularity == 0 or micros >= 1_000_000:
         raise Garbled(
-            f"a header of {header} bytes, granularity {granularity}, {micros} µs; expected {_HEADER_BYTES}, above 0, "
+            f"a header of {header} bytes, granularity {granularity}, {micros} µs; expected {_X30.size}, above 0, "
             "below 1000000",
             received=payload,
         )
-    if len(payload) != _HEADER_BYTES + 4 * sum(counts):
+    if len(payload) != _X30.size + 4 * sum(counts):
         raise Garbled(
-            f"{len(payload) - _HEADER_BYTES} bytes of peaks; expected {4 * sum(counts)} for {sum(counts)} peaks",
+            f"{len(payload) - _X30.size} bytes of peaks; expected {4 * sum(counts)} for {sum(counts)} peaks",
             received=payload,
         )
-    raw = np.frombuffer(payload, "<u4", offset=_HEADER_BYTES)
+    raw = np.frombuffer(payload, "<u4", offset=_X30.size)
     low, high = (start, end) if start < end else (_SHORTEST_NM * granularity, _LONGEST_NM * granularity)
     nm = raw / granularity
     if not ((raw >= low) & (raw <= high)).all():

@@ -16,7 +16,6 @@ import numpy as np
 import tomli_w
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from ...base.types import Floats
 from ...calibration import calibrate
 from ...cli import output
 from ...cli.demo import EXAMPLE
@@ -297,11 +296,9 @@ def _compare(folder: Path, lab: RunningLaboratory) -> None:
         seen = np.array([[p.values[axis] for axis in POSITION] for p in points])
         joints = np.array([s.joints for s in experiment.plan])
         true = np.array([lab.bench.position(q, 0.0) for q in joints])
-        row = [v for there in (seen, true) for v in _miss_um(there, experiment.targets)]
+        row = []
+        for there in (seen, true):
+            miss = 1e3 * np.linalg.norm(there - experiment.targets, axis=1)
+            row += [np.sqrt(np.mean(miss**2)), miss.max()]
         made.add_row(called, *[f"{v:.1f}" for v in row])
     output.out.print(made)
-
-
-def _miss_um(there: Floats, targets: Floats) -> tuple[float, float]:
-    miss = 1e3 * np.linalg.norm(there - targets, axis=1)
-    return float(np.sqrt(np.mean(miss**2))), float(miss.max())
