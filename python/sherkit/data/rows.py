@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -238,6 +239,12 @@ class Measurements:
             return self.time_s
         known = [*self.layout.joints, *self.covariates]
         raise EffectError(f"these rows have no '{name}'{nearest(name, known)}; they have {listed(known, 20)}")
+
+    @cached_property
+    def digest(self) -> str:
+        """What tells these rows, in any order, from those of any other run: of joints and readings."""
+        every = np.column_stack([self.joints, np.where(self.taken, self.readings, 0.0)]) + 0.0
+        return hashlib.sha256(every[np.lexsort(every.T)].tobytes()).hexdigest()[:16]
 
     def with_readings(self, readings: Floats) -> Measurements:
         """The same rows with other readings (n, m), NaN where one was not taken. Raises ``ShapeError``."""

@@ -19,7 +19,6 @@ from .effect import Effect, Parameter, Setting, check_user_effect
 from .rows import EffectRows
 from .tolerances import Apart
 
-
 #: Plausible sizes of where an instrument stands that are as good as none: ten metres, any turn.
 _ANYWHERE = 1e3
 

@@ -238,6 +238,8 @@ class IdentifiedModel:
     #: regions that were left out whole exceeds that of poses among others.
     poses: Floats = field(default_factory=lambda: np.zeros((0, 0)), kw_only=True)
     elsewhere: float = field(default=1.0, kw_only=True)
+    #: By which the rows of the run are known again; empty in earlier files.
+    digest: str = field(default="", kw_only=True)
 
     @classmethod
     def identified(cls, fit: Fit, size: int, *, shrink: float = 1.0, **own: Any) -> Self:
@@ -263,6 +265,7 @@ class IdentifiedModel:
             high=np.zeros(size),
             made_from=f"{data.source}, setup {data.last_set_up}" if data.set_ups else data.source,
             rows=len(data),
+            digest=data.digest,
             readings=data.layout.coordinates,
             poses=outermost(data.joints[data.used.any(axis=1)]),
             elsewhere=1.0 if fit.elsewhere is None else fit.elsewhere.beside(fit.error),
@@ -301,6 +304,7 @@ class IdentifiedModel:
         return {
             "made_from": key(Table.words, empty=True),
             "rows": key(Table.whole, least=0),
+            "digest": Key(lambda table, name: table.words(name, empty=True) if table.has(name) else ""),
             "effects": key(Table.texts),
             "left_out": key(Table.texts),
             "covariance": key(Table.covariance, values),
