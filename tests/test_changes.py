@@ -159,7 +159,12 @@ def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], 
     found = json.loads(said(capsys, 3, "verify", "calibrated.toml", "after.csv", "--json", "--fail-if-invalid"))
     assert found["verdict"] == "not valid"
     assert "base_angle_2" in {*found["changed"], *(name for tie in found["indistinguishable"] for name in tie)}
-    text = said(capsys, 0, "verify", "calibrated.toml", "before.csv", "--fail-if-invalid")
+    # what it was made from says nothing of it
+    own = json.loads(said(capsys, 0, "verify", "calibrated.toml", "before.csv", "--json", "--fail-if-invalid"))
+    assert own["verdict"] == "undecided"
+    assert "calibrated from" in own["silent"]
+    pl.read_csv(folder / "before.csv")[:-9].write_csv(folder / "again.csv")
+    text = said(capsys, 0, "verify", "calibrated.toml", "again.csv", "--fail-if-invalid")
     assert text.startswith("Verdict: valid: ")
     assert "would have been found" in text
     assert "would have shown" in text

@@ -387,8 +387,8 @@ def _turned(
 
 
 def _since(model: ModelWithEffects, data: Measurements, datum: Bools, now: Plausible) -> list[Mistake]:
-    """That the instrument was set up anew, where a fit that wild rows do not move leaves much of all rows on one side of
-    a moment, and of next to none beyond it, and that is all that is wrong with them."""
+    """That the instrument was set up anew, where a fit that wild rows do not move leaves much of all rows on one side
+    of a moment, and of next to none beyond it, and that is all that is wrong with them."""
     one, found = _anew(model, data, datum)
     if found is None:
         return []

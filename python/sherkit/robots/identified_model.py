@@ -304,7 +304,7 @@ class IdentifiedModel:
         return {
             "made_from": key(Table.words, empty=True),
             "rows": key(Table.whole, least=0),
-            "digest": Key(lambda table, name: table.words(name, empty=True) if table.has(name) else ""),
+            "digest": key(Table.words, empty=True),
             "effects": key(Table.texts),
             "left_out": key(Table.texts),
             "covariance": key(Table.covariance, values),
