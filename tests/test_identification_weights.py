@@ -136,8 +136,8 @@ STAND = np.array([p.name.startswith("sensor_") for p in ALL.parameters])
 
 
 def test_priors_decide_where_rows_are_few() -> None:
-    """Catches a prior of wrong size or place: three poses against SciPy's minimum with the sizes as further rows, of where
-    the instrument stands a thousand of them."""
+    """Catches a prior of wrong size or place: three poses against SciPy's minimum with the sizes as further rows, of
+    where the instrument stands a thousand of them."""
     wide = sizes(ALL) * np.where(STAND, 1e3, 1.0)
     rng = np.random.default_rng(91)
     poses = POSES[[3, 60, 100]]
