@@ -1,10 +1,10 @@
 """When it is known: the rule by which looks become a verdict, whatever the number of looks.
 
 *Named* is what a diagnosis would name, where there is evidence of 100 in all, is 10,000 times as likely as every rival
-and 1,000 times as likely as shapes, and leaves nothing. It is *explained* once its own Bayes factor has grown twentyfold
-on twelve readings or more that were taken after it was named. *Unexplained* is what shapes tell far better than the
-effect that leads, or what that leaves, at two looks running. What is seen of nothing is *adequate* only where it would
-have been seen.
+and 1,000 times as likely as shapes, and leaves nothing. It is *explained* once its own Bayes factor has grown
+twentyfold on twelve readings or more that were taken after it was named. *Unexplained* is what shapes tell far better
+than the effect that leads, or what that leaves, at two looks running. What is seen of nothing is *adequate* only where
+it would have been seen.
 """
 
 from __future__ import annotations
