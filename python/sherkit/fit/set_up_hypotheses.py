@@ -422,8 +422,8 @@ def _left_by_turns(measured: Floats, predicted: Floats) -> Floats:
     a, b = summed(one), summed(other)
     squares = summed((one**2).sum(axis=1) + (other**2).sum(axis=1)) - ((a**2).sum(axis=1) + (b**2).sum(axis=1)) / count
     cross = summed(one[:, :, None] * other[:, None, :]) - a[:, :, None] * b[:, None, :] / count[:, None, None]
-    values = np.linalg.svd(cross, compute_uv=False)
-    values[:, 2] *= np.sign(np.linalg.det(cross))
+    values = np.sqrt(linalg.eigvalsh(cross.transpose(0, 2, 1) @ cross).clip(0.0))
+    values[:, 0] *= np.sign(np.linalg.det(cross))
     return np.asarray(squares - 2.0 * values.sum(axis=1))
 
 

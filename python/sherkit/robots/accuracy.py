@@ -196,10 +196,14 @@ class Accurate(Deployed):
         tool.
         """
 
-    def counted(self, part: IdentifiedModel, frame: str, effect: Effect | None = None) -> Bools:
-        """Which identified values (p,) of a part move places in a frame, themselves or by what they took of an
-        ``effect``: in that of the base none of the instrument's, where there are two."""
+    def counted_beside(self, part: IdentifiedModel, frame: str, effect: Effect) -> Bools:
+        """The same by what they took of an effect."""
         del effect
+        return self.counted(part, frame)
+
+    def counted(self, part: IdentifiedModel, frame: str) -> Bools:
+        """Which identified values (p,) of a part move places in a frame: in that of the base none of the instrument's,
+        where there are two."""
         model = part.model(self.robot)
         others = model.of_sensor if frame == BASE and len(self.frames) > 1 else ()
         return np.array([p.name not in others for p in model.parameters[: len(part.values)]], dtype=bool)
@@ -419,7 +423,7 @@ class Accurate(Deployed):
         )
         by_values, by, by_joints = by_effect(model, part.values, effect, one.setting, part.readings, joints, known)
         moves = by if self.moves(effect, frame) else np.zeros_like(by)
-        missed = one.missed(np.where(self.counted(part, frame, effect), by_values, 0.0), moves, functions)
+        missed = one.missed(np.where(self.counted_beside(part, frame, effect), by_values, 0.0), moves, functions)
         return self.carried(joints, by_joints, missed)
 
     def moves(self, effect: Effect, frame: str) -> bool:
@@ -441,7 +445,7 @@ class Accurate(Deployed):
         now = np.column_stack([np.tile(part.now[:2], (len(x), 1)), sides])
         spreads = [self.spread(x, joints, frame=frame) + part.scatter for frame in self.frames]
         counted = tuple(
-            Counted(spread, partial(self.counted, part, frame), partial(self.moves, frame=frame))
+            Counted(spread, partial(self.counted_beside, part, frame), partial(self.moves, frame=frame))
             for spread, frame in zip(spreads, self.frames, strict=True)
         )
         return AccuracyQuery(x, joints, now, counted, self.carried)

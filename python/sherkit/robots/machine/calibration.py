@@ -216,7 +216,7 @@ class MachineCalibration(Calibration):
     def _core_elsewhere(self) -> MachineCalibrated:
         return replace(self.core, seen_from=self.sensor_frame)
 
-    def counted(self, part: IdentifiedModel, frame: str, effect: Effect | None = None) -> Bools:
+    def counted(self, part: IdentifiedModel, frame: str) -> Bools:
         """Nor is what was identified of the instrument alone in any frame."""
         return super().counted(part, frame) & _ours(self.model.parameters[: len(part.values)])
 
