@@ -20,7 +20,7 @@ from ..fit.identify import identify
 from . import rule, told
 from .choice import are_beyond
 from .held import BatchLooks, accuracy_um
-from .look import InterimAnalysis, called
+from .look import InterimAnalysis
 from .told import mistaken
 from .vouching import louder_than_told, structure_of, told_of
 
@@ -88,7 +88,7 @@ def conclude(loop: BatchLooks) -> Conclusion:
         if tied:
             notes = _would_tell(found)
     if done and verdict == "unexplained":
-        why = f"{why}: what is left looks like {called(found.shapes[0])}" if found.shapes else why
+        why = f"{why}: what is left looks like {max(found.unknown, key=found.unknown.__getitem__)}"
         why = "; ".join((why, *loop.against))
     if done and verdict != "adequate" and (mistakes := mistaken(found.known.model, found.data, found.fit.values)):
         # what a wrong column leaves is no physics, and looks like much of it

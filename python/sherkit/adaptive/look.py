@@ -20,12 +20,14 @@ from ..evidence.family import Family
 from ..evidence.names import Names, judged_names
 from ..evidence.run import Run
 from ..evidence.sets import EffectSet, Sets
-from ..evidence.thresholds import TIED
+from ..evidence.thresholds import SURE, TIED
 from ..fit.identify import Fit
 from .known import FixedBefore
 from .noise import ROUGH, LoopNoise, expected, left_by, rough_of, run_of_rows
 
 _ROUNDS = 3
+#: The part of what a leader takes that a shape must hold to be that once more, in a wider form.
+_HOLDS = 0.98
 #: What may be left beside one that leaves nothing, and by how much a name must grow to be confirmed (a logarithm).
 LEFT = float(np.log(20.0))
 
@@ -85,18 +87,20 @@ class InterimAnalysis:
         lead = self.lead
         return () if lead is None else (lead, *(one for one in self.names.ties if one.value > lead.value - TIED))
 
-    @property
-    def shapes(self) -> tuple[Block, ...]:
-        """Shapes that describe what is left without any effect."""
-        return self.names.alone.shapes
-
     @cached_property
     def ahead(self) -> float:
         """By how much the leader says more than shapes in its place: those that describe what is left without it, or
-        the best one where nothing has to be described."""
-        alone, beside = self.names.alone, self.names.beside
+        the best one where nothing has to be described. One that holds all that the leader takes is that once more, in a
+        wider form: it needs only be less likely."""
+        alone, lead = self.names.alone, self.lead
         of_shapes = alone.evidence if alone.shapes else float(self.base.shapes.max(initial=-np.inf))
-        return (0.0 if self.lead is None else self.lead.value + beside.evidence) - of_shapes
+        if lead is None:
+            return -of_shapes
+        told = self.base.residual - lead.base.residual
+        for wider in alone.shapes[:1]:
+            basis = self.base.beside(wider).basis[:, self.base.basis.shape[1] :]
+            of_shapes -= SURE if float(np.square(basis.T @ told).sum()) > _HOLDS * float(told @ told) else 0.0
+        return lead.value + self.names.beside.evidence - of_shapes
 
     @cached_property
     def causes(self) -> dict[str, float]:
@@ -105,11 +109,16 @@ class InterimAnalysis:
         lead = self.lead
         out = {" & ".join(one.names): one.value
                for one in self.sets if lead is None or not set(lead.names) <= set(one.names)}  # fmt: skip
-        if self.shapes:
-            out[" & ".join(map(called, self.shapes[:2]))] = self.names.alone.evidence
-        out[ROUGH] = rough_of(self.base)
         first = {} if lead is None else {" & ".join(lead.names): lead.value}
-        return first | dict(sorted(out.items(), key=lambda one: -one[1]))
+        return first | dict(sorted((out | self.unknown).items(), key=lambda one: -one[1]))
+
+    @cached_property
+    def unknown(self) -> dict[str, float]:
+        """What is in no catalogue and would explain the readings without any effect, by name, with its value."""
+        alone = self.names.alone
+        return {ROUGH: rough_of(self.base)} | (
+            {" & ".join(map(called, alone.shapes[:2])): alone.evidence} if alone.shapes else {}
+        )
 
     @cached_property
     def by_effect(self) -> dict[str, Block]:
