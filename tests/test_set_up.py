@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -99,6 +100,26 @@ def test_an_instrument_that_was_set_up_anew_is_said_from_its_first_row(
     assert "set up anew" in said.sentence
     assert "'setup'" in said.sentence
     assert f"row {line} " in said.sentence
+
+
+def test_an_instrument_that_was_set_up_anew_twice_is_said_twice() -> None:
+    """Catches a second move that hides behind the first one: said with it, or once a column 'setup' has the first."""
+
+    def change(c: dict[str, Any]) -> dict[str, Any]:
+        rank = np.argsort(np.argsort(c["time_s"])) / len(c["time_s"])
+        seen = np.stack([c[name] for name in POSITION])
+        for since, degrees, by_mm in ((0.3, 35.0, 1000.0), (0.7, -20.0, -400.0)):
+            turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+            seen = np.where(rank >= since, turn @ seen + by_mm, seen)
+        return dict(zip(POSITION, seen, strict=True))
+
+    world, rows = mistakes.columns(change)(worlds.clean(2)), set[int]()
+    rank = np.argsort(np.argsort(world.columns["time_s"]))
+    while said := [one.sentence for one in told(world) if "set up anew" in one.sentence]:
+        rows |= {int(rank[int(row)]) for row in re.findall(r"before row (\d+)", said[0])}
+        names = np.searchsorted(sorted(rows), rank, side="right")
+        world = replace(world, columns=world.columns | {"setup": np.array(["A", "B", "C"])[names]})
+    assert sorted(rows) == [int(np.ceil(part * len(rank))) for part in (0.3, 0.7)]
 
 
 @pytest.mark.filterwarnings("ignore:.*are they in metres:sherkit.SherkitWarning")

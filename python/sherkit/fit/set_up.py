@@ -411,13 +411,23 @@ def _since(model: ModelWithEffects, data: Measurements, datum: Bools, now: Plaus
 
 def _anew(model: ModelWithEffects, data: Measurements, datum: Bools) -> tuple[SetUpHypothesis, Plausible | None]:
     """The rows before an instrument was set up anew, as they would have been seen since."""
-    try:
-        one = set_up_anew(model, data)
-    except NOT_COMPUTED:
-        one = None
-    if one is None:
-        return SetUpHypothesis("", "", model, data), None
-    return one, plausible_fit(model, one.data, datum)
+    one, found = SetUpHypothesis("", "", model, data), None
+    for _ in range(_MOST_MISTAKES):
+        try:
+            again = set_up_anew(model, one.data)
+        except NOT_COMPUTED:
+            again = None
+        better = None if again is None else plausible_fit(model, again.data, datum)
+        # once more where that is worth it
+        if (
+            again is None
+            or better is None
+            or (found is not None and better.misfit + again.farther > found.misfit - _MUCH)
+        ):
+            break
+        one = again if found is None else replace(again, looks=f"{one.looks}, and {again.looks.partition('looks ')[2]}")
+        found = better
+    return one, found
 
 
 def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:

@@ -386,7 +386,7 @@ def set_up_anew(model: ModelWithEffects, data: Measurements) -> SetUpHypothesis 
     names = data.layout.coordinates
     whole = np.flatnonzero(data.used[:, : len(names)].all(axis=1))
     rows = whole[np.argsort(data.order[whole], kind="stable")]
-    if data.set_up is not None or len(names) != 3 or {*map(unit_in, names)} != {"mm"} or len(rows) < 2 * _A_SIDE:
+    if len(names) != 3 or {*map(unit_in, names)} != {"mm"} or len(rows) < 2 * _A_SIDE:
         return None
     predicted = model.predict(data, np.zeros(len(model.parameters)))[rows, :3]
     seen = data.readings[rows, :3]
