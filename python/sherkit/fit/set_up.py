@@ -242,9 +242,12 @@ def _wrong(
     if datum is None or data.used.sum() < _READINGS * len(model.parameters):
         return []
     now = plausible_fit(model, data, datum)
+    # a fit that wild rows do not move may leave little of most, and the others were read from elsewhere
+    asked = now is not None and model.stands_anywhere and most == _MOST_MISTAKES
+    if now is not None and asked and (since := _since(model, data, datum, now)):
+        return since
     if now is not None and _is_small(now, data):
-        # of most rows; others may have been read from elsewhere
-        return _since(model, data, datum, now) if model.stands_anywhere and most == _MOST_MISTAKES else []
+        return []
     stands = min((p for p in (now, free) if p is not None), key=lambda p: p.misfit, default=None)
     better = _much_better(model, data, datum, stands, now)
     unit, per_unit = data.layout.unit, data.layout.per_unit
