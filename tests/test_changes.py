@@ -178,6 +178,24 @@ def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], 
     assert kind_of(bumped.robot).name == "delta"
 
 
+def test_a_check_is_the_same_wherever_the_tracker_stood() -> None:
+    """Catches rounding where a turn of a tracker ten metres away is a shift to many digits: a machine that is as it was
+    was refused in half of the checks."""
+    before = DeltaPair(3)
+    run = sk.from_frame(before.runs[0])
+    check, found = run.select(np.arange(0, len(run), 3)), []
+    noise = 0.002 * np.random.default_rng(1).normal(size=check.readings.shape)
+    check = check.with_readings(np.where(check.taken, check.readings + noise, np.nan))
+    for by_mm in (0.0, 1e4):
+        there = run.with_readings(np.where(run.taken, run.readings + by_mm, np.nan))
+        made = sk.calibrate(before.robot, there, correction="none").calibration
+        found.append(sk.verify(made, check))
+    near, far = found
+    assert near.verdict == far.verdict
+    for name, value in near.error.items():
+        assert far.error[name] == pytest.approx(value, rel=0.05), name
+
+
 def checked(seed: int, changed: str, ratio: float, repeats: int = 2) -> tuple[sk.changes.Verification, float]:
     """A check of a delta by a dozen poses, and what its model is truly off, µm."""
     before = DeltaPair(seed)

@@ -170,8 +170,10 @@ class _Known:
         size = np.array([p.size for p in model.parameters])
         covariance = np.diag(size**2)
         covariance[:count, :count] = part.covariance
-        value, vector = linalg.eigh(covariance)
-        return cls(calibration, model, values, vector * np.sqrt(value.clip(0.0)))
+        # each in its own deviation: where an instrument stands metres away a turn of it is a shift to many digits
+        std = np.sqrt(np.diag(covariance).clip(1e-300))
+        value, vector = linalg.eigh(covariance / np.outer(std, std))
+        return cls(calibration, model, values, std[:, None] * vector * np.sqrt(value.clip(0.0)))
 
     def corrected(self, data: Measurements, axes: tuple[int, ...]) -> Floats | None:
         """What is deployed beside the model (n, m), as the sensor saw it; None where nothing is."""

@@ -114,7 +114,9 @@ def _ways(base: Base, stand: Floats, promised: float) -> tuple[Floats, Floats, F
         some[at] = mine[:, known] * (promised / size[known])
         ways.append(some)
         share += [1.0 / max(known.sum(), 1)] * int(known.sum())
-    return left, np.concatenate(ways, axis=1), np.array(share)
+    # each of unit length: what an instrument does metres away is a million times what a joint does
+    length = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
+    return left / length, np.concatenate(ways, axis=1) * length[:, None], np.array(share)
 
 
 def shows(columns: Floats, basis: Floats) -> Floats:
