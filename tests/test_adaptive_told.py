@@ -10,7 +10,7 @@ from scipy import stats
 
 import sherkit as sk
 from driven_worlds import DrivenDelta
-from sherkit.adaptive.noise import Agreement
+from sherkit.adaptive.noise import Agreement, accidents
 from sherkit.data.rows import directions
 from sherkit.errors import MeasurementError
 from sherkit.evidence.thresholds import SCALES
@@ -51,6 +51,18 @@ def test_the_mean_of_that_never_rises_where_poses_agree() -> None:
     factors = np.array([np.exp(Agreement.of(rng.normal(size=36), pose, 36).log_bf) for _ in range(2000)])
     assert factors.mean() < 1.0 + 3.0 * factors.std() / np.sqrt(len(factors))
     assert np.mean(factors >= 100.0) <= 0.01
+
+
+@pytest.mark.parametrize(
+    ("far", "aside"),
+    [
+        ([0] * 30 + [1] * 12, 0), ([1] * 8 + [0] * 30, 0), ([1] * 6 + [0] * 30 + [1, 1, 0, 1, 1, 1, 1], 0),
+        ([0] * 10 + [1] * 3 + [0] * 20 + [1], 4), ([1, 0, 1] + [0] * 30, 2),
+    ],
+)  # fmt: skip
+def test_what_nearly_all_rows_do_from_a_moment_on_is_no_accident(far: list[int], aside: int) -> None:
+    """Catches a robot that slipped, of which the rows since are set aside until "the rest is no run any more"."""
+    assert int(accidents(np.array(far, dtype=bool)).sum()) == aside
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.types import Floats, Ints
+from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD, noise_of
 from ..data.noise import ReadingNoise as Weights
@@ -85,6 +85,8 @@ def rough_of(base: Base) -> float:
 GROSS = 7.0
 #: Readings beyond the parameters from which rows can be told to be wrong; noise that is the same.
 _BEYOND, _SAME = 6, 0.1
+#: Rows of a beginning or an end at least, and the part of them that is far off, that are no accidents.
+_NEWS, _NEARLY_ALL = 6, 0.8
 #: Plausible sizes are knowledge where readings are fewer than so many times the parameters.
 _FEW = 3.0
 #: Readings from which the course of the noise is looked at, and how many stand for "all axes alike".
@@ -136,7 +138,7 @@ def left_by(run: Run, now: LoopNoise, unsure: Ints) -> LoopNoise:
     if left.size > len(run.of.fit.values) + _BEYOND and spread > 0:
         off = np.nan_to_num(run.of.fit.residuals[:, list(run.of.axes)]) / now.sigma
         off[run.rows] = left
-        wrong = np.flatnonzero((np.abs(off) > GROSS * spread).any(axis=1))
+        wrong = np.flatnonzero(accidents((np.abs(off) > GROSS * spread).any(axis=1)))
         # what most rows do is no accident of a few: a channel that sticks, one that is read a row late
         wrong = wrong if 2 * len(wrong) <= len(off) else wrong[:0]
     wrong = np.union1d(wrong, unsure)
@@ -149,6 +151,17 @@ def left_by(run: Run, now: LoopNoise, unsure: Ints) -> LoopNoise:
     told = run.view.time is not None and len(left) >= _ENOUGH
     rho = correlation_in_time(run.view.residual, basis, run.white.back) if told else 0.0
     return LoopNoise(wrong, np.sqrt(drawn / np.exp(np.mean(np.log(drawn)))), rho)
+
+
+def accidents(far: Bools) -> Bools:
+    """Those of rows in the order of time that are ``far`` off (n,) that are no beginning and no end of the run: what
+    nearly all rows do from a moment on is news."""
+    out = far.copy()
+    for some in (out, out[::-1]):
+        end = int(np.argmax(np.cumsum(np.where(some, 1, -1)))) + 1
+        if end >= _NEWS and some[:end].mean() >= _NEARLY_ALL:
+            some[:end] = False
+    return out
 
 
 def expected(known: FixedBefore, data: Measurements, before: LoopNoise, unsure: Ints, best: Fit) -> LoopNoise:
