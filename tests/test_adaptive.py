@@ -176,6 +176,14 @@ def test_other_robots(world: Callable[[], World], name: str) -> None:
     assert (loop.verdict, loop.effects) == ("explained", (name,))
 
 
+@pytest.mark.slow
+def test_a_tie_names_nobody_twice() -> None:
+    """Catches one effect at two moments as its own rival."""
+    loop = drive(DrivenDelta(62, ("slip",), 5.0), budget=200, span_min=30.0)
+    assert all(len(set(tie)) == len(tie) for tie in loop.indistinguishable)
+    assert {"slip"} <= {*loop.effects, *sum(loop.indistinguishable, ())}
+
+
 def forward(joints: Any, p: Any) -> Floats:
     """A plotter whose axes are not square."""
     x, y = joints.T

@@ -84,8 +84,14 @@ class InterimAnalysis:
     def ties(self) -> tuple[EffectSet, ...]:
         """Sets that these rows cannot tell from the leader, itself first: over a fixed reference what was expected of
         each counts, too, and not only how near it comes."""
-        lead = self.lead
-        return () if lead is None else (lead, *(one for one in self.names.ties if one.value > lead.value - TIED))
+        if self.lead is None:
+            return ()
+        near = {self.lead.names: self.lead}
+        for one in self.names.ties:
+            # at another moment an effect is the same
+            if one.value > self.lead.value - TIED:
+                near.setdefault(one.names, one)
+        return tuple(near.values())
 
     @cached_property
     def ahead(self) -> float:
