@@ -105,7 +105,7 @@ def conclude(loop: BatchLooks) -> Conclusion:
     if (verdict == "explained" and (done or state.done)) or (verdict == "adequate" and done):
         lead = found.lead if verdict == "explained" else None
         if lead is not None or verdict == "adequate":
-            accuracy = accuracy_um(loop, found, lead.names if lead else (), lead.run.of.fit if lead else found.fit)
+            accuracy = accuracy_um(loop, found, lead.names if lead else (), found.best_fit if lead else found.fit)
         needed = loop.required_um
         if state.done and not spent and needed is not None and accuracy is not None and accuracy > needed:
             more = found.readings * (accuracy / needed) ** 2

@@ -182,7 +182,7 @@ class Progress:
 
 def progress(before: InterimAnalysis | None, now: InterimAnalysis, seed: int) -> Progress:
     """How far it is at a look, by what the one before it held."""
-    fit = now.lead.run.of.fit if now.lead is not None else now.fit
+    fit = now.best_fit
     try:
         accuracy = now.known.accuracy_um(now.data, fit, seed)
     except SherkitError:  # a fit by which the robot reaches nothing
@@ -190,7 +190,7 @@ def progress(before: InterimAnalysis | None, now: InterimAnalysis, seed: int) ->
     if before is None:
         return Progress(now.readings, float("nan"), float("nan"), accuracy)
     geometry = _missed(before.fit, before, now)
-    lead = geometry if before.lead is None else _missed(before.lead.run.of.fit, before, now)
+    lead = geometry if before.lead is None else _missed(before.best_fit, before, now)
     return Progress(now.readings, geometry, lead, accuracy)
 
 

@@ -75,6 +75,11 @@ class InterimAnalysis:
         """The set that leads."""
         return self.names.lead
 
+    @property
+    def best_fit(self) -> Fit:
+        """With what leads, or the model alone."""
+        return self.fit if self.lead is None else self.lead.run.of.fit
+
     @cached_property
     def rest(self) -> float:
         """By how much the readings favour that something is missing beside the leader; without one, at all."""
@@ -156,17 +161,15 @@ def look(known: FixedBefore, data: Measurements, before: InterimAnalysis | None 
     now = LoopNoise(unsure, np.ones(len(known.axes)), 0.0)
     if before is not None:
         # what explained best explains the new rows, as a rule
-        best = before.run if before.lead is None else before.lead.run
-        now = expected(known, data, before.noise, unsure, best.of.fit)
+        now = expected(known, data, before.noise, unsure, before.best_fit)
     for _ in range(_ROUNDS):
         family = Family(run_of_rows(known, data, now), known.reference)
         sets = Sets(family, Base.of(family, family.run))
-        found = sets.found()
-        then = left_by(sets.leading(found).run if found else family.run, now, unsure)
+        then = left_by(sets.leading(sets.found).run if sets.found else family.run, now, unsure)
         if then.is_near(now):
             break
         now = then
-    return InterimAnalysis(known, data, sets.base, tuple(found), judged_names(sets), now)
+    return InterimAnalysis(known, data, sets.base, tuple(sets.found), judged_names(sets), now)
 
 
 def moved(data: Measurements) -> bool:

@@ -11,6 +11,7 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD, noise_of
 from ..data.noise import ReadingNoise as Weights
+from ..diagnosis.outliers import off_at_an_end
 from ..errors import SherkitError
 from ..evidence.base import Base, total
 from ..evidence.fitted_run import FittedRun
@@ -157,10 +158,8 @@ def accidents(far: Bools) -> Bools:
     """Those of rows in the order of time that are ``far`` off (n,) that are no beginning and no end of the run: what
     nearly all rows do from a moment on is news."""
     out = far.copy()
-    for some in (out, out[::-1]):
-        end = int(np.argmax(np.cumsum(np.where(some, 1, -1)))) + 1
-        if end >= _NEWS and some[:end].mean() >= _NEARLY_ALL:
-            some[:end] = False
+    for rows in off_at_an_end(far, _NEWS, _NEARLY_ALL):
+        out[rows] = False
     return out
 
 

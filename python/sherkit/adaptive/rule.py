@@ -47,7 +47,7 @@ class Unseen:
 def outlook(found: InterimAnalysis, level: float) -> tuple[Unseen, ...]:
     """For every effect of the catalogue that can be tried; an alarm is evidence of one over the ``level``."""
     # the noise of one reading, in its unit, as the best explanation leaves it
-    noise = float((found.fit if found.lead is None else found.lead.run.of.fit).scale)
+    noise = float(found.best_fit.scale)
     return (*(_outlook(found, name, noise, level) for name in found.known.effects), _outlook_rough(found, noise, level))
 
 

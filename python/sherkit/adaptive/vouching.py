@@ -165,8 +165,7 @@ def _wrong_again(found: InterimAnalysis, rows: Ints) -> list[int]:
 
 def _off(found: InterimAnalysis) -> Floats:
     """What the best explanation leaves of each row (n, m) on the axes."""
-    fit = found.lead.run.of.fit if found.lead is not None else found.fit
-    return np.nan_to_num(fit.residuals[:, list(found.known.axes)])
+    return np.nan_to_num(found.best_fit.residuals[:, list(found.known.axes)])
 
 
 def louder_than_told(found: InterimAnalysis, verdict: str) -> str:
@@ -177,7 +176,7 @@ def louder_than_told(found: InterimAnalysis, verdict: str) -> str:
     axes = list(found.known.axes)
     each = declared.sigma[:, axes][found.data.used[:, axes]]
     said = float(np.exp(np.mean(np.log(each))))
-    left = float((found.lead.run.of.fit if verdict == "explained" and found.lead else found.fit).scale)
+    left = float((found.best_fit if verdict == "explained" else found.fit).scale)
     layout = found.data.layout
     if left <= _QUIET_ENOUGH * said:
         return ""

@@ -269,15 +269,20 @@ def _ends(view: Linearised, outliers: Bools) -> Bools:
     """Rows, as they were read, from the first up to a moment, or from one on, that are off nearly all, and by what one
     slip does to all of them: something slipped there, and what was read before it is as good as what was read after."""
     out = np.zeros(len(outliers), dtype=bool)
-    every = np.arange(len(outliers))
-    for rows in (every, every[::-1]):
-        end = int(np.argmax(np.cumsum(np.where(outliers[rows], 1, -1)))) + 1
-        if end < _FEWEST_OF_AN_END or outliers[rows[:end]].mean() < _OUTLYING_END:
-            continue
-        here = np.sort(rows[:end])
-        if _slipped(view, here, outliers):
-            out[here] = True
+    for rows in off_at_an_end(outliers, _FEWEST_OF_AN_END, _OUTLYING_END):
+        if _slipped(view, rows, outliers):
+            out[rows] = True
     return out
+
+
+def off_at_an_end(off: Bools, fewest: int, part: float) -> Iterator[Ints]:
+    """The beginning and the end (k,) of rows (n,) in the order of time, as far as they are long enough and this part of
+    them is ``off`` at least."""
+    every = np.arange(len(off))
+    for rows in (every, every[::-1]):
+        end = int(np.argmax(np.cumsum(np.where(off[rows], 1, -1)))) + 1
+        if end >= fewest and off[rows[:end]].mean() >= part:
+            yield np.sort(rows[:end])
 
 
 def _slipped(view: Linearised, rows: Ints, outliers: Bools) -> bool:

@@ -69,7 +69,7 @@ class Names:
 
 def judged_names(sets: Sets) -> Names:
     """Searches a run's sets of effects and judges each effect of the leading one."""
-    found = sets.found()
+    found = sets.found
     alone = sets.described(sets.base, MOST, 1)
     if not found:
         return Names(None, (), {}, (), alone, alone, sets.base)

@@ -184,6 +184,7 @@ class Sets:
             self._described[key] = described(base, most, starts)
         return self._described[key]
 
+    @cached_property
     def found(self) -> list[EffectSet]:
         """Sets of effects, the likeliest first; none where nothing is missing.
 

@@ -244,12 +244,13 @@ def _wrong(
     now = plausible_fit(model, data, datum)
     # a fit that wild rows do not move may leave little of most, and the others were read from elsewhere
     asked = now is not None and model.stands_anywhere and most == _MOST_MISTAKES
-    if now is not None and asked and (since := _since(model, data, datum, now)):
+    anew = _anew(model, data, datum) if asked else None
+    if now is not None and anew is not None and (since := _since(model, data, now, *anew)):
         return since
     if now is not None and _is_small(now, data):
         return []
     stands = min((p for p in (now, free) if p is not None), key=lambda p: p.misfit, default=None)
-    better = _much_better(model, data, datum, stands, now)
+    better = _much_better(model, data, datum, stands, now, anew)
     unit, per_unit = data.layout.unit, data.layout.per_unit
     before = float("nan") if now is None else per_unit * now.error
     if not better:
@@ -272,8 +273,9 @@ def _wrong(
 
 
 def _much_better(
-    model: ModelWithEffects, data: Measurements, datum: Bools, stands: Plausible | None, now: Plausible | None
-) -> list[tuple[SetUpHypothesis, Plausible]]:
+    model: ModelWithEffects, data: Measurements, datum: Bools, stands: Plausible | None, now: Plausible | None,
+    anew: tuple[SetUpHypothesis, Plausible | None] | None,
+) -> list[tuple[SetUpHypothesis, Plausible]]:  # fmt: skip
     """The set-up that explains the run much better than it ``stands`` or fits ``now``, first, and those that are as
     good: every coordinate that it touches gets better, and none worse."""
     every = list(hypotheses(model, data))
@@ -281,7 +283,7 @@ def _much_better(
     likely = sorted((found.misfit, k) for k, found in enumerate(first) if found is not None)[:_LOOKED_AT]
     fitted = [(every[k], plausible_fit(every[k].model, every[k].data, datum)) for _, k in likely]
     if model.stands_anywhere:
-        fitted += [_anew(model, data, datum)]
+        fitted += [_anew(model, data, datum) if anew is None else anew]
     else:
         fitted += [_turned(model, data, datum, mirrored=mirrored) for mirrored in (False, True)]
     better = []
@@ -389,10 +391,11 @@ def _turned(
     return one or SetUpHypothesis("", "", model, data), found
 
 
-def _since(model: ModelWithEffects, data: Measurements, datum: Bools, now: Plausible) -> list[Mistake]:
+def _since(
+    model: ModelWithEffects, data: Measurements, now: Plausible, one: SetUpHypothesis, found: Plausible | None
+) -> list[Mistake]:
     """That the instrument was set up anew, where a fit that wild rows do not move leaves much of all rows on one side
     of a moment, and of next to none beyond it, and that is all that is wrong with them."""
-    one, found = _anew(model, data, datum)
     if found is None:
         return []
     moved: Bools = np.asarray((one.data.readings != data.readings).any(axis=1))
