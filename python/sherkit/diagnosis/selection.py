@@ -62,6 +62,12 @@ class NamedEffects:
         return judged.ties if judged is not None and self.added and not judged.refused else ()
 
     @property
+    def lead(self) -> FittedRun | None:
+        """The full fit with what says most of the run, whether it is named or not."""
+        judged = self.names_judged
+        return None if judged is None or judged.lead is None else judged.lead.run.of
+
+    @property
     def structure(self) -> bool:
         """Whether what is left has one that nothing named explains."""
         judged = self.names_judged
