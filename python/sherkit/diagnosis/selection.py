@@ -78,6 +78,8 @@ class NamedEffects:
         """By how much, in nats, the readings favour that something is missing: what no effect of these explains, or
         what is left beside all that are named."""
         judged = self.names_judged
+        if self.structure and self.added:
+            return max(self.base.evidence, self.left.evidence)
         if self.structure or judged is None or judged.lead is None:
             return self.first.evidence
         return judged.lead.rest
