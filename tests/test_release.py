@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -22,7 +23,7 @@ from sherkit.cli import c_library, doctor
 from sherkit.cli.groups import OpenGroup
 from sherkit.cli.verbs import cli
 from sherkit.errors import CalibrationError, SherkitError
-from sherkit.robots.c_header import c_array, calibration_header
+from sherkit.robots.c_header import c_array, calibration_header, covariates_needed
 from test_c_library import LIBRARY, ROOT, built_archive, make_robots, run, tool
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -122,6 +123,10 @@ def test_a_python_that_lacks_libraries_does_all_that_needs_none_of_them(tmp_path
 # -- C -------------------------------------------------------------------------------------------------------------
 
 
+#: What a calibration says of its effects and of where the run ended.
+WARM = SimpleNamespace(effects=("rail_lean", "thermal_growth", "backlash"), now=(600.0, 21.5, 0.0, 0.0, 0.0))
+
+
 def test_a_calibration_becomes_a_header_that_compiles(tmp_path):
     """Catches an infinite corner that C has no word for, a number that is rounded, and a name that ends the comment."""
     row = np.array([3.0, 1.0, -np.inf, np.inf, 0.1, 1e-300])
@@ -139,10 +144,19 @@ def test_a_calibration_becomes_a_header_that_compiles(tmp_path):
     class Made:
         robot = make_robots.EXAMPLE
         core = make_robots.delta()
+        parts_made = (WARM,)
 
     header = calibration_header(Made(), "a*/b.toml")  # type: ignore[arg-type]
     assert "*/b" not in header
     assert "sherkit_delta_init" in header
+    assert covariates_needed(Made()) == {"thermal_growth": ("temperature_c",), "backlash": ("direction",)}  # type: ignore[arg-type]
+    assert "thermal_growth needs temperature_c.\n   backlash needs direction.\n   Where that is NaN, or" in header
+    assert "sherkit_delta_covariates robot_now = {600.0, 21.5, {0.0, 0.0, 0.0}};" in header
+
+    class Plain(Made):
+        parts_made = (SimpleNamespace(effects=("rail_lean",), now=WARM.now),)
+
+    assert "No effect in it needs covariates: they may be NULL." in calibration_header(Plain())  # type: ignore[arg-type]
 
     class Arm(Made):
         core = object()
@@ -157,6 +171,7 @@ def test_the_loop_of_the_wheel_runs(tmp_path):
     class Made:
         robot = make_robots.EXAMPLE
         core = make_robots.delta()
+        parts_made = (WARM,)
 
     (tmp_path / "robot.h").write_text(calibration_header(Made()), encoding="utf-8")  # type: ignore[arg-type]
     flags = [
@@ -192,6 +207,7 @@ def test_what_the_installed_wheel_ships_links(tmp_path):
     class Made:
         robot = make_robots.EXAMPLE
         core = make_robots.delta()
+        parts_made = (WARM,)
 
     (tmp_path / "robot.h").write_text(calibration_header(Made()), encoding="utf-8")  # type: ignore[arg-type]
     for more in ([], ["--shared"]):
