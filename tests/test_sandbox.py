@@ -38,8 +38,7 @@ def ramp(rows, p):
     %s
     return p.a * np.outer(np.sin(rows.position[:, 0] / 7.0), [0, 0, 1])
 """
-#: Fails only once the effect is asked for a value that is not zero, as a mistake in a formula does.
-#: Beyond what its trial asks for, a thousandth of its plausible size.
+#: Fails only once the effect is asked for more than in its trial, a thousandth of its plausible size.
 _LATE = "if abs(p.a) > 1.5e-4: %s"
 
 
