@@ -165,6 +165,41 @@ def test_a_calibration_becomes_a_header_that_compiles(tmp_path):
         calibration_header(Arm(), "arm.toml")  # type: ignore[arg-type]
 
 
+def test_what_stands_in_for_covariates_is_what_python_takes(tmp_path):
+    """Catches a program that ends every call for want of a direction, and other covariates than Python's."""
+
+    class Arm:
+        robot = make_robots.KIND.example
+        core = make_robots.serial()
+        parts_made = (SimpleNamespace(effects=("backlash",), now=(600.0, 21.5, 1.0, -1.0, 1.0, 0.0, 1.0, -1.0)),)
+
+    (tmp_path / "robot.h").write_text(calibration_header(Arm()), encoding="utf-8")  # type: ignore[arg-type]
+    (tmp_path / "now.c").write_text(
+        """
+        #include <stdio.h>
+        #include "robot.h"
+        int main(void)
+        {
+            static sherkit_serial robot;
+            const double joints[6] = {0.1, -0.9, 1.2, -0.4, 0.7, 0.3};
+            double x[3];
+            if (robot_init(&robot) != SHERKIT_OK)
+                return 1;
+            if (sherkit_serial_forward(&robot, joints, NULL, x, NULL) != SHERKIT_NOT_FINITE)
+                return 2;
+            if (sherkit_serial_forward(&robot, joints, &robot_now, x, NULL) != SHERKIT_OK)
+                return 3;
+            printf("%.17g %.17g %.17g\\n", x[0], x[1], x[2]);
+        }
+        """,
+        encoding="utf-8",
+    )
+    flags = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{LIBRARY / 'include'}", f"-I{tmp_path}"]
+    run(tool("cc"), *flags, tmp_path / "now.c", built_archive(), "-lm", "-o", tmp_path / "now")
+    place, _ = Arm.core.forward(np.array([0.1, -0.9, 1.2, -0.4, 0.7, 0.3]), [*Arm.parts_made[0].now, 0.0])
+    assert [float(word) for word in run(tmp_path / "now").split()] == place.tolist()
+
+
 def test_the_loop_of_the_wheel_runs(tmp_path):
     """Catches an example that a user cannot build, or that misses its targets."""
 

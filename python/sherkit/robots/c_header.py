@@ -42,8 +42,9 @@ def calibration_header(calibration: Calibration, source: str = "calibrated.toml"
             f"{source}: a {calibration.robot.kind} robot runs in Python alone; the C library has deltas, spherical "
             "robots, serial arms and the flexible tool"
         )
-    guard, infinite = f"{name.upper()}_H", not all(map(math.isfinite, row))
     time_s, temperature_c, *direction = calibration.parts_made[0].now
+    finite = all(map(math.isfinite, [*row, time_s, temperature_c, *direction]))
+    guard = f"{name.upper()}_H"
     now = [c_number(time_s), c_number(temperature_c)]
     now.append(f"{{{', '.join(map(c_number, direction))}}}")
     if kind == "sherkit_serial":
@@ -55,7 +56,7 @@ Lengths mm, angles rad. */
 #ifndef {guard}
 #define {guard}
 
-{_NO_LITERAL if infinite else ""}#include "sherkit.h"
+{"" if finite else _NO_LITERAL}#include "sherkit.h"
 
 {c_array(f"{name}_numbers", row)}
 
