@@ -416,6 +416,13 @@ def test_one_scale_with_a_true_bar_and_circle(demo: Run) -> None:
         assert ratio == pytest.approx(f.frame_height / f.frame_width, rel=0.01)
 
 
+def test_planes_side_by_side_share_an_axis(demo: Run) -> None:
+    """Catches an axis for each panel of a row, which makes the row wider than a window."""
+    figures = [one for one, _, _ in residual_map(change(demo), planes_across=True, width_px=730).root.children]
+    assert [one.yaxis[0].visible for one in figures] == 2 * [True, False, False]
+    assert sum(one.frame_width for one in figures[:3]) <= 730
+
+
 def test_no_circle_where_the_noise_is_unknown(plane: Run) -> None:
     """Catches a noise that nobody knows, drawn."""
     made = residual_map(change(plane))
