@@ -73,7 +73,16 @@ def judged_names(sets: Sets) -> Names:
     alone = sets.described(sets.base, MOST, 1)
     if not found:
         return Names(None, (), {}, (), alone, alone, sets.base)
-    lead = sets.leading(found)
+    judged = _judged(sets, sets.leading(found), found, alone)
+    if judged.lead is None or not judged.lead.explains or not judged.refused:
+        return judged
+    # what shapes say as much as may be a tie's that is less beside them
+    others = (_judged(sets, tie, found, alone) for tie in judged.ties if tie.explains and tie.plausible)
+    return next((one for one in others if not one.refused), judged)
+
+
+def _judged(sets: Sets, lead: EffectSet, found: list[EffectSet], alone: ShapeDescription) -> Names:
+    """Each effect of a set that leads or is tied with it."""
     beside = sets.described(lead.base, MOST, 1)
     # where effects say far more than shapes no other beginning of these changes that
     if lead.value + beside.evidence - alone.evidence < 2.0 * NEEDED:
