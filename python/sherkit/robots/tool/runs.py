@@ -39,7 +39,7 @@ _SAME, _UNLIKE, _SCALE = 0.8, 0.9, 30.0
 #: A reflection takes this much of what a turn leaves, where the motion has three directions.
 _MIRRORED = 0.02
 #: A camera further off than a tool is long was never registered, mm.
-_ELSEWHERE_MM = 60.0
+ELSEWHERE_MM = 60.0
 
 
 def check_unit(wavelengths_nm: Floats, reference_nm: Floats, source: str) -> None:
@@ -169,7 +169,7 @@ def check_camera(robot_mm: Floats, seen_mm: Floats, source: str) -> None:
     if alike.rigid > _SAME and (wrong := alike.other_units):
         raise MeasurementError(f"{source}: {wrong}")
     off = float(np.median(np.linalg.norm(seen_mm - robot_mm, axis=1)))
-    if off > _ELSEWHERE_MM:
+    if off > ELSEWHERE_MM:
         warnings.warn(
             f"{source}: the camera sees the tip {off:.0f} mm from where the robot has it: is [camera] of the tool file "
             "that of this camera? sherkit register finds it from a free motion",

@@ -28,12 +28,10 @@ from ..filters import estimate as run_filters
 from ..model import Applied
 from ..runs import read_free_motion, read_tool_run, summary
 from ..tool import load_tool
-from ..trust import trust
+from ..trust import COARSE, trust
 
 #: Filters by the name that a person gives, and by what a tool file calls their noise.
 _FILTERS = {"rod": "propagated", "paper": "ebrahimi_2020", "paper-of-force": "ebrahimi_2020_of_force"}
-#: Beyond this share of the variance a truth says more about the camera than about the tip.
-_COARSE = 0.8
 _KNOWN = "Does the filter know its own errors?"
 _KNOWLEDGE = ("rows", "95 % cover", "NEES", "99 % band", "largest / σ", "verdict")
 
@@ -123,11 +121,11 @@ def _error_cells(e: SignalErrors) -> tuple[str, ...]:
 def print_knowledge(truths: list[NeesConsistency]) -> None:
     """Whether stated deviations are true, where a truth is known."""
     if truths:
-        coarse = any(k.of_truth > _COARSE for k in truths)
+        coarse = any(k.of_truth > COARSE for k in truths)
         table = output.table(
             _KNOWN, "", *_KNOWLEDGE,
             note="NEES per degree of freedom is 1 where deviations are true"
-            + (f"; more than {100 * _COARSE:.0f} % of the tip's is the camera's own std_mm" if coarse else ""),
+            + (f"; more than {100 * COARSE:.0f} % of the tip's is the camera's own std_mm" if coarse else ""),
         )  # fmt: skip
         for cells in _knowledge_cells(truths):
             table.add_row(*cells)
@@ -139,7 +137,7 @@ def _knowledge_cells(truths: list[NeesConsistency]) -> Iterator[tuple[str, ...]]
     its own."""
     for k in truths:
         if k.signal == "filter" or k.condition == "whole run":
-            own = ", or the camera" if k.verdict == "overconfident" and k.of_truth > _COARSE else ""
+            own = ", or the camera" if k.verdict == "overconfident" and k.of_truth > COARSE else ""
             yield (
                 f"{k.quantity}, {k.signal}, {k.condition}", str(k.rows), f"{k.coverage:.3f}", f"{k.nees:.2f}",
                 f"{k.low:.2f} to {k.high:.2f}", f"{k.largest:.1f}", f"{k.verdict}{own}",
@@ -161,8 +159,8 @@ def _json(e: Estimate, judged: list[ErrorStatistics], truths: list[NeesConsisten
             }
             for j in judged
         },
-        "trust": {"verdict": told.verdict, "sentence": told.sentence, "to_do": told.to_do,
-                  "noticed": list(told.noticed)},
+        "trust": {"verdict": told.verdict, "of": told.of, "sentence": told.sentence, "to_do": told.to_do,
+                  "noticed": list(told.noticed), "checks": [asdict(one) for one in told.checks]},
         "innovations": finite(e.depth.consistency.ratio),
         "knowledge": knowledge_json(truths),
         "status": status_in_words(e.depth),
