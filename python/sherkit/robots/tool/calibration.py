@@ -21,6 +21,7 @@ from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from .bench_doubts import against_drawing, robust_gains, wrong_loads
 from .bench_fit import (
+    AS_GOOD,
     CONVENTIONS,
     DIFFERENCES,
     BenchFit,
@@ -168,7 +169,7 @@ class ToolCalibration:
 
     ``gains_std`` (2, 2, 3); ``rms_mn_mm`` (2,) is what the moments leave at sections I and II. ``convention`` is how
     the
-    table was read, ``chi2`` that of every other reading beside it, by the scatter of the one that was chosen.
+    table was read, ``chi2`` by how much less likely each reading is than the likeliest (twice the logarithm).
     ``distances_mm`` (2, 2) are sections with their deviations, ``zero_mm`` by how much the bench counts too deep;
     ``slope_mn_mm2`` is EI by the paper's slope at the drawn length, ``stiffness_mn_mm2`` and ``length_mm`` are fitted,
     all three None without deflections. ``scatter`` is what rows scatter by. ``lack_of_fit`` are sentences on what the
@@ -193,10 +194,19 @@ class ToolCalibration:
     @property
     def read_as(self) -> str:
         """How the table was read, and how much worse every other reading is."""
-        others = [f"{self.chi2[c]:.0f}" for c in CONVENTIONS if c in self.chi2 and c != self.convention]
-        if not others:
+        if len(self.chi2) < 2:
             return f"{self.convention}, as told"
-        return f"{self.convention}: χ² {self.chi2[self.convention]:.0f} against {', '.join(others)}"
+        own = self.chi2[self.convention]
+        others = {c: self.chi2[c] - own for c in CONVENTIONS if c in self.chi2 and c != self.convention}
+        near = min(others, key=lambda c: others[c])
+        if others[near] > AS_GOOD:
+            return (
+                f"{self.convention}: χ² is less by {', '.join(f'{v:.0f}' for v in others.values())} than as else read"
+            )
+        return (
+            f"{self.convention}, or as well: {near} (χ² differs by {abs(others[near]):.1f}); larger bends "
+            "would tell, or [bench] of the tool file"
+        )
 
 
 @linalg.one_thread()

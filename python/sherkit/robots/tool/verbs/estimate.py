@@ -239,9 +239,9 @@ def print_calibration(result: ToolCalibration) -> None:
     output.say(f"   {result.read_as}")
     scatter = result.scatter
     output.say(
-        f"   rows scatter by {scatter.load_mn:.2g} mN of the cell, friction of {scatter.friction:.2g} and "
-        f"{1000 * scatter.gauge_mm:.2g} µm of the gauge; the bench counts {result.zero_mm[0]:+.2f} ± "
-        f"{result.zero_mm[1]:.2f} mm too deep"
+        f"   rows scatter by {scatter.load_mn:.2g} mN of the cell, friction of {scatter.friction:.2g}, "
+        f"{1000 * scatter.gauge_mm:.2g} µm of the gauge and {1000 * scatter.place_mm:.2g} µm of the places; the bench "
+        f"counts {result.zero_mm[0]:+.2f} ± {result.zero_mm[1]:.2f} mm too deep"
     )
     if result.slope_mn_mm2 and result.stiffness_mn_mm2 and result.length_mm:
         shaft = output.table("Shaft", "", "value", "± std")
