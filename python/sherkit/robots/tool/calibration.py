@@ -112,9 +112,9 @@ def check_loads(tool: FlexibleTool, loads: Loads) -> None:
     near = tool.distances_mm[0]
     bad = rows & ~((loads.depth_mm >= -_ZERO_MM) & (loads.depth_mm < near))
     if bad.any():
-        row = int(np.argmax(bad))
+        row, depth = int(np.argmax(bad)), ARC if loads.told[0] == "arc" else DEPTH
         raise MeasurementError(
-            f"{source}: row {row + 1}, column '{DEPTH}': a load at {loads.depth_mm[row]:g} mm from the tip; expected 0 "
+            f"{source}: row {row + 1}, column '{depth}': a load at {loads.depth_mm[row]:g} mm from the tip; expected 0 "
             f"to {near:g}, below section I: is it measured from the clamp?"
         )
     width = linalg.singular_values(loads.force_mn[rows])
@@ -157,6 +157,8 @@ def check_sizes(tool: FlexibleTool, rows: LoadRows, slope_mn_mm2: float | None, 
 
 #: Places of the moments of sections I and II, along and across the load, among the residuals.
 _OF_SECTIONS = np.array([[0, 3], [1, 4]])
+#: No bench has its loads further from where they are said to be, mm, nor drags by more of the force.
+_FARTHEST_MM, _MOST_FRICTION = 1.0, 0.5
 #: Lack of fit is said below this p-value.
 _LACK_P = 1e-4
 #: What a mean of three fibres answers is not known better than this, over a fibre's own shift.
@@ -228,7 +230,7 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
         within = rest - reference
         within = within - within.mean(axis=1, keepdims=True)
         noise = float(np.sqrt((within**2).sum() / ((count - 1) * 8))) or tool.noise_nm
-    rows = _rows(loads, reference)
+    rows = loaded_rows(loads, reference)
     bad, larger = wrong_loads(tool, rows)
     noticed = [
         f"row {np.flatnonzero(loaded)[i] + 1}: its force of {rows.size_mn[i]:.4g} mN is not the one that its gratings "
@@ -249,7 +251,13 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
             f"{loads.source}: no tool makes these rows: sections at {value.distances_mm[0]:.3g} and "
             f"{value.distances_mm[1]:.3g} mm of {value.length_mm:.3g} mm; is the drawing that of this tool?"
         )
+    if not (np.abs(best.expected[:, :2]).max(axis=0) > 0.0).all():
+        raise FitError(
+            f"{loads.source}: no tool makes these rows: by what fits best no load bends section I or II; are depths in "
+            "mm from the tip, and forces in mN?"
+        )
     lacks = [one for one in lack_of_fit(best) if one.p < _LACK_P]
+    noticed += strange(best.scatter)
     means, off = _means(best)
     doubt = replace(
         left_open(best, lacks), mean=off,
@@ -275,7 +283,22 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     )  # fmt: skip
 
 
-def _rows(loads: Loads, reference_nm: Floats) -> LoadRows:
+def strange(scatter: Scatter) -> list[str]:
+    """Sentences on a scatter that no bench has, into which a column of another unit goes."""
+    told = []
+    if scatter.place_mm > _FARTHEST_MM:
+        told.append(
+            f"loads stood {scatter.place_mm:.2g} mm from where the table has them: are depths in mm, from the tip?"
+        )
+    if scatter.friction > _MOST_FRICTION:
+        told.append(
+            f"loads drag along the shaft by {scatter.friction:.2g} of their force: are depths and forces those of "
+            "these rows?"
+        )
+    return told
+
+
+def loaded_rows(loads: Loads, reference_nm: Floats) -> LoadRows:
     """The loaded rows."""
     on = loads.loaded
     force = loads.force_mn[on]

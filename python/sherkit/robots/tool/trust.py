@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...base.answer import Answer, ToDo
+from ...base.figures import listed
 from .checks import Check, checks
 from .consistency import NeesConsistency, known_of
 from .filters import Estimate
@@ -79,14 +80,21 @@ def _judged(e: Estimate, truths: list[NeesConsistency]) -> tuple[str, str, str]:
     if tip is None or tip.verdict == "unknown":
         return verdict, "depth", told
     told += f"; {100 * tip.coverage:.0f} % of the pictures lie where the tip is stated to be, NEES {tip.nees:.2f}"
-    # where the camera is the coarser of both an error beyond what is stated may as well be its own
-    if verdict != "overconfident" and tip.verdict == "overconfident" and tip.of_truth <= COARSE:
+    if tip.verdict == "overconfident" and tip.of_truth > COARSE:
+        # an error beyond what is stated may as well be that of the coarser of both
+        return verdict, "depth", f"{told}: or std_mm of [camera] is too small"
+    if tip.verdict == "overconfident" and verdict != "overconfident":
         return "overconfident", "tip", told
     return verdict, "depth", told
 
 
 def _noticed(e: Estimate) -> list[str]:
     out = []
+    if gaps := e.run.gaps:
+        spans = listed((f"{a:.2f} to {b:.2f} s" for a, b in gaps), 4)
+        out.append(
+            f"No row of the robot came from {spans}: a hole that moved meanwhile is known again by the next forces"
+        )
     if (share := float(e.goes_along[-1])) > 0.0:
         out.append(
             f"The hole goes along with the shaft, by about {100 * share:.0f} % of each slide: the depth is known less "
