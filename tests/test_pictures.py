@@ -592,6 +592,14 @@ def test_each_scale_says_what_it_shows(demo: Run, scale: str) -> None:
         assert key["bar_text"][0].endswith("σ" if scale == "noise" else "µm")
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.143, 0.192), (0.012, 0.0131), (0.004, 3.0), (1.9, 2.3)])
+def test_an_axis_has_numbers_however_narrow(low: float, high: float) -> None:
+    """Catches candidates within a few micrometres of each other on an axis without a number."""
+    inside = [tick for tick in style.ticks_between(low, high) if low <= tick <= high]
+    assert 3 <= len(inside) <= 12
+    assert all(float(f"{tick:.4g}") == pytest.approx(tick) for tick in inside)
+
+
 def test_bracket_holds_what_is_tied(plane: Run, demo: Run) -> None:
     """Catches a bracket around others, one where nothing is tied, and an implausible size that looks plausible."""
     assert plane.study

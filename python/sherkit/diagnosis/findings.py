@@ -20,6 +20,7 @@ from .result import (  # fmt: skip
     FEW,
     MISSING,
     NEXT,
+    NOTHING,
     SINGLY,
     STANDS,
     WHERE,
@@ -355,7 +356,7 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
     elif _fails(d, AS_DRAWN):
         yield "measure at the machine what is so far from the robot's file, and correct the file or look again", ""
     else:
-        yield "nothing; go on with the model as it is", ""
+        yield NOTHING, ""
 
 
 def _own_that_helps(d: Diagnosis) -> str | None:

@@ -27,6 +27,8 @@ from .where import Dependence
 AS_DRAWN, DIGITS, DECLARED = "as_drawn", "digits", "noise_as_declared"
 #: The check that rows that are wrong lie as accidents do.
 FEW, SINGLY = "gross_errors", "apart"
+#: What comes next where the verdict has already said that the model holds.
+NOTHING = "nothing; go on with the model as it is"
 #: The check that repeats differ by noise alone.
 REPEATS = "repeats_are_noise"
 #: The check that tests lack of fit.
@@ -377,7 +379,8 @@ class Diagnosis(Shown):
         to_do = [ToDo((brings or cause).to_do)]
         if elsewhere is not None:
             to_do.append(ToDo(elsewhere.to_do))
-        to_do.append(ToDo(told["next"].answer, told["next"].command))
+        if told["next"].answer != NOTHING:
+            to_do.append(ToDo(told["next"].answer, told["next"].command))
         return Answer(
             self.headline, cause.answer, tuple(str(one) for one in beside if one is not None),
             tuple(one for one in to_do if one.sentence), self._bars(), self.unit,
