@@ -26,7 +26,7 @@ _PUT_RIGHT, _AGAIN = "put that right, and estimate again", "use the other second
 
 
 @dataclass(frozen=True)
-class Check:
+class RunCheck:
     """``what`` must hold; ``holds`` is None where the run does not tell. What contradicts, and what to do then."""
 
     what: str
@@ -35,7 +35,7 @@ class Check:
     to_do: str = _PUT_RIGHT
 
 
-def checks(e: Estimate, truths: list[NeesConsistency]) -> tuple[Check, ...]:
+def checks(e: Estimate, truths: list[NeesConsistency]) -> tuple[RunCheck, ...]:
     """All that a run is asked, the causes before what follows from them."""
     return (
         _robot(e), _columns(e, truths), _check("the run began where the tool file says", began(e)),
@@ -43,8 +43,8 @@ def checks(e: Estimate, truths: list[NeesConsistency]) -> tuple[Check, ...]:
     )  # fmt: skip
 
 
-def _check(what: str, sentences: list[str], to_do: str = _PUT_RIGHT) -> Check:
-    return Check(what, not sentences, tuple(sentences), to_do)
+def _check(what: str, sentences: list[str], to_do: str = _PUT_RIGHT) -> RunCheck:
+    return RunCheck(what, not sentences, tuple(sentences), to_do)
 
 
 # -- The robot beside the gratings ------------------------------------------------------------------------------------
@@ -53,15 +53,15 @@ def _check(what: str, sentences: list[str], to_do: str = _PUT_RIGHT) -> Check:
 _BENT = 20.0
 
 
-def _robot(e: Estimate) -> Check:
+def _robot(e: Estimate) -> RunCheck:
     """Whether place and turn were recorded: neither is the same number all the time while the other moves, or the tool
     bends."""
     run, what = e.run, "the robot's pose was recorded"
     place, turn = (bool((values == values[0]).all()) for values in (run.position_mm, run.turn_rad))
     if not place:
-        return Check(what)
+        return RunCheck(what)
     if not turn:
-        return Check(what, False, (
+        return RunCheck(what, False, (
             f"{listed(POSITION)} are the same in all rows, to the last digit, while the tool turned: their source "
             "froze (a topic that was not renewed, a column that was not written)",
         ), "record the robot's places, and measure again")  # fmt: skip
@@ -69,8 +69,8 @@ def _robot(e: Estimate) -> Check:
     bends = waves - waves.mean(axis=2, keepdims=True)
     known = np.isfinite(bends).all(axis=(1, 2))
     if not known.any() or float(bends[known].std(axis=0).max()) < _BENT * e.tool.noise_nm:
-        return Check(what, None)
-    return Check(what, False, (
+        return RunCheck(what, None)
+    return RunCheck(what, False, (
         "The robot's pose is the same in all rows, to the last digit, while the tool was bent: either its source "
         "froze, or it held still and the hole moved, and depth and tip know of neither",
     ), "look at what records the robot, and measure again")  # fmt: skip
@@ -85,13 +85,13 @@ _HARDLY, _METRES, _ALIKE = 0.02, (500.0, 2000.0), 0.7
 _LEAST_ROWS = 50
 
 
-def _motion(e: Estimate) -> Check:
+def _motion(e: Estimate) -> RunCheck:
     """Whether the depth by the gratings goes as the robot goes along the shaft, which it does through one hole."""
     run, what = e.run, "the robot's motion explains how the depth goes"
     std = e.fibre_depth_std_mm
     told = np.isfinite(e.fibre_depth_mm) & np.isfinite(std) & ~e.faulty_sections[:, :2].any(axis=1)
     if told.sum() < _LEAST_ROWS or (run.position_mm == run.position_mm[0]).all():
-        return Check(what, None)
+        return RunCheck(what, None)
     weight = 1.0 / (std[told] ** 2 + _FINEST_MM**2)
     weight /= weight.sum()
 
@@ -103,9 +103,9 @@ def _motion(e: Estimate) -> Check:
     robot = spread(along[told])
     goes, moved, left = (float(np.sqrt(weight @ v**2)) for v in (fibres, robot, fibres - robot))
     if goes < max(_GOES_MM, _GOES * float(np.sqrt(weight @ std[told] ** 2))):
-        return Check(what, None)
+        return RunCheck(what, None)
     if left < _LEAVES * goes:
-        return Check(what)
+        return RunCheck(what)
     alike = float(weight @ (fibres * robot)) / (goes * moved)
     if alike > _ALIKE and _METRES[0] < goes / moved < _METRES[1]:
         why = f"are {listed(POSITION)} in m? They are in mm"
@@ -115,7 +115,7 @@ def _motion(e: Estimate) -> Check:
         why = f"it goes the other way: is one of {listed(POSITION)} turned round, or the tool's z, which is to the tip?"
     else:
         why = "is the tool file that of this tool, calibrated on its bench, and does the shaft go through one hole?"
-    return Check(what, False, (
+    return RunCheck(what, False, (
         f"By the gratings the depth goes by ± {goes:.2g} mm, the robot's motion along the shaft by ± {moved:.2g} mm, "
         f"which leaves ± {left:.2g} mm of it: {why}",
     ))  # fmt: skip
@@ -128,7 +128,7 @@ def _motion(e: Estimate) -> Check:
 _AT_ONCE, _MOST = 2, 0.5
 
 
-def _gratings(e: Estimate) -> Check:
+def _gratings(e: Estimate) -> RunCheck:
     """Whether the sections agree with the tool file in most of the run: one grating may be dead, not two of three."""
     read = np.isfinite(e.run.wavelengths_nm)
     out = ((e.faulty[:, None] >> np.arange(9)) & 1 > 0) & read
@@ -139,9 +139,9 @@ def _gratings(e: Estimate) -> Check:
     named = [name for k, name in enumerate(FIBRES) if share[k] > _MOST]
     what = "the gratings agree with the tool file"
     if not (lost.any() or len(named) > _AT_ONCE):
-        return Check(what)
+        return RunCheck(what)
     some = named or [name for k, name in enumerate(FIBRES) if lost[k // 3]]
-    return Check(what, False, (
+    return RunCheck(what, False, (
         f"{listed(some)} are left out in {100 * float(out[rows].any(axis=1).mean()):.0f} % of the rows, and nothing "
         "checks what is left: is the tool file that of this tool, calibrated on its bench?",
     ))  # fmt: skip
@@ -155,16 +155,16 @@ _FAR = 2.5
 _LATEST_S, _TAKEN = 10.0, 0.5
 
 
-def _camera(e: Estimate, truths: list[NeesConsistency]) -> Check:
+def _camera(e: Estimate, truths: list[NeesConsistency]) -> RunCheck:
     """Whether the camera saw the tip where the estimate has it, within what both are stated to know."""
     what = "the camera sees the tip where it is estimated"
     tip = known_of(truths, "tip")
     if tip is None:
-        return Check(what, None)
+        return RunCheck(what, None)
     moments, seen = e.pictures
     off = _off(e, e.tip.value, moments, seen)
     if tip.verdict != "overconfident" or off < _FAR * e.tool.camera_std_mm:
-        return Check(what)
+        return RunCheck(what)
     best_s, best = _other_clock(e)
     if off > ELSEWHERE_MM:
         why = "is the tool file that of this tool, and its [camera] that of this camera? sherkit register finds it"
@@ -176,7 +176,7 @@ def _camera(e: Estimate, truths: list[NeesConsistency]) -> Check:
         )
     else:
         why = "are the robot's places and turns those of this run, and is [camera] still where it was registered?"
-    return Check(what, False, (
+    return RunCheck(what, False, (
         f"The camera sees the tip {off:.3g} mm from where the estimate has it, in half of the pictures, "
         f"and {100 * tip.coverage:.0f} % of them within what is stated: {why}",
     ))  # fmt: skip
@@ -210,7 +210,7 @@ _SEEN_OFF, _ONE_OFF = 2.5, 4.5
 _NEARER, _NEAR, _SQUARES = 0.5, 4.0, 0.2
 
 
-def _columns(e: Estimate, truths: list[NeesConsistency]) -> Check:
+def _columns(e: Estimate, truths: list[NeesConsistency]) -> RunCheck:
     return _check(f"{POSITION[0]} … {TURN[-1]} mean what they are called", exchanged(e, truths))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...base.answer import Answer, ToDo
 from ...base.figures import listed
-from .checks import Check, checks
+from .checks import RunCheck, checks
 from .consistency import NeesConsistency, known_of
 from .filters import Estimate
 
@@ -34,7 +34,7 @@ class Trust:
     to_do: str
     noticed: tuple[str, ...]
     of: str = "depth"
-    checks: tuple[Check, ...] = ()
+    checks: tuple[RunCheck, ...] = ()
 
     @property
     def answer(self) -> Answer:
