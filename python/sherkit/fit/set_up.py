@@ -25,7 +25,8 @@ from .plausible import (
     plausible_sizes,
     thinned,
 )
-from .set_up_hypotheses import SetUpHypothesis, hypotheses, set_up_anew, turned_frame
+from .set_up_frames import set_up_anew, turned_frame
+from .set_up_hypotheses import SetUpHypothesis, hypotheses
 
 # -- Readings that are the same in every row, and such as no row holds ----------------------------------------------
 
