@@ -47,9 +47,8 @@ _OTHERS_OFF = 0.05, 1e-3
 _MAD_EFFICIENCY = 0.37
 #: A prediction is never taken for better than this part of the reading's own variance.
 _LEAST_FREE = 0.1
-#: Rows of which a stretch of time has at least so many; part of the run, at most, that something was bumped for before
-#: it was put back, and cuts at which it is looked for.
-_FEWEST_OF_A_STRETCH = 4
+#: Rows of which a stretch of time, and what is before it, has at least so many; part of the run, at most, that
+#: something was bumped for before it was put back, and cuts at which it is looked for.
 _FEWEST_OF_AN_END = 12
 _MOST_BUMPED = 0.2
 _CUTS = 48
@@ -223,29 +222,36 @@ class OutlierFit:
         its first row and the one after its last. Each is looked for once; ``moments`` say which were found."""
         n, m = self.e.shape
         best = np.inf, 0, n
-        if self.view.time is None or n < 5 * _FEWEST_OF_A_STRETCH or len(moments) == 2:
+        if self.view.time is None:
             return best
-        every = np.zeros((len(self.count), m, 2 + q.shape[1]))
-        every[seen] = np.dstack(
+        # of rows of items that are not seen all is zero
+        every = np.zeros((len(seen) + 1, m, 2 + q.shape[1]))
+        every[:-1] = np.dstack(
             [self.mean[seen] - left, np.ones(left.shape), q.reshape(*left.shape, -1) / self.root[seen, :, None]]
         )
-        rows = every[self.item]
-        off = self.e - rows[:, :, 0]
+        place = np.full(len(self.count), -1)
+        place[seen] = np.arange(len(seen))
+        off = self.e - every[place[self.item], :, 0]
         limit = CUT * self._spread(off)
-        tame = np.clip(off, -limit, limit) / limit * rows[:, :, 1]
-        rows[:, :, 0] = tame - rows[:, :, 2:] @ (q.T @ self._down(tame)[seen].ravel())
-        variance = max(variance, float(np.square(rows[:, :, 0]).mean()))
-        sums = np.concatenate([np.zeros((1, m, rows.shape[2])), np.cumsum(rows, axis=0)])
-        apart = max(n // _CUTS, 1)
-        starts, ends = np.arange(apart, n, apart), np.arange(apart, n + apart, apart).clip(max=n)
+        tame = np.clip(off, -limit, limit) / limit * every[place[self.item], :, 1]
+        every[:-1, :, 0] = -(q @ (q.T @ self._down(tame)[seen].ravel())).reshape(left.shape) / self.root[seen]
+        variance = max(variance, float(np.square(tame + every[place[self.item], :, 0]).mean()))
+        starts = ends = np.linspace(0, n, min(_CUTS, n) + 1).astype(np.int64)
         while True:
+            at, part = np.union1d(starts, ends), []
+            for rows in self.view.blocks:
+                values = every[place[self.item[rows]]]
+                values[:, :, 0] += tame[rows]
+                cuts = np.clip(at - rows.start, 0, len(values))
+                sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+                part.append(sums[cuts])
+            before = np.sum(part, axis=0)
             a, b = (v.ravel() for v in np.meshgrid(starts, ends, indexing="ij"))
-            keep = np.minimum(a, b - a) >= _FEWEST_OF_AN_END
-            keep &= (b == n) | (b < n) & (b - a <= _MOST_BUMPED * n)
+            keep = (np.minimum(a, b - a) >= _FEWEST_OF_AN_END) & ((b == n) | (b - a <= _MOST_BUMPED * n))
             a, b = (v[keep & ~np.isin(b < n, moments)] for v in (a, b))
             if not len(a):
                 return best
-            inside = sums[b] - sums[a]
+            inside = before[np.searchsorted(at, b)] - before[np.searchsorted(at, a)]
             size = inside[:, :, 1]
             free = size - np.square(inside[:, :, 2:]).sum(axis=2)
             gain = np.where(free > _ABSORBED * size, inside[:, :, 0] ** 2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
@@ -253,10 +259,11 @@ class OutlierFit:
             chance = [_chi2_log_tail(one, m) for one in (gain / variance).tolist()] + ways
             k = int(np.argmin(chance))
             best = min(best, (float(chance[k]), int(a[k]), int(b[k])))
+            apart = int(np.diff(starts).max(initial=1))
             if apart == 1:
                 return best
-            near, apart = np.arange(-apart, apart + 1, max(apart // _CUTS, 1)), max(apart // _CUTS, 1)
-            starts, ends = best[1] + near, best[2] + (near if best[2] < n else near[:1] * 0)
+            near = np.arange(-apart, apart + 1, max(apart // _CUTS, 1))
+            starts, ends = (np.unique(np.clip(one + near * (one < n), 0, n)) for one in best[1:])
 
     # -- judging -------------------------------------------------------------------------------------------
 
@@ -325,7 +332,7 @@ class OutlierFit:
 
     def _down(self, values: Floats | Bools) -> Floats:
         """Values of rows (n, …) as the basis has items (items, …)."""
-        total = np.add.reduceat(values[self.order], self.starts, axis=0)
+        total = np.add.reduceat(values[self.order], self.starts, axis=0, dtype=float)
         return total / self.root.reshape((-1,) + (1,) * (values.ndim - 1))
 
     def _summed(self, columns: Callable[[slice], Floats], items: Ints) -> Floats:
