@@ -152,8 +152,9 @@ class OutlierFit:
         # more items would choose no column that matters for a gross error
         seen = np.unique(np.linspace(0, items - 1, min(items, BLOCK)).astype(np.int64))
         q = orthonormal(self.basis.reshape(items, m, -1)[seen])
+        still = self.view.effects[-1][1].stop if self.view.effects else 0
         shapes = [one for one in smooth_shapes(self.view) for _ in range(m if one.joint is None else 1)]
-        tried = np.concatenate([*map(self._shape, dict.fromkeys(shapes), repeat(seen)), self._effects(seen)], axis=1)
+        tried = np.concatenate([*map(self._shape, dict.fromkeys(shapes), repeat(seen)), self._effects(seen, slice(still))], axis=1)
         free, least = tried - q @ (q.T @ tried), _ABSORBED**2 * np.square(tried).sum(axis=0)
         chosen: list[Floats] = []
         moments: list[bool] = []
@@ -176,11 +177,15 @@ class OutlierFit:
                 moments.append(stretch[2] < n)
                 if moments[-1]:
                     bumped = inside
+                else:
+                    # what slipped turns, or moves with a joint
+                    later = self._effects(np.arange(items), slice(still, None), inside)
+                    columns = np.concatenate([columns, later], axis=1)
             elif (best := int(np.argmax(gain))) < len(shapes):
                 same = best - shapes.index(shapes[best])
                 columns = self._shape(shapes[best], np.arange(items))[:, same : same + 1]
             else:
-                columns = self._effects(np.arange(items), best - len(shapes))
+                columns = self._effects(np.arange(items), slice(best - len(shapes), best - len(shapes) + 1))
             if stretch[0] >= chance or not moments[-1]:
                 chosen.append(columns)
             new = columns.reshape(items, m, -1)[seen].reshape(len(q), -1)
@@ -201,11 +206,10 @@ class OutlierFit:
         """Robust standard deviation (m,) of what is left, no less than digits."""
         return np.maximum(MAD * np.median(np.abs(left), axis=0), self.floor)
 
-    def _effects(self, items: Ints, only: int | None = None) -> Floats:
-        """Columns of all effects, or of ``only`` one number, as the basis has them (items · m, k)."""
-        last = self.view.effects[-1][1].stop if self.view.effects else 0
-        which = slice(last) if only is None else slice(only, only + 1)
-        return self._summed(lambda rows: self.view.effects_in(rows)[:, :, which], items)
+    def _effects(self, items: Ints, which: slice, those: Bools | None = None) -> Floats:
+        """Columns of effects as the basis has them (items · m, k), of all rows or of ``those`` (n,) alone."""
+        part = np.ones(len(self.e)) if those is None else those
+        return self._summed(lambda rows: self.view.effects_in(rows)[:, :, which] * part[rows, None, None], items)
 
     def _shape(self, one: Smooth, items: Ints) -> Floats:
         """A smooth shape as the basis has it (items · m, k), where it is asked for: m columns on axes alone, or one."""
