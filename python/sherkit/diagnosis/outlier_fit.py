@@ -49,7 +49,7 @@ _MAD_EFFICIENCY = 0.37
 _LEAST_FREE = 0.1
 #: Rows of which a stretch of time, and what is before it, has at least so many; part of the run, at most, that
 #: something was bumped for before it was put back, and cuts at which it is looked for.
-_FEWEST_OF_AN_END = 12
+_FEWEST_OF_AN_END = 6
 _MOST_BUMPED = 0.2
 _CUTS = 48
 
