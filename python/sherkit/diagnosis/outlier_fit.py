@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import repeat
 
 import numpy as np
@@ -154,11 +154,12 @@ class OutlierFit:
         q = orthonormal(self.basis.reshape(items, m, -1)[seen])
         still = self.view.effects[-1][1].stop if self.view.effects else 0
         shapes = [one for one in smooth_shapes(self.view) for _ in range(m if one.joint is None else 1)]
-        tried = np.concatenate([*map(self._shape, dict.fromkeys(shapes), repeat(seen)), self._effects(seen, slice(still))], axis=1)
+        effects = self._summed(lambda rows: self.view.effects_in(rows)[:, :, :still], seen)
+        tried = np.concatenate([*map(self._shape, dict.fromkeys(shapes), repeat(seen)), effects], axis=1)
         free, least = tried - q @ (q.T @ tried), _ABSORBED**2 * np.square(tried).sum(axis=0)
-        chosen: list[Floats] = []
+        chosen: list[int] = []
         moments: list[bool] = []
-        bumped = np.zeros(n, dtype=bool)
+        steps, bumped = np.zeros((items * m, 0)), np.zeros(n, dtype=bool)
         for _ in range(int(_MOST_COLUMNS * len(q))):
             left = self._left_by(q, seen)
             limit = CUT * self._spread(left)
@@ -179,23 +180,27 @@ class OutlierFit:
                     bumped = inside
                 else:
                     # what slipped turns, or moves with a joint
-                    later = self._effects(np.arange(items), slice(still, None), inside)
-                    columns = np.concatenate([columns, later], axis=1)
-            elif (best := int(np.argmax(gain))) < len(shapes):
-                same = best - shapes.index(shapes[best])
-                columns = self._shape(shapes[best], np.arange(items))[:, same : same + 1]
+                    later = self._summed(partial(self._later, still, inside), np.arange(items))
+                    steps = columns = np.concatenate([columns, later], axis=1)
+                new = columns.reshape(items, m, -1)[seen].reshape(len(q), -1)
             else:
-                columns = self._effects(np.arange(items), slice(best - len(shapes), best - len(shapes) + 1))
-            if stretch[0] >= chance or not moments[-1]:
-                chosen.append(columns)
-            new = columns.reshape(items, m, -1)[seen].reshape(len(q), -1)
+                chosen.append(int(np.argmax(gain)))
+                new = tried[:, chosen[-1:]]
             # once more, since of a new column little may be left
             for _ in range(2):
                 new = orthonormal(new - q @ (q.T @ new))
             free -= new @ (new.T @ free)
             q = np.concatenate([q, new], axis=1)
-        self.basis = orthonormal(np.concatenate([self.basis, *chosen], axis=1))
-        return self._left_by(self.basis, np.arange(items)), bumped
+        every = np.arange(items)
+        if len(seen) == items:
+            more = [tried[:, chosen]]
+        else:
+            number = np.array(chosen, dtype=np.int64)
+            more = [self._shape(shapes[k], every)[:, [k - shapes.index(shapes[k])]] for k in chosen if k < len(shapes)]
+            which = number[number >= len(shapes)] - len(shapes)
+            more.append(self._summed(lambda rows: self.view.effects_in(rows)[:, :, which], every))
+        self.basis = orthonormal(np.concatenate([self.basis, steps, *more], axis=1))
+        return self._left_by(self.basis, every), bumped
 
     def _left_by(self, q: Floats, items: Ints) -> Floats:
         """What orthonormal columns leave of the means of some items (items, m), outliers cut to size."""
@@ -206,10 +211,9 @@ class OutlierFit:
         """Robust standard deviation (m,) of what is left, no less than digits."""
         return np.maximum(MAD * np.median(np.abs(left), axis=0), self.floor)
 
-    def _effects(self, items: Ints, which: slice, those: Bools | None = None) -> Floats:
-        """Columns of effects as the basis has them (items · m, k), of all rows or of ``those`` (n,) alone."""
-        part = np.ones(len(self.e)) if those is None else those
-        return self._summed(lambda rows: self.view.effects_in(rows)[:, :, which] * part[rows, None, None], items)
+    def _later(self, still: int, those: Bools, rows: slice) -> Floats:
+        """Columns of what slips (b, m, k), of a stretch of rows, where it is one of ``those`` (n,)."""
+        return self.view.effects_in(rows)[:, :, still:] * those[rows, None, None]
 
     def _shape(self, one: Smooth, items: Ints) -> Floats:
         """A smooth shape as the basis has it (items · m, k), where it is asked for: m columns on axes alone, or one."""
@@ -235,39 +239,46 @@ class OutlierFit:
         )
         place = np.full(len(self.count), -1)
         place[seen] = np.arange(len(seen))
-        off = self.e - every[place[self.item], :, 0]
+        # of a long run some rows tell where to look
+        stride = max(n // BLOCK, 1)
+        rows = every[place[self.item[::stride]]]
+        off = self.e[::stride] - rows[:, :, 0]
         limit = CUT * self._spread(off)
-        tame = np.clip(off, -limit, limit) / limit * every[place[self.item], :, 1]
-        every[:-1, :, 0] = -(q @ (q.T @ self._down(tame)[seen].ravel())).reshape(left.shape) / self.root[seen]
-        variance = max(variance, float(np.square(tame + every[place[self.item], :, 0]).mean()))
-        starts = ends = np.linspace(0, n, min(_CUTS, n) + 1).astype(np.int64)
+        tame = np.clip(off, -limit, limit) / limit * rows[:, :, 1]
+        rows[:, :, 0] = tame - stride * rows[:, :, 2:] @ np.einsum("nm,nmk->k", tame, rows[:, :, 2:])
+        variance = max(variance, float(np.square(rows[:, :, 0]).mean()))
+        before = np.concatenate([np.zeros((1, *rows.shape[1:])), np.cumsum(rows, axis=0)])
+        last = len(rows)
+        starts = ends = np.linspace(0, last, min(_CUTS, last) + 1).astype(np.int64)
         while True:
-            at, part = np.union1d(starts, ends), []
-            for rows in self.view.blocks:
-                values = every[place[self.item[rows]]]
-                values[:, :, 0] += tame[rows]
-                cuts = np.clip(at - rows.start, 0, len(values))
-                sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
-                part.append(sums[cuts])
-            before = np.sum(part, axis=0)
             a, b = (v.ravel() for v in np.meshgrid(starts, ends, indexing="ij"))
-            keep = (np.minimum(a, b - a) >= _FEWEST_OF_AN_END) & ((b == n) | (b - a <= _MOST_BUMPED * n))
-            a, b = (v[keep & ~np.isin(b < n, moments)] for v in (a, b))
+            keep = (np.minimum(a, b - a) >= _FEWEST_OF_AN_END) & ((b == last) | (b - a <= _MOST_BUMPED * last))
+            a, b = (v[keep & ~np.isin(b < last, moments)] for v in (a, b))
             if not len(a):
                 return best
-            inside = before[np.searchsorted(at, b)] - before[np.searchsorted(at, a)]
+            inside = before[b] - before[a]
             size = inside[:, :, 1]
-            free = size - np.square(inside[:, :, 2:]).sum(axis=2)
+            free = size - stride * np.square(inside[:, :, 2:]).sum(axis=2)
             gain = np.where(free > _ABSORBED * size, inside[:, :, 0] ** 2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
-            ways = np.log(np.where(b == n, n, _MOST_BUMPED * n * n))
+            ways = np.log(np.where(b == last, n, _MOST_BUMPED * n * n))
             chance = [_chi2_log_tail(one, m) for one in (gain / variance).tolist()] + ways
             k = int(np.argmin(chance))
             best = min(best, (float(chance[k]), int(a[k]), int(b[k])))
             apart = int(np.diff(starts).max(initial=1))
             if apart == 1:
-                return best
+                break
             near = np.arange(-apart, apart + 1, max(apart // _CUTS, 1))
-            starts, ends = (np.unique(np.clip(one + near * (one < n), 0, n)) for one in best[1:])
+            starts, ends = (np.unique(np.clip(one + near * (one < last), 0, last)) for one in best[1:])
+        # between two of them, the row from which on all others are nearer to what is off than to what is not
+        by, moment = (tame[best[1] : best[2]].mean(axis=0) * limit)[:, None], []
+        for one, sign in zip(best[1:], (1.0, -1.0), strict=True):
+            near = np.arange(max(one - 1, 0) * stride, min((one + 1) * stride, n))
+            nearer = ((self.e[near] - every[place[self.item[near]], :, 0]) / limit**2) @ by - 0.5 * (
+                by.T / limit**2
+            ) @ by
+            whole = one == last or stride == 1
+            moment.append(min(one * stride, n) if whole else int(near[np.argmin(np.cumsum(sign * nearer))]) + 1)
+        return best[0], moment[0], moment[1]
 
     # -- judging -------------------------------------------------------------------------------------------
 
