@@ -37,6 +37,8 @@ _MOST_COLUMNS = 0.15
 #: Directions that the rows tell less than this part of the best one are none; what is fitted is told by the means of
 #: the poses where so much of it is between them.
 _TOLD, _BY_MEANS = 1e-12, 0.5
+#: What is an outlier without a column, and alone tells so much of it with it, is no witness for it.
+_ALONE = 0.5
 #: A column of which the fitted ones leave less than this is one of theirs.
 _ABSORBED = 1e-3
 #: What is left counts as noise up to this many times the noise; beyond, it has tails as of so many degrees of freedom.
@@ -108,12 +110,19 @@ class OutlierFit:
         if self.mean.size - self.basis.shape[1] < 10:
             return out
         everyone = np.ones(len(self.count), dtype=bool)
-        plain, *_ = self._concentrated(self._left_by(self.basis, np.flatnonzero(everyone)), everyone)
+        plain, was_off, was = self._concentrated(self._left_by(self.basis, np.flatnonzero(everyone)), everyone)
+        simple = self._criterion(plain, was_off)
         left, bumped = self._described()
         if bumped.any() and self.bumped is None:
             # readings of one pose that were taken in it and out of it are not to be told by their mean
             return OutlierFit(self.view, declared=self.declared, bumped=bumped).outliers()
         inliers, off, variance = self._concentrated(left, self._down(~bumped) > 0.5 * self.root[:, 0])
+        excused = inliers & ~plain
+        if excused.any() and self._fitted(inliers)[1][excused].mean() > _ALONE:
+            inliers = inliers & plain
+            off, variance = (np.where(plain[:, None], *one) for one in ((off, was_off), (variance, was)))
+        if simple < self._criterion(inliers, off):
+            inliers, off, variance = plain, was_off, was
         if np.square(off[inliers]).sum() > _LIKE_NOISE**2 * self.noise[inliers].sum():
             # a structure that no column describes has extremes, which look like outliers
             inliers = inliers | plain
@@ -297,6 +306,16 @@ class OutlierFit:
                     break
                 near = ~far
         return near, off, variance
+
+    def _criterion(self, inliers: Bools, off: Floats) -> float:
+        """Schwarz's criterion of the fit to some inliers, whatever is none having parameters of its own, and being
+        chosen among all (Chen and Chen, *Biometrika* 95, 2008)."""
+        items, m = off.shape
+        out = items - int(inliers.sum())
+        squares = np.maximum(np.square(off[inliers]).sum(axis=0) / items, self.floor**2)
+        choice = -math.log(items + 1) - scipy.special.betaln(out + 1, items - out + 1)
+        count = self.basis.shape[1] + m * out
+        return float(items * np.log(squares).sum() + count * math.log(items * m) + 2.0 * choice)
 
     def _fitted(self, inliers: Bools) -> tuple[Floats, Floats]:
         """How far each mean is off from what a fit to the inliers predicts (items, m), and the variance of its
