@@ -169,6 +169,9 @@ class OutlierFit:
         chosen: list[int] = []
         moments: list[bool] = []
         steps, bumped = np.zeros((items * m, 0)), np.zeros(n, dtype=bool)
+        # of a long run some rows tell where a stretch is
+        stride = max(n // BLOCK, 1)
+        within = np.zeros((self.e[::stride].size, 0))
         for _ in range(int(_MOST_COLUMNS * len(q))):
             left = self._left_by(q, seen)
             limit = CUT * self._spread(left)
@@ -178,19 +181,23 @@ class OutlierFit:
             now = np.square(free).sum(axis=0)
             gain = np.where(now > least, np.square(tame @ free) / np.maximum(now, 1e-300), 0.0)
             chance = _chi2_log_tail(float(gain.max(initial=0.0)) / variance, 1) + math.log(max(len(gain), 1))
-            stretch = self._stretch(left, seen, q, variance, moments)
+            stretch = self._stretch(left, seen, q, within, variance, moments)
             if min(chance, stretch[0]) >= math.log(_DESCRIBED):
                 break
             if stretch[0] < chance:
                 inside = (np.arange(n) >= stretch[1]) & (np.arange(n) < stretch[2])
-                columns = (self._down(inside)[:, None, None] * np.eye(m)).reshape(-1, m)
                 moments.append(stretch[2] < n)
                 if moments[-1]:
                     bumped = inside
+                    columns = (self._down(inside)[:, None, None] * np.eye(m)).reshape(-1, m)
                 else:
-                    # what slipped turns, or moves with a joint
-                    later = self._summed(partial(self._later, still, inside), np.arange(items))
-                    steps = columns = np.concatenate([columns, later], axis=1)
+                    # what slipped turns, or moves with a joint; readings of a pose before it and after it differ
+                    some: list[Floats] = []
+                    steps = columns = self._summed(partial(self._later, still, inside, stride, some), np.arange(items))
+                    of_items = (columns.reshape(items, m, -1) / self.root[:, :, None])[self.item[::stride]]
+                    apart = (np.concatenate(some) - of_items).reshape(len(within), -1)
+                    told = np.square(apart).sum(axis=0) > _ABSORBED**2 * np.square(of_items).sum(axis=(0, 1))
+                    within = orthonormal(apart[:, told])
                 new = columns.reshape(items, m, -1)[seen].reshape(len(q), -1)
             else:
                 chosen.append(int(np.argmax(gain)))
@@ -220,9 +227,14 @@ class OutlierFit:
         """Robust standard deviation (m,) of what is left, no less than digits."""
         return np.maximum(MAD * np.median(np.abs(left), axis=0), self.floor)
 
-    def _later(self, still: int, those: Bools, rows: slice) -> Floats:
-        """Columns of what slips (b, m, k), of a stretch of rows, where it is one of ``those`` (n,)."""
-        return self.view.effects_in(rows)[:, :, still:] * those[rows, None, None]
+    def _later(self, still: int, those: Bools, stride: int, some: list[Floats], rows: slice) -> Floats:
+        """Columns of what slips (b, m, k), of a stretch of rows, where it is one of ``those`` (n,): on each axis, and by
+        each effect; ``some`` keeps those of every so many rows."""
+        effects = self.view.effects_in(rows)[:, :, still:]
+        axes = np.broadcast_to(np.eye(effects.shape[1]), (len(effects), *2 * effects.shape[1:2]))
+        columns = np.concatenate([axes, effects], axis=2) * those[rows, None, None]
+        some.append(columns[-rows.start % stride :: stride])
+        return columns
 
     def _shape(self, one: Smooth, items: Ints) -> Floats:
         """A smooth shape as the basis has it (items · m, k), where it is asked for: m columns on axes alone, or one."""
@@ -233,10 +245,11 @@ class OutlierFit:
         return columns.reshape(-1, columns.shape[2])
 
     def _stretch(
-        self, left: Floats, seen: Ints, q: Floats, variance: float, moments: list[bool]
+        self, left: Floats, seen: Ints, q: Floats, within: Floats, variance: float, moments: list[bool]
     ) -> tuple[float, int, int]:
         """The stretch of time, or all from a moment on, in which rows are off by one vector most: log of its chance,
-        its first row and the one after its last. Each is looked for once; ``moments`` say which were found."""
+        its first row and the one after its last. Each is looked for once; ``moments`` say which were found, and columns
+        ``within`` poses (orthonormal) what the one that stayed makes of their readings."""
         n, m = self.e.shape
         best = np.inf, 0, n
         if self.view.time is None:
@@ -248,10 +261,11 @@ class OutlierFit:
         )
         place = np.full(len(self.count), -1)
         place[seen] = np.arange(len(seen))
-        # of a long run some rows tell where to look
         stride = max(n // BLOCK, 1)
         rows = every[place[self.item[::stride]]]
         off = self.e[::stride] - rows[:, :, 0]
+        if within.shape[1]:
+            off = huber(off, lambda tame: (within @ (within.T @ tame.ravel())).reshape(tame.shape))
         limit = CUT * self._spread(off)
         tame = np.clip(off, -limit, limit) / limit * rows[:, :, 1]
         rows[:, :, 0] = tame - stride * rows[:, :, 2:] @ np.einsum("nm,nmk->k", tame, rows[:, :, 2:])
@@ -392,6 +406,6 @@ def _chi2_tail(x: float, freedom: int) -> float:
 
 
 def _chi2_log_tail(x: float, freedom: int) -> float:
-    """Its logarithm; -inf where the chance is no number any more."""
+    """Its logarithm, from its asymptote where the chance is no number any more."""
     p = _chi2_tail(x, freedom)
-    return math.log(p) if p > 0 else -math.inf
+    return math.log(p) if p > 0 else (0.5 * freedom - 1.0) * math.log(0.5 * x) - 0.5 * x - math.lgamma(0.5 * freedom)
