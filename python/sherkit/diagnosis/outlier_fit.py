@@ -27,6 +27,7 @@ from ..evidence.linearised import Linearised
 from ..evidence.shapes import Smooth, smooth_shapes
 from ..evidence.whitening import orthonormal
 from ..fit.folds import BLOCK
+from .gathered import WRONG
 from .robust_start import CUT, ROUNDS, apart_from_pose, huber
 
 #: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
@@ -121,7 +122,8 @@ class OutlierFit:
         if excused.any() and self._fitted(inliers)[1][excused].mean() > _ALONE:
             inliers = inliers & plain
             off, variance = (np.where(plain[:, None], *one) for one in ((off, was_off), (variance, was)))
-        if simple < self._criterion(inliers, off):
+        accidents = self.count[~plain].sum() <= WRONG * len(out)
+        if accidents and simple < self._criterion(inliers, off):
             inliers, off, variance = plain, was_off, was
         if np.square(off[inliers]).sum() > _LIKE_NOISE**2 * self.noise[inliers].sum():
             # a structure that no column describes has extremes, which look like outliers
@@ -228,7 +230,7 @@ class OutlierFit:
         return np.maximum(MAD * np.median(np.abs(left), axis=0), self.floor)
 
     def _later(self, still: int, those: Bools, stride: int, some: list[Floats], rows: slice) -> Floats:
-        """Columns of what slips (b, m, k), of a stretch of rows, where it is one of ``those`` (n,): on each axis, and by
+        """Columns of what slips (b, m, k), of a stretch of rows, where it is one of ``those`` (n,), on each axis and by
         each effect; ``some`` keeps those of every so many rows."""
         effects = self.view.effects_in(rows)[:, :, still:]
         axes = np.broadcast_to(np.eye(effects.shape[1]), (len(effects), *2 * effects.shape[1:2]))
