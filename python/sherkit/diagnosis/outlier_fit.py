@@ -399,7 +399,7 @@ class OutlierFit:
                 which, starts = np.unique(at[order], return_index=True)
                 out[which] += np.add.reduceat(given[order], starts, axis=0)
         assert out is not None, "a run has rows"
-        return (out / self.root[items][:, :, None]).reshape(-1, out.shape[2])
+        return (out / self.root[items][:, :, None]).reshape(out.shape[0] * out.shape[1], out.shape[2])
 
 
 def _chi2_tail(x: float, freedom: int) -> float:
