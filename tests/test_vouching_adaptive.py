@@ -236,7 +236,7 @@ def test_what_lies_together_is_found_without_being_read_again() -> None:
     loop.tell([row | {"z_mm": row["z_mm"] + 0.2 * (20 <= at < 26)} for row, at in zip(rows, along, strict=True)])
     assert loop.last is not None
     assert len(vouching.set_aside(loop.last)) >= 5
-    assert "with q2 between" in vouching.structure_of(loop.last, 0)
+    assert "with q2 between" in vouching.structure_of(loop.last)
 
 
 # -- what is kept -----------------------------------------------------------------------------------------------------

@@ -99,7 +99,7 @@ def conclude(loop: BatchLooks) -> Conclusion:
     if (
         done
         and verdict in _LOUDER
-        and (louder := structure_of(found, loop.seed) or "; ".join(loop.against) or louder_than_told(found, verdict))
+        and (louder := structure_of(found) or "; ".join(loop.against) or louder_than_told(found, verdict))
     ):
         verdict, why = _LOUDER[verdict], louder
     if (verdict == "explained" and (done or state.done)) or (verdict == "adequate" and done):

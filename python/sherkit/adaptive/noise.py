@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -11,7 +12,6 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD, noise_of
 from ..data.noise import ReadingNoise as Weights
-from ..diagnosis.outliers import off_at_an_end
 from ..errors import SherkitError
 from ..evidence.base import Base, total
 from ..evidence.fitted_run import FittedRun
@@ -168,3 +168,13 @@ def expected(known: FixedBefore, data: Measurements, before: LoopNoise, unsure: 
     with suppress(SherkitError):
         return left_by(run_of_rows(known, data, before, best), before, unsure)
     return before
+
+
+def off_at_an_end(off: Bools, fewest: int, part: float) -> Iterator[Ints]:
+    """The beginning and the end (k,) of rows (n,) in the order of time, as far as they are long enough and this part of
+    them is ``off`` at least."""
+    every = np.arange(len(off))
+    for rows in (every, every[::-1]):
+        end = int(np.argmax(np.cumsum(np.where(off[rows], 1, -1)))) + 1
+        if end >= fewest and off[rows[:end]].mean() >= part:
+            yield np.sort(rows[:end])

@@ -131,7 +131,7 @@ def told_of(found: InterimAnalysis) -> str:
     )
 
 
-def structure_of(found: InterimAnalysis, seed: int) -> str:
+def structure_of(found: InterimAnalysis) -> str:
     """Why rows that are set aside are no accidents; empty where they are."""
     data, rows = found.data, set_aside(found)
     if len(rows) > WRONG * len(data):
@@ -144,7 +144,7 @@ def structure_of(found: InterimAnalysis, seed: int) -> str:
         )
     joints = {name: data.joints[:, k] for k, name in enumerate(data.layout.joints)}
     places = joints | found.fit.model.place(data, found.fit.predicted, found.fit.values)
-    one = gathered(data.mark_outliers(rows), rows, places, seed=seed)
+    one = gathered(data.mark_outliers(rows), rows, places)
     return said(one, data) if one is not None else ""
 
 

@@ -23,15 +23,13 @@ from ..data import Measurements
 from ..data.noise import MAD
 from ..errors import FitError, SherkitError, SherkitWarning
 from ..evidence.fitted_run import FittedRun
-from ..evidence.linearised import Linearised
 from ..evidence.run import in_time
-from ..evidence.whitening import orthonormal
 from ..fit.error import of_residuals
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
 from ..model.effect import Effect
 from .outlier_fit import OutlierFit
-from .robust_start import huber, robust_start
+from .robust_start import robust_start
 
 #: Fits, each without what the one before it listed.
 _FITS = 8
@@ -40,11 +38,6 @@ _FITS = 8
 _PAUSE = 20.0
 _OUTLYING_VISIT = 0.5
 _FEWEST_OF_A_VISIT = 4
-#: The beginning or the end of a run of so many rows is news where so many of them are outliers.
-_FEWEST_OF_AN_END = 12
-_OUTLYING_END = 0.8
-#: What a slip leaves of such rows is at most so many times what is left of the others.
-_SLIPPED = 3.0
 #: Wrong rows that hold one value where that is what is wrong with them: so many at least, and that part of them.
 _LASTS, _ONE_VALUE = 5, 0.4
 #: Chance of a first reading that is off, and of one that is not, from the right side.
@@ -132,8 +125,7 @@ def _seen_from(fit: Fit, effects: Sequence[Effect], keep: Sequence[int] = ()) ->
 def _outlying(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
     """Those of these rows, sorted, that are gross errors as seen from this fit.
 
-    All that is read after a pause is no accident, it is news: a visit to the machine that is off as a whole stays; so
-    does the beginning or the end of the run.
+    All that is read after a pause is no accident, it is news: a visit to the machine that is off as a whole stays.
     """
     # what a fit to the others cannot compute at all is off by more than it could say
     computed = np.isfinite(run.fit.residuals[rows][:, list(run.axes)]).all(axis=1)
@@ -142,7 +134,7 @@ def _outlying(run: FittedRun, effects: Sequence[Effect], rows: Ints) -> Ints:
         return np.union1d(beyond, _outlying(run, effects, rows) if len(rows) else rows)
     view = run.linearised(rows, effects, run.noise[0][list(run.axes)])
     outliers = OutlierFit(view, declared=run.noise[1] == "declared").outliers()
-    outliers &= ~_visits(view.time, outliers) & ~_ends(view, outliers)
+    outliers &= ~_visits(view.time, outliers)
     outliers[0] |= came_from_elsewhere(run, effects, rows)
     return np.sort(rows[outliers])
 
@@ -263,41 +255,3 @@ def _visits(time: Floats | None, outliers: Bools) -> Bools:
     count = np.bincount(visit)
     share = np.bincount(visit, outliers) / count
     return ((share >= _OUTLYING_VISIT) & (count >= _FEWEST_OF_A_VISIT))[visit]
-
-
-def _ends(view: Linearised, outliers: Bools) -> Bools:
-    """Rows, as they were read, from the first up to a moment, or from one on, that are off nearly all, and by what one
-    slip does to all of them: something slipped there, and what was read before it is as good as what was read after."""
-    out = np.zeros(len(outliers), dtype=bool)
-    for rows in off_at_an_end(outliers, _FEWEST_OF_AN_END, _OUTLYING_END):
-        if _slipped(view, rows, outliers):
-            out[rows] = True
-    return out
-
-
-def off_at_an_end(off: Bools, fewest: int, part: float) -> Iterator[Ints]:
-    """The beginning and the end (k,) of rows (n,) in the order of time, as far as they are long enough and this part of
-    them is ``off`` at least."""
-    every = np.arange(len(off))
-    for rows in (every, every[::-1]):
-        end = int(np.argmax(np.cumsum(np.where(off[rows], 1, -1)))) + 1
-        if end >= fewest and off[rows[:end]].mean() >= part:
-            yield np.sort(rows[:end])
-
-
-def _slipped(view: Linearised, rows: Ints, outliers: Bools) -> bool:
-    """Whether one slip, of what is read or of whatever effect has a moment, leaves of these rows no more than the fit
-    leaves of those that are right."""
-    m = view.residual.shape[1]
-    slips = []
-    for block in view.blocks:
-        here = slice(max(block.start, int(rows[0])), min(block.stop, int(rows[-1]) + 1))
-        if here.start < here.stop:
-            effects = view.effects_in(here)
-            of_effects = [effects[:, :, at] for _, at in view.in_time if at is not None]
-            slips.append(np.concatenate([np.broadcast_to(np.eye(m), (len(effects), m, m)), *of_effects], axis=2))
-    basis = orthonormal(np.concatenate(slips))
-    off = view.residual[rows]
-    left = huber(off, lambda tame: (basis @ (basis.T @ tame.reshape(-1))).reshape(off.shape))
-    spread = np.median(np.abs(view.residual[~outliers]), axis=0)
-    return bool((np.median(np.abs(left), axis=0) <= _SLIPPED * spread).all())

@@ -164,7 +164,7 @@ def _diagnosed(
             return _diagnosed(fit, effects, level, keep, seed, step, beside)
     final = found.final
     # a row that is as what was found says was wrong beside a model that lacked it
-    wrong = checks_of_outliers(of_all, outliers, seed, side=side)
+    wrong = checks_of_outliers(of_all, outliers, side=side)
     accidents = all(check.holds is not False for check in wrong)
     notes[of_outliers:of_outliers] = sentences(of_all.fit, outliers, side=side, accidents=accidents)
     notes += [*found.notes, *waves_in_words(final.fit)]
