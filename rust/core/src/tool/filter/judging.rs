@@ -178,9 +178,9 @@ impl ToolFilter {
                     o.learn_lag(g, jitter, &m, third.then_some(mean), elapsed);
                 }
                 if !self.tip.on
-                    && let Some(zero) = o.rest(s, g, &m, third.then_some(&shifts[2]))
+                    && let Some(zero) = o.rest(s, g, &m, whole.then_some(&shifts[2]))
                 {
-                    (self.tip.zero, self.tip.bent) = (zero, 0.0);
+                    (self.tip.zero, self.tip.bent) = (Some(zero), 0.0);
                 }
             }
         }
