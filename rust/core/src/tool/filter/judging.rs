@@ -180,7 +180,7 @@ impl ToolFilter {
                 if !self.tip.on
                     && let Some(zero) = o.rest(s, g, &m, whole.then_some(&shifts[2]))
                 {
-                    (self.tip.zero, self.tip.bent) = (Some(zero), 0.0);
+                    (self.tip.zero, self.tip.bent) = (zero, 0.0);
                 }
             }
         }

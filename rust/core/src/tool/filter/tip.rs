@@ -1,7 +1,7 @@
 //! A second touch, near the tip: section III, which the hole does not bend, measures its force.
 
 use super::moments::{Gratings, Moments, Shifts};
-use super::offsets::{APART_NM, Offsets};
+use super::offsets::Offsets;
 use nalgebra::Vector2;
 
 /// Where section III stands from the tip, mm, and from which depth of the hole on nothing else bends it, mm.
@@ -10,7 +10,7 @@ pub(super) const DEEP_MM: f64 = 7.0;
 /// How fast such a force changes, mN²/s; more than this is a fault of gratings, mN.
 const CHANGES: f64 = 4.0;
 const MOST_MN: f64 = 40.0;
-/// How far a grating of III is off its zero by a warmth of its own since a rest told that, squared, nm²: 0.03 K at 10 pm/K.
+/// How far a grating of III is off its zero by a warmth of its own, squared, nm²: 0.03 K at 10 pm/K.
 const ZERO_NM2: f64 = 1e-7;
 /// Of the bends of the others, squared: glue that has play lets all fibres lag by one strain.
 const PLAY: f64 = 1.0 / 36.0;
@@ -27,7 +27,7 @@ pub(super) struct Tip {
     pub(super) variance: f64,
     pub(super) of_zero: f64,
     /// The moment of section III at rest, mN·mm, and how far the hole has bent III since, as a fibre's shift squared, nm².
-    pub(super) zero: Option<Vector2<f64>>,
+    pub(super) zero: Vector2<f64>,
     pub(super) bent: f64,
     pub(super) tells: bool,
     /// Whether it is one.
@@ -48,7 +48,7 @@ impl Tip {
     ) {
         let per = 0.5 * (g.per_nm[0] + g.per_nm[1]) / (THIRD_MM * THIRD_MM);
         let third = g.of_third(&shifts[2]);
-        let told = (third - self.zero.unwrap_or_default()) / THIRD_MM;
+        let told = (third - self.zero) / THIRD_MM;
         // what the hole's bends leave in its zero, since it stood near the tip
         if !deep {
             self.bent = self
@@ -61,11 +61,9 @@ impl Tip {
             (self.force, self.variance) = (Vector2::zeros(), CHANGES);
         }
         self.tells = tells;
-        // its zero is known as well as the bench repeats a reference, and its gratings are as warm as each other: then, or on
-        // the bench
-        let warm = self.zero.map_or(APART_NM * APART_NM, |_| ZERO_NM2);
+        // its zero is known as well as the bench repeats a reference, and its gratings are as warm as each other
         let lags = o.lag * self.bent;
-        self.of_zero = per * (reference_nm * reference_nm + warm + o.crept + lags);
+        self.of_zero = per * (reference_nm * reference_nm + ZERO_NM2 + o.crept + lags);
         if tells {
             self.variance += CHANGES * elapsed_s;
             let gain = self.variance / (self.variance + per * g.noise);
