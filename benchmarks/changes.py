@@ -79,7 +79,8 @@ def compared(make: Callable[[int], Any], changed: tuple[str, ...], kind: str, se
     began = time.process_time()
     found = world.compare()
     seconds = time.process_time() - began
-    tied = found.indistinguishable[0] if found.indistinguishable else ()
+    # numbers within one effect that are alike are no tie of effects
+    tied = next((tie for tie in found.indistinguishable if not any("." in name for name in tie)), ())
     alone = set(found.changed) if not tied else set()
     if kind == "nothing":
         right = found.verdict == "unchanged"

@@ -2,7 +2,8 @@
 
 Every run is diagnosed by itself, wherever an executor of :mod:`concurrent.futures` takes it. Machines are compared by
 median and median absolute deviation, which half of them may be wrong without moving (Huber and Ronchetti, *Robust
-Statistics*, 5.1); the threshold is Student's, at a chance for the whole fleet.
+Statistics*, 5.1). Which of them stands out is asked of the farthest one beside all others, then of the next (Rosner,
+"Percentage points for a generalized ESD many-outlier procedure", Technometrics 1983), at a chance for the whole fleet.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import scipy
 
 from .base.arguments import Level, Seed, validate_arguments
 from .base.figures import listed, sized
+from .base.types import Floats, Ints
 from .base.workers import Outcome, run_tasks
 from .data.noise import MAD
 from .data.reader import RunLike
@@ -38,8 +40,10 @@ from .model.robot_file import RobotLike, columns_of, robot_of, run_for
 LEVEL = 0.05
 #: A median of fewer machines says nothing of one of them.
 FEWEST = 4
-#: What a median absolute deviation is worth, as a part of the machines (its efficiency).
-_EFFICIENCY = 0.37
+#: At most one of so many machines, beside one, stands out in a quantity.
+_ONE_OF = 3
+#: Deviations from the median within which nothing stands out.
+_NEAR = 2.0
 
 
 @dataclass(frozen=True)
@@ -47,8 +51,8 @@ class FleetMember(Summary):
     """One run of the fleet, and what was found in it.
 
     ``failed`` is the sentence that says why there is no more, None where all went well. ``values``, ``std`` and
-    ``units`` are those of the fitted parameters, with the effects that were found missing. ``remarks`` are the
-    warnings that were given.
+    ``units`` are those of the fitted parameters, with the effects that were found missing; those ``of_stand`` say where
+    the instrument stood, and nothing of the machine. ``remarks`` are the warnings that were given.
     """
 
     run: str
@@ -56,6 +60,7 @@ class FleetMember(Summary):
     values: Mapping[str, float] | None = None
     std: Mapping[str, float] | None = None
     units: Mapping[str, str] | None = None
+    of_stand: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     def row(self) -> dict[str, str | int | float | None]:
@@ -79,8 +84,9 @@ class Common:
 
 @dataclass(frozen=True)
 class StandsOut:
-    """A machine that is not like the others in one quantity: ``deviations`` from their median, in the spread of the
-    fleet and the uncertainty of the machine's own value together, where ``threshold`` is rarely passed by chance."""
+    """A machine that is not like the others in one quantity: ``deviations`` from their mean, in the spread of the
+    others and the uncertainty of the machine's own value together, where ``threshold`` is rarely passed by chance.
+    ``median`` is that of the fleet."""
 
     run: str
     name: str
@@ -131,15 +137,11 @@ class Fleet:
     @cached_property
     def stands_out(self) -> tuple[StandsOut, ...]:
         """Machines unlike the others, the farthest first. With fewer than four machines none can be told."""
-        tests = sum(c.machines for c in self.common)
         out = []
         for c in self.common:
-            threshold = float(-scipy.special.stdtrit(max(_EFFICIENCY * c.machines, 1.0), 0.5 * LEVEL / tests))
-            for run, (value, std) in self._quantities[c.name].items():
-                scale = float(np.hypot(c.spread, std))
-                deviations = (value - c.median) / scale if scale > 0 else 0.0
-                if abs(deviations) > threshold:
-                    out.append(StandsOut(run, c.name, value, c.median, deviations, threshold, c.unit))
+            runs, values, stds = zip(*((run, *one) for run, one in self._quantities[c.name].items()), strict=True)
+            for k, deviations, threshold in _outlying(np.array(values), np.array(stds), LEVEL / len(self.common)):
+                out.append(StandsOut(runs[k], c.name, values[k], c.median, deviations, threshold, c.unit))
         return tuple(sorted(out, key=lambda one: -abs(one.deviations)))
 
     @cached_property
@@ -148,9 +150,11 @@ class Fleet:
         out: dict[str, dict[str, tuple[float, float]]] = {"error left": {}}
         for m in self.diagnosed:
             if m.after:
-                out["error left"][m.run] = (m.after, 0.0)
+                # that of the root of a mean of squares, one of each row at least
+                out["error left"][m.run] = (m.after, m.after / np.sqrt(2.0 * max(m.rows, 1)))
             for name, value in (m.values or {}).items():
-                out.setdefault(name, {})[m.run] = (value, (m.std or {})[name])
+                if name not in m.of_stand:
+                    out.setdefault(name, {})[m.run] = (value, (m.std or {})[name])
         return out
 
     @cached_property
@@ -283,6 +287,7 @@ def _machine(task: _FleetTask) -> FleetMember:
         values=dict(zip(names, found.fit.values.tolist(), strict=True)),
         std=dict(zip(names, found.fit.std.tolist(), strict=True)),
         units={p.name: p.unit for p in found.fit.parameters},
+        of_stand=tuple(name for name in names if name in found.fit.model.of_sensor),
         remarks=_said(said),
     )
 
@@ -294,3 +299,31 @@ def _said(caught: Sequence[warnings.WarningMessage]) -> tuple[str, ...]:
 def _robust(values: Any) -> tuple[float, float]:
     middle = float(np.median(values))
     return middle, MAD * float(np.median(np.abs(values - middle)))
+
+
+def _outlying(values: Floats, stds: Floats, level: float) -> list[tuple[int, float, float]]:
+    """Values (n,) that are unlike the others, each with its deviations from these and how many are rare at a chance
+    ``level`` that any is said where none is.
+
+    The farthest is taken out in turn; of these all up to the last that was too far stand out, so that two do not hide
+    each other.
+    """
+    middle, spread = _robust(values)
+    apart = np.abs(values - middle) / np.maximum(np.hypot(spread, stds), 1e-300)
+    order = np.argsort(-apart, kind="stable")
+    rounds = max((len(values) - 1) // _ONE_OF, 1)
+
+    def away(k: int, others: Ints) -> float:
+        own, part = float(np.mean(stds[others] ** 2)), 1.0 / len(others)
+        # of their spread what each is uncertain by is no difference of machines
+        differ = max(float(np.var(values[others], ddof=1)) - own, 0.0)
+        scale = np.sqrt(differ * (1.0 + part) + own * part + stds[k] ** 2)
+        return float((values[k] - values[others].mean()) / scale) if scale > 0 else 0.0
+
+    def rare(others: Ints) -> float:
+        return float(-scipy.special.stdtrit(len(others) - 1, 0.5 * level / rounds / (len(others) + 1)))
+
+    tried = min(rounds, int((apart > _NEAR).sum()))
+    last = max((j + 1 for j in range(tried) if abs(away(order[j], order[j + 1 :])) > rare(order[j + 1 :])), default=0)
+    left = order[last:]
+    return [(int(k), away(k, left), rare(left)) for k in order[:last]]

@@ -193,6 +193,11 @@ class ChangeSets(Sets):
     def _of_effects(self) -> Base:
         return self.base
 
+    def counted(self, one: EffectSet) -> int:
+        """So many numbers: two of a robot that changed are less than an effect of nine that imitates them, as of an
+        instrument that is bent to any shape."""
+        return sum(len(block.effect.parameters) for block in one.blocks if block.effect)
+
     def _of_the_instrument(self, lead: EffectSet) -> EffectSet:
         # each run has a pose of the sensor of its own
         return lead

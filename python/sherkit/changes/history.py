@@ -27,6 +27,7 @@ from ..data.reader import RunLike
 from ..errors import FitError, MeasurementError
 from ..evidence.base import Base
 from ..evidence.blocks import Block
+from ..evidence.sets import ONE_MORE, described, likeliest
 from ..evidence.thresholds import ALARM, SURE, TIED
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
@@ -38,6 +39,8 @@ from .vouching import error_in_another
 
 STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"
 _MOST = 4
+#: Effects with which a course may begin.
+_STARTS = 14
 #: What cannot be told from a change is named, as far as so many.
 _MOST_TIED = 4
 _MONTH_S = 30.4375 * 86400.0
@@ -141,8 +144,13 @@ class History(Shown):
         bars = () if len(errors) < 2 else (
             Bar(BEFORE, "first run", errors[0]), Bar(AFTER, "last, by the model of the first", errors[-1])
         )  # fmt: skip
-        to_do = ToDo(self.advice, calibrate_again(self.verdict, self.known))
+        to_do = ToDo(self.advice, "" if self._is_gone else calibrate_again(self.verdict, self.known))
         return Answer(self.verdict_and_what, "", tuple(told), (to_do,), bars, self.unit)
+
+    @property
+    def _is_gone(self) -> bool:
+        """Whether all that has changed did so for one run."""
+        return self.verdict == "changed" and all(one.kind == ONCE for one in self.changes)
 
     @property
     def sees(self) -> str:
@@ -256,25 +264,12 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     if count > 2 and np.isfinite(temperatures).all() and np.ptp(temperatures) > 0.5:
         courses.append((SEASON, 0, temperatures - temperatures[0]))
     base: Base = Courses.of(joined, [factors for _, _, factors in courses], waves=False).base
-    family = base.family
-    found: list[Block] = []
+    verdict, found = _found(base)
     tied: list[tuple[str, ...]] = []
-    verdict = "unexplained" if base.evidence >= ALARM else "unchanged" if base.evidence < QUIET else "undecided"
-    for _ in range(_MOST):
-        if base.evidence < ALARM:
-            break
-        effects = np.where(family.is_effect, base.each, -np.inf)
-        lead = int(np.argmax(effects))
-        if effects[lead] < base.shapes.max(initial=-np.inf) + SURE:
-            verdict = "partly explained" if found else "unexplained"
-            break
-        block = family.blocks[lead]
-        near = [family.blocks[i] for i in np.argsort(-effects).tolist() if effects[i] > effects[lead] - TIED]
-        called = {(one.name, courses[one.since][0]): None for one in near}
-        called.pop((block.name, courses[block.since][0]))
+    for k, block in enumerate(found):
+        called = {(one.name, courses[one.since][0]): None for one in _instead(base, found, k)}
+        called.pop((block.name, courses[block.since][0]), None)
         tied.append(tuple(_called(*one) for one in called)[:_MOST_TIED])
-        found.append(block)
-        base, verdict = base.beside(block), "changed"
     changes = []
     about = joined.about([(b.effect, courses[b.since][2]) for b in found if b.effect])[0]
     for number, (block, told, other) in enumerate(zip(found, about.told, tied, strict=True)):
@@ -287,15 +282,67 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     values = {block.name: _by_run(joined, block) for block in found}
     still = [c.name for c in joined.candidates if c.name not in values]
     quiet = verdict == "unchanged"
+    if quiet:
+        advice = unchanged_advice(float(joined.fit.error.rms), needed, pool.unit, joined)
+    elif verdict == "changed" and all(one.kind == ONCE for one in changes):
+        days = listed([f"in {data[pool.numbers.index(one.since)].source}" for one in changes if one.since is not None])
+        advice = f"look for what was different {days}: it is gone since, and the calibration of the other runs holds"
+    else:
+        advice = _ADVICE[verdict]
     return History(
         verdict=verdict, changes=tuple(changes), runs=(), unit=pool.unit, values=values, stood_still=tuple(still),
         known=joined.known,
         smallest_found=pool.smallest if quiet else None, silent={name: str(one) for name, one in pool.silent.items()},
-        advice="; ".join([
-            unchanged_advice(float(joined.fit.error.rms), needed, pool.unit, joined) if quiet else _ADVICE[verdict],
-            *pool.to_measure,
-        ]),
+        advice="; ".join([advice, *pool.to_measure]),
     )  # fmt: skip
+
+
+def _found(base: Base) -> tuple[str, list[Block]]:
+    """The verdict, and the changes in the order in which they were found.
+
+    One after another, from several beginnings: an effect of many numbers imitates two of one each. Of those that
+    explain all, and no worse than shapes do, the likeliest; else each as long as it says clearly more than a shape.
+    """
+    if base.evidence < ALARM:
+        return "unchanged" if base.evidence < QUIET else "undecided", []
+    every = [_from(base, block) for block in likeliest(base.family, base.each, _STARTS)]
+    whole = [one for one in every if one[1]]
+    value, found = max(whole, key=lambda one: one[0], default=(-np.inf, []))
+    if value > described(base).evidence - SURE:
+        return "changed", found
+    found = []
+    while len(found) < _MOST and base.evidence >= ALARM:
+        effects = np.where(base.family.is_effect, base.each, -np.inf)
+        lead = int(np.argmax(effects))
+        if effects[lead] < base.shapes.max(initial=-np.inf) + SURE:
+            return "partly explained" if found else "unexplained", found
+        found.append(base.family.blocks[lead])
+        base = base.beside(found[-1])
+    return "changed", found
+
+
+def _from(base: Base, first: Block) -> tuple[float, list[Block]]:
+    """What is said by changes of which this is the first, and these; none where they do not explain."""
+    found = [first]
+    value = float(base.each[base.family.where(first)])
+    base = base.beside(first)
+    while base.evidence >= ALARM:
+        effects = np.where(base.family.is_effect, base.each, -np.inf)
+        lead = int(np.argmax(effects))
+        if len(found) == _MOST or effects[lead] < 0:
+            return value, []
+        found.append(base.family.blocks[lead])
+        value += float(effects[lead]) + ONE_MORE
+        base = base.beside(found[-1])
+    return value, found
+
+
+def _instead(base: Base, found: Sequence[Block], k: int) -> list[Block]:
+    """What would say as much in the place of one of those that were found, beside the others."""
+    beside = base.beside(*(one for one in found if one is not found[k]))
+    effects = np.where(base.family.is_effect, beside.each, -np.inf)
+    least = effects[base.family.where(found[k])] - TIED
+    return [base.family.blocks[i] for i in np.argsort(-effects).tolist() if effects[i] > least]
 
 
 def _called(name: str, kind: str) -> str:

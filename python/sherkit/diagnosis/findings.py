@@ -11,6 +11,7 @@ from ..fit.regions import TO_DO
 from ..model.effect import Effect
 from ..model.kinds import required_um
 from ..model.sensor_pose import SLIP
+from .next_poses import times_as_often
 from .outliers import sentences
 from .result import (  # fmt: skip
     APART,
@@ -312,7 +313,9 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
         if d.advice:
             yield d.advice, ""
         if d.next_poses:
-            yield "measure the poses below, some time after this run, and diagnose both", _AGAIN
+            times = times_as_often(d.next_poses)
+            often = f", each {times} times as often as those of the run" if times > 1 else ""
+            yield f"measure the poses below{often}, some time after this run, and diagnose both", _AGAIN
         elif not d.advice:
             yield "which poses could be reached is not known of this machine, so none are proposed", ""
     elif d.too_few_poses:

@@ -18,12 +18,15 @@ from ..data import Measurements
 from ..data.columns import bare
 from ..errors import SherkitError
 from ..evidence.design import Rival, telling
+from ..evidence.thresholds import TIED
 from ..fit.identify import Fit
 from ..model.base import Reachable
 
 MOST = 12
 #: Separation from which poses are worth measuring, in standard deviations.
 TELLS_SIGMA = 3.0
+#: That with which four of five ties are lifted: what it says in nats, half its square, scatters by itself.
+_LIFTS_SIGMA = 0.84 + float(np.sqrt(0.84**2 + 2.0 * TIED))
 SEPARATION = "separation_sigma"
 #: Digits of what would be read at a pose.
 _DIGITS_READ = 3
@@ -61,6 +64,11 @@ def next_poses(true: Fit, rivals: Sequence[Fit], sigma: Floats, most: int = MOST
     except SherkitError:
         return Proposal()
     return Proposal(_named(trial, reachable, chosen), advice)
+
+
+def times_as_often(poses: Sequence[Mapping[str, float]]) -> int:
+    """How many times as often as those of the run these poses are to be read, so that they lift a tie."""
+    return max(int(np.ceil((_LIFTS_SIGMA / poses[-1][SEPARATION]) ** 2)), 1)
 
 
 def _chosen(trial: _Trial, rivals: Sequence[Fit]) -> tuple[list[tuple[int, float]], dict[Fit, float]]:

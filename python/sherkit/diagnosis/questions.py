@@ -30,7 +30,7 @@ from .gathered import checks_of_outliers
 from .held_out import backward_elimination, candidates_of, noise_quantile, strongest, unnamed
 from .next_poses import Proposal, next_poses
 from .outliers import is_first_by_side, outliers_beside, sentences, without_outliers
-from .repeats import contradicted, in_repeats, steps_in
+from .repeats import contradicted, in_repeats, noise_beside, steps_in
 from .result import Diagnosis, verdict_of
 from .selection import NamedEffects, not_needed, searched
 from .sensor_pose import taken_by_pose
@@ -142,6 +142,12 @@ def _diagnosed(
         steps = None if there.names else steps
     look, rounded = look and steps is None, None if steps is None else steps.rounded
     found = searched(run, every, rows, sigma, repeated_folds, level=level, step=step, look=look)
+    if origin == "repeats" and (quieter := noise_beside(found.lead, sigma)) is not None:
+        # what stepped between visits of a pose passed for noise, and kept the fit at its drawing
+        then = run.on(np.arange(len(run.data)), quieter)
+        long = then if long is run else long.on(np.arange(len(long.data)), quieter)
+        run, sigma = then, quieter
+        found = searched(run, every, rows, sigma, repeated_folds, level=level, step=step, look=look)
     if look and (doubt := next(commanded(run.data), None)) and _still_contradicted(found, run, long):
         # nothing found says why visits of a pose differ so much: then it is that their joints were not read
         mistakes, look = (Mistake(doubt.sentence),), False

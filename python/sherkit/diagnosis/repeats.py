@@ -31,6 +31,8 @@ from .template import course
 _CONTRADICTS = 3.0
 #: Visits beyond the first of each pose without which nothing is told of noise.
 _FEWEST = 5
+#: Part of the noise below which there is plainly less of it.
+_QUIETER = 0.5
 #: Part of a shape's square that must differ between visits of a pose.
 _DIFFERS = 1e-6
 
@@ -77,6 +79,16 @@ def in_repeats(before: Base, left: ShapeDescription, every: FittedRun) -> Repeat
     if not held:
         noise = _scatter(every, noise)
     return Repeats(tuple(held), np.maximum(noise, run.of.digits), int((count[pose] > 1).sum()))
+
+
+def noise_beside(lead: FittedRun | None, sigma: Floats) -> Floats | None:
+    """The noise (columns,) by repeats beside what says most of a run, where that is plainly less than ``sigma``
+    (columns,) on any axis; else None."""
+    if lead is None:
+        return None
+    noise = _scatter(lead, sigma)
+    quieter = np.where(noise < _QUIETER * sigma, np.maximum(noise, lead.digits), sigma)
+    return quieter if (quieter < sigma).any() else None
 
 
 def _scatter(run: FittedRun, noise: Floats) -> Floats:

@@ -62,6 +62,12 @@ class NamedEffects:
         return judged.ties if judged is not None and self.added and not judged.refused else ()
 
     @property
+    def lead(self) -> FittedRun | None:
+        """The full fit with what says most of the run, whether it is named or not."""
+        judged = self.names_judged
+        return None if judged is None or judged.lead is None else judged.lead.run.of
+
+    @property
     def structure(self) -> bool:
         """Whether what is left has one that nothing named explains."""
         judged = self.names_judged
@@ -72,6 +78,8 @@ class NamedEffects:
         """By how much, in nats, the readings favour that something is missing: what no effect of these explains, or
         what is left beside all that are named."""
         judged = self.names_judged
+        if self.structure and self.added:
+            return max(self.base.evidence, self.left.evidence)
         if self.structure or judged is None or judged.lead is None:
             return self.first.evidence
         return judged.lead.rest

@@ -79,7 +79,7 @@ def judged_names(sets: Sets) -> Names:
     if lead.value + beside.evidence - alone.evidence < 2.0 * NEEDED:
         alone = sets.described(sets.base, MOST, _STARTS)
     fewer = _of_one_joint(sets.base, *_columns(lead, 0)) if len(lead.blocks) == 1 else 0.0
-    judged = Names(lead, (), {}, _ties(lead, found), beside, alone, sets.base, fewer)
+    judged = Names(lead, (), {}, _ties(sets, lead, found), beside, alone, sets.base, fewer)
     # three or more with many numbers imitate anything; what no shape follows is left, too, where poses are off by
     # errors of their own
     own = lead.base.own_errors()
@@ -170,14 +170,17 @@ def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: boo
     return ""
 
 
-def _ties(lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSet, ...]:
-    """Sets of no more effects that say as much, or come as near the data, and leave as little."""
+def _ties(sets: Sets, lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSet, ...]:
+    """Sets of no more effects that say as much, or are no more and come as near the data, and leave as little."""
     equivalent_models = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
     return tuple(
         one
         for one in found
         if one is not lead
         and len(one.blocks) <= len(lead.blocks)
-        and (one.value > lead.value - TIED or (one.explains and one.base.rss < equivalent_models))
+        and (
+            one.value > lead.value - TIED
+            or (one.explains and one.base.rss < equivalent_models and sets.counted(one) <= sets.counted(lead))
+        )
         and one.rest < max(lead.rest, ALARM) + TIED
     )

@@ -18,6 +18,7 @@ from .blocks import Block
 from .family import Family
 from .ripple import ripple_of
 from .run import Run, shared_by_targets
+from .settings import refined, unit_columns
 from .thresholds import ALARM
 from .whitening import InCommon, Whitening, correlation_in_time, orthonormal
 
@@ -58,8 +59,8 @@ def _weighed(run: Run, effects: Sequence[Effect]) -> Base:
         i = int(np.argmax(now.each))
         if len(found) == _MOST or now.each[i] < 0:
             break
-        found.append(family.blocks[i])
-        now = now.beside(found[-1])
+        found.append(refined(now, family.blocks[i]))
+        now = _beside(now, found[-1])
     _, white, loud, now = best
     shared = shared_by_targets(now.residual.reshape(len(run), run.axes), run.of.data.series[run.rows])
     weighed = replace(run.weighed(loud, effects), shared=shared)
@@ -70,6 +71,14 @@ def _weighed(run: Run, effects: Sequence[Effect]) -> Base:
     else:
         family = Family(replace(weighed, white=white))
     return Base.of(family, family.run)
+
+
+def _beside(base: Base, block: Block) -> Base:
+    """A base with a block at its own setting: between two moments that are tried a step leaves a few rows, which pass
+    for noise that neighbours share."""
+    if block.effect is None or block.setting is None:
+        return base.beside(block)
+    return base.with_columns(unit_columns(base.family.run, block.effect, block.setting))
 
 
 def _by_pose(base: Base) -> list[Whitening]:

@@ -86,6 +86,8 @@ _BESIDE, _SECONDS, _FIRSTS, _THIRDS, _PAIRS = 6, 4, 14, 3, 7
 _TONE = 100.0
 #: Most effects of a set.
 _MOST_EFFECTS = 4
+#: What is counted of a pair, at least.
+_PAIR = 2
 #: Sets that are described with shapes beside them, and shapes of each.
 _MIXED, _SHAPES = 5, 6
 
@@ -193,28 +195,35 @@ class Sets:
         if self.base.evidence < ALARM:
             return []
         sets = sorted(self._singles(), key=lambda one: -one.value)
-        if any(one.explains for one in sets):
+        if self._settled(sets):
             return sets
         sets = [self._with_along(one) for one in sets]
-        if not any(one.explains for one in sets):
+        if not self._settled(sets):
             sets += self._pairs(sets)
         sets.sort(key=lambda one: -one.value)
         while sets and len(sets[0].blocks) < _MOST_EFFECTS and not any(one.explains for one in sets):
             lead = sets[0]
-            more = [self._with(lead, block) for block in _likeliest(self.family, lead.each, 2, lead.names)]
+            more = [self._with(lead, block) for block in likeliest(self.family, lead.each, 2, lead.names)]
             better = [one for one in more if one is not None and one.value > lead.value + TIED]
             if not better:
                 break
             sets = sorted([*sets, *better], key=lambda one: -one.value)
         return sets
 
+    def counted(self, one: EffectSet) -> int:
+        """How much is taken to have happened: so many effects."""
+        return len(one.blocks)
+
+    def _settled(self, singles: Sequence[EffectSet]) -> bool:
+        """Whether one of them explains, and no pair would be less."""
+        return any(one.explains and self.counted(one) <= _PAIR for one in singles)
+
     def leading(self, sets: Sequence[EffectSet]) -> EffectSet:
-        """The set that leads: of those that explain the fewest effects, plausible ones first; where shapes beside
-        effects say clearly more, the set that they say it with."""
+        """The set that leads: of those that explain, plausible ones first; where shapes beside effects say clearly
+        more, the set that they say it with."""
         explaining = [one for one in sets if one.explains]
-        fewest = min((len(one.blocks) for one in explaining), default=0)
-        some = [one for one in explaining if len(one.blocks) == fewest]
-        lead = self._of_the_machine(max(some or sets, key=lambda one: (one.plausible and bool(some), one.value)), some)
+        lead = max(explaining or sets, key=lambda one: (one.plausible and bool(explaining), one.value))
+        lead = self._of_the_machine(lead, explaining)
         partly = [one for one in sets if not one.explains]
         partly.sort(key=lambda one: -(one.value + max(float(one.base.shapes.max(initial=-np.inf)), 0.0)))
         both = [(one.value + self.described(one.base, _SHAPES, 1).evidence, one) for one in partly[:_MIXED]]
@@ -292,7 +301,7 @@ class Sets:
 
     def _singles(self) -> list[EffectSet]:
         each, gain = self.base.each, self.base.gains[0]
-        blocks = _likeliest(self.family, each, _SINGLES)
+        blocks = likeliest(self.family, each, _SINGLES)
         # a cause of many numbers stands behind each that imitates it
         for i in np.argsort(-gain).tolist():
             block = self.family.blocks[i]
@@ -318,13 +327,13 @@ class Sets:
                 pairs[names] = (worth, one, other)
 
         for one in sets[:_BESIDE]:
-            for block in _likeliest(self.family, one.each, _SECONDS, one.names):
+            for block in likeliest(self.family, one.each, _SECONDS, one.names):
                 add(one.log_bf + float(one.each[self.family.where(block)]), one.blocks[0], block, again=True)
         of_effects = self._of_effects
-        for first in _likeliest(of_effects.family, of_effects.each, _FIRSTS):
+        for first in likeliest(of_effects.family, of_effects.each, _FIRSTS):
             beside = of_effects.beside(first)
             alone = float(of_effects.log_bf[of_effects.family.where(first)])
-            for block in _likeliest(of_effects.family, beside.each, _THIRDS, (first.name,)):
+            for block in likeliest(of_effects.family, beside.each, _THIRDS, (first.name,)):
                 add(alone + float(beside.each[of_effects.family.where(block)]), first, block, again=False)
         out = []
         for _, a, b in sorted(pairs.values(), key=lambda pair: -pair[0])[:_PAIRS]:
@@ -368,7 +377,7 @@ def _key(blocks: Sequence[Block]) -> tuple[_Key, ...]:
     return tuple(sorted((block.name, block.setting or 0.0, block.since) for block in blocks))
 
 
-def _likeliest(family: Family, each: Floats, most: int, without: Collection[str] = ()) -> list[Block]:
+def likeliest(family: Family, each: Floats, most: int, without: Collection[str] = ()) -> list[Block]:
     """The likeliest effects of a family, given what each block says (B,), each at its likeliest setting."""
     best: dict[str, Block] = {}
     for i in np.argsort(-each).tolist():

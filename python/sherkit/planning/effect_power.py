@@ -44,8 +44,8 @@ class EffectPower:
 
     ``power`` is the chance to find it at its plausible size, ``times`` the multiple of that size at which the chance is
     0.8 (all parameters at the same multiple of their sizes, signs at random), ``values`` the parameters there,
-    ``left_um`` the root mean square that it then leaves in the readings, in the unit that people read. ``absorbed`` is
-    the share of its squared displacements that the fitted parameters would take. ``indistinguishable`` name effects
+    ``left_um`` the root mean square that it then leaves of a row, in the unit that people read. ``absorbed`` is the
+    share of its squared displacements that the fitted parameters would take. ``indistinguishable`` name effects
     that would explain it as well: with one of them in the model, it is no longer found at its plausible size.
     ``missing_columns`` names columns without which it cannot be tried at all; the rest then says nothing.
     """
@@ -215,7 +215,8 @@ class Planning:
         least = needed(POWER, *test)
         times = float(np.sqrt(least / at_size)) if at_size > 0 else float("inf")
         whole = float((raw**2).sum())
-        unit = self.rows.layout.per_unit * float(np.sqrt(np.mean(self.sigma**2)))
+        # of rows, as errors are told
+        unit = self.rows.layout.per_unit * float(np.sqrt(np.sum(self.sigma**2)))
         return EffectPower(
             name=name,
             link=effect.link,
