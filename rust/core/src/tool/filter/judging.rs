@@ -173,7 +173,8 @@ impl ToolFilter {
             if m.whole[0] && m.whole[1] {
                 if !told[..2].iter().any(|x| *x > IN_ORDER) {
                     let mean = (shifts[2][0] + shifts[2][1] + shifts[2][2]) / 3.0;
-                    o.learn_lag(g, &m, third.then_some(mean), elapsed);
+                    let jitter = self.watch.jitter;
+                    o.learn_lag(g, jitter, &m, third.then_some(mean), elapsed);
                 }
                 if !self.tip.on
                     && let Some(zero) = o.rest(s, g, &m, whole.then_some(&shifts[2]))

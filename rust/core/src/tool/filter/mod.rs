@@ -153,7 +153,7 @@ impl ToolFilter {
             along: along::Along::default(),
             edge: edge::Edge::default(),
             tip: tip::Tip::default(),
-            watch: watch::Watch::new(),
+            watch: watch::Watch::new(gratings.noise),
             used_s: f64::NEG_INFINITY,
             look: Look::default(),
             counts: Counts::default(),

@@ -78,13 +78,15 @@ impl Offsets {
     pub(super) fn learn_lag(
         &mut self,
         g: &Gratings,
+        jitter: f64,
         m: &Moments,
         third: Option<f64>,
         elapsed_s: f64,
     ) {
         let [one, two, _] = m.means_nm;
         let [p, q] = g.bends(m);
-        let white = g.noise / 3.0;
+        // what a bench that lags calls noise is none of a reading's
+        let white = g.noise.min(jitter) / 3.0;
         let mut shows = 0.0;
         let apart = [Some(one - two), third.map(|x| x - 0.5 * (one + two))];
         let share = (elapsed_s / SMOOTH_S).min(1.0);

@@ -11,6 +11,8 @@ const REPEATS: u8 = 3;
 /// Peaks that move by more at once than this may have changed places, nm; within this time, s.
 const MOVED_NM: f64 = 0.08;
 const AT_ONCE_S: f64 = 0.1;
+/// How long noise is watched, s.
+const WATCHED_S: f64 = 5.0;
 /// What may be left out beside what is: nine gratings, three fibres, the warmth of three sections.
 pub(super) const HYPOTHESES: usize = GRATINGS + FIBRES + SECTIONS;
 
@@ -22,6 +24,8 @@ pub(super) struct Watch {
     pub(super) at_s: f64,
     pub(super) places: [usize; GRATINGS],
     pub(super) repeats: [u8; GRATINGS],
+    /// Variance of a grating from reading to reading, nm².
+    pub(super) jitter: f64,
     /// Evidence for each hypothesis, the one that surely leads, and for how many readings; those in a row that were refused.
     pub(super) sums: [f64; HYPOTHESES],
     pub(super) leader: Set,
@@ -34,12 +38,13 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(jitter: f64) -> Self {
         Self {
             last: [f64::NAN; GRATINGS],
             at_s: f64::NEG_INFINITY,
             places: core::array::from_fn(|k| k),
             repeats: [0; GRATINGS],
+            jitter,
             sums: [0.0; HYPOTHESES],
             leader: 0,
             leads_for: 0,
@@ -93,6 +98,11 @@ impl Watch {
             let same = u8::from(peaks[k] == self.last[k]);
             self.repeats[k] = same * self.repeats[k].saturating_add(1);
             still |= Set::from(self.repeats[k] >= REPEATS) << k;
+        }
+        // the difference of two that a bend moves least, from reading to reading
+        let jump = (peaks[7] - self.last[7]) - (peaks[8] - self.last[8]);
+        if jump.abs() < MOVED_NM && jump != 0.0 {
+            self.jitter += (0.25 * jump * jump - self.jitter) * (elapsed_s / WATCHED_S).min(0.1);
         }
         self.last = peaks;
         // where all stand still it is the world, or a source that gives each reading several times
