@@ -173,6 +173,9 @@ def test_a_coordinate_that_nobody_read_is_said() -> None:
     taken[:, 2] = False
     d = sk.diagnose(DELTA, replace(data, taken=taken))
     assert any(note.startswith("z_mm: not read in any row") for note in d.notes)
+    # beside the verdict, and once
+    assert any(said.startswith("z_mm: not read in any row") for said in d.answer.sure)
+    assert [one.about for one in d.findings if "not read in any row" in one.answer] == ["unread"]
 
 
 @pytest.mark.slow

@@ -315,6 +315,21 @@ def test_what_is_wrong_is_said(function: Any, more: dict[str, Any], words: str) 
         made(function, **more)
 
 
+def test_where_a_function_fails_is_said() -> None:
+    """Catches a failure without the joints at which it comes."""
+
+    def stops(q: Any, p: Any) -> Any:
+        if (np.real(q[:, 0]) > 40.0).any():
+            raise ValueError("too far")
+        return right(q, p)
+
+    where = (
+        r"'tried' failed at a_mm = 4\d\.\d+, b_mm = -?\d+\.?\d* \(row \d+ of the 32 .*; \d fail\): ValueError: too far"
+    )
+    with pytest.raises(FitError, match=where):
+        made(stops)
+
+
 def test_rows_without_a_number_are_named() -> None:
     """Catches NaN that travels on from one row of a user's function."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import sherkit as sk
 import test_discovery as delta
 import test_spherical_discovery as spherical
 from sherkit.data.toml import Table
+from sherkit.diagnosis import next_poses
 from sherkit.diagnosis.next_poses import SEPARATION, TELLS_SIGMA, times_as_often
 from sherkit.lab.experiment.file import coordinates_of_plan
 from sherkit.model.kinds import kind_of, model_of
@@ -61,6 +63,21 @@ def test_a_shifted_robot_is_kept_in_its_workspace() -> None:
     shifted = model.reachable(data, values)
     assert plain.targets["x_mm"].max() > shifted.targets["x_mm"].max()
     assert plain.targets["x_mm"].min() == shifted.targets["x_mm"].min()
+
+
+def test_what_no_pose_tells_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a leader without a name, and the same effects with another moment as a rival of theirs."""
+
+    class Fitted:
+        def __init__(self, *names: str) -> None:
+            self.model = SimpleNamespace(effects=[SimpleNamespace(name=name) for name in names])
+
+    monkeypatch.setattr(next_poses, "_told_by", lambda *_: "")
+    true, again, other = Fitted("sensor_slip"), Fitted("sensor_slip"), Fitted("joint_slip")
+    wider = Fitted("sensor_slip", "drift")
+    said = next_poses._advice(true, None, {again: 0.0, other: 2.1, wider: 2.4}, np.ones(3), 12)
+    assert "tell sensor_slip from joint_slip (by 2.1 σ), sensor_slip with drift (by 2.4 σ): these" in said
+    assert next_poses._advice(true, None, {again: 0.0}, np.ones(3), 12) == ""
 
 
 def test_the_poses_of_a_tie_are_a_plan(tmp_path: Path) -> None:

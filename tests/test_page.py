@@ -245,6 +245,23 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(app: Served, lab: Path) -> 
         page.wait_for_function("Bokeh.documents[0].get_model_by_name('steps').data.action.length == 4")
 
 
+def test_nothing_is_cut_off_at_the_widths_of_screens(app: Served) -> None:
+    """Catches what is pressed below the edge of a header whose answer is long, and maps cut at the right."""
+    with seen(app.url) as page:
+        begun(page)
+        diagnosed(page)
+        page.evaluate(
+            "Bokeh.documents[0].get_model_by_name('headline').text = 'The model lacks this and that. '.repeat(40)"
+        )
+        for width in (1200, 1280, 1300, 1400, 1500, 1920):
+            page.set_viewport_size({"width": width, "height": 900})
+            at_rest(page, "() => document.querySelector('.top').offsetHeight", None)
+            middles = page.evaluate("[...document.querySelectorAll('.middle')].map(e => e.scrollWidth - e.clientWidth)")
+            assert max(middles) <= 0, width
+            header, body, status = (page.locator(one).bounding_box() for one in (".top", ".body", "text=Ready."))
+            assert status["y"] + status["height"] <= header["y"] + header["height"] <= body["y"], width
+
+
 @pytest.mark.slow
 def test_what_has_no_number_does_not_run(app: Served) -> None:
     """Catches a policy that lets a script run which is not the page's own."""

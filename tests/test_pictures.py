@@ -416,6 +416,13 @@ def test_one_scale_with_a_true_bar_and_circle(demo: Run) -> None:
         assert ratio == pytest.approx(f.frame_height / f.frame_width, rel=0.01)
 
 
+def test_planes_side_by_side_share_an_axis(demo: Run) -> None:
+    """Catches an axis for each panel of a row, which makes the row wider than a window."""
+    figures = [one for one, _, _ in residual_map(change(demo), planes_across=True, width_px=730).root.children]
+    assert [one.yaxis[0].visible for one in figures] == 2 * [True, False, False]
+    assert sum(one.frame_width for one in figures[:3]) <= 730
+
+
 def test_no_circle_where_the_noise_is_unknown(plane: Run) -> None:
     """Catches a noise that nobody knows, drawn."""
     made = residual_map(change(plane))
@@ -583,6 +590,14 @@ def test_each_scale_says_what_it_shows(demo: Run, scale: str) -> None:
         per_unit = (key["bar_x1"][0] - key["bar_x0"][0]) / bar
         np.testing.assert_allclose(t["x1"] - t["x"], per_unit * t["ex"] / noise, atol=1e-3 * lengths[moment].max())
         assert key["bar_text"][0].endswith("σ" if scale == "noise" else "µm")
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.143, 0.192), (0.012, 0.0131), (0.004, 3.0), (1.9, 2.3)])
+def test_an_axis_has_numbers_however_narrow(low: float, high: float) -> None:
+    """Catches candidates within a few micrometres of each other on an axis without a number."""
+    inside = [tick for tick in style.ticks_between(low, high) if low <= tick <= high]
+    assert 3 <= len(inside) <= 12
+    assert all(float(f"{tick:.4g}") == pytest.approx(tick) for tick in inside)
 
 
 def test_bracket_holds_what_is_tied(plane: Run, demo: Run) -> None:

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -22,7 +23,7 @@ from sherkit.cli import c_library, doctor
 from sherkit.cli.groups import OpenGroup
 from sherkit.cli.verbs import cli
 from sherkit.errors import CalibrationError, SherkitError
-from sherkit.robots.c_header import c_array, calibration_header
+from sherkit.robots.c_header import c_array, calibration_header, covariates_needed
 from test_c_library import LIBRARY, ROOT, built_archive, make_robots, run, tool
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -122,6 +123,10 @@ def test_a_python_that_lacks_libraries_does_all_that_needs_none_of_them(tmp_path
 # -- C -------------------------------------------------------------------------------------------------------------
 
 
+#: What a calibration says of its effects and of where the run ended.
+WARM = SimpleNamespace(effects=("rail_lean", "thermal_growth", "backlash"), now=(600.0, 21.5, 0.0, 0.0, 0.0))
+
+
 def test_a_calibration_becomes_a_header_that_compiles(tmp_path):
     """Catches an infinite corner that C has no word for, a number that is rounded, and a name that ends the comment."""
     row = np.array([3.0, 1.0, -np.inf, np.inf, 0.1, 1e-300])
@@ -139,10 +144,19 @@ def test_a_calibration_becomes_a_header_that_compiles(tmp_path):
     class Made:
         robot = make_robots.EXAMPLE
         core = make_robots.delta()
+        parts_made = (WARM,)
 
     header = calibration_header(Made(), "a*/b.toml")  # type: ignore[arg-type]
     assert "*/b" not in header
     assert "sherkit_delta_init" in header
+    assert covariates_needed(Made()) == {"thermal_growth": ("temperature_c",), "backlash": ("direction",)}  # type: ignore[arg-type]
+    assert "thermal_growth needs temperature_c.\n   backlash needs direction.\n   Where that is NaN, or" in header
+    assert "sherkit_delta_covariates robot_now = {600.0, 21.5, {0.0, 0.0, 0.0}};" in header
+
+    class Plain(Made):
+        parts_made = (SimpleNamespace(effects=("rail_lean",), now=WARM.now),)
+
+    assert "No effect in it needs covariates: they may be NULL." in calibration_header(Plain())  # type: ignore[arg-type]
 
     class Arm(Made):
         core = object()
@@ -151,12 +165,48 @@ def test_a_calibration_becomes_a_header_that_compiles(tmp_path):
         calibration_header(Arm(), "arm.toml")  # type: ignore[arg-type]
 
 
+def test_what_stands_in_for_covariates_is_what_python_takes(tmp_path):
+    """Catches a program that ends every call for want of a direction, and other covariates than Python's."""
+
+    class Arm:
+        robot = make_robots.KIND.example
+        core = make_robots.serial()
+        parts_made = (SimpleNamespace(effects=("backlash",), now=(600.0, 21.5, 1.0, -1.0, 1.0, 0.0, 1.0, -1.0)),)
+
+    (tmp_path / "robot.h").write_text(calibration_header(Arm()), encoding="utf-8")  # type: ignore[arg-type]
+    (tmp_path / "now.c").write_text(
+        """
+        #include <stdio.h>
+        #include "robot.h"
+        int main(void)
+        {
+            static sherkit_serial robot;
+            const double joints[6] = {0.1, -0.9, 1.2, -0.4, 0.7, 0.3};
+            double x[3];
+            if (robot_init(&robot) != SHERKIT_OK)
+                return 1;
+            if (sherkit_serial_forward(&robot, joints, NULL, x, NULL) != SHERKIT_NOT_FINITE)
+                return 2;
+            if (sherkit_serial_forward(&robot, joints, &robot_now, x, NULL) != SHERKIT_OK)
+                return 3;
+            printf("%.17g %.17g %.17g\\n", x[0], x[1], x[2]);
+        }
+        """,
+        encoding="utf-8",
+    )
+    flags = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{LIBRARY / 'include'}", f"-I{tmp_path}"]
+    run(tool("cc"), *flags, tmp_path / "now.c", built_archive(), "-lm", "-o", tmp_path / "now")
+    place, _ = Arm.core.forward(np.array([0.1, -0.9, 1.2, -0.4, 0.7, 0.3]), [*Arm.parts_made[0].now, 0.0])
+    assert [float(word) for word in run(tmp_path / "now").split()] == place.tolist()
+
+
 def test_the_loop_of_the_wheel_runs(tmp_path):
     """Catches an example that a user cannot build, or that misses its targets."""
 
     class Made:
         robot = make_robots.EXAMPLE
         core = make_robots.delta()
+        parts_made = (WARM,)
 
     (tmp_path / "robot.h").write_text(calibration_header(Made()), encoding="utf-8")  # type: ignore[arg-type]
     flags = [
@@ -192,6 +242,7 @@ def test_what_the_installed_wheel_ships_links(tmp_path):
     class Made:
         robot = make_robots.EXAMPLE
         core = make_robots.delta()
+        parts_made = (WARM,)
 
     (tmp_path / "robot.h").write_text(calibration_header(Made()), encoding="utf-8")  # type: ignore[arg-type]
     for more in ([], ["--shared"]):

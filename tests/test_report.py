@@ -262,6 +262,15 @@ def test_reads_without_javascript(demo: Path) -> None:
     with opened(demo / "demo" / "report.html", javascript=False) as page:
         assert page.inner_text("#answer").startswith("The model lacks rail_lean.")
         assert page.inner_text("pre.command").startswith("sherkit calibrate ")
+        # a long command is read to its end, on paper too
+        wide = """() => {
+            const made = document.querySelector("#command"); made.closest("details").open = true
+            made.textContent += " run_of_another_day.csv".repeat(40)
+            return made.clientWidth > 300 ? made.scrollWidth - made.clientWidth : "not shown"
+        }"""
+        for media in ("print", "screen"):
+            page.emulate_media(media=media)
+            assert page.evaluate(wide) == 0, media
         assert "µm" in page.inner_text("#bar_before")
         assert len(cells_without(page, "#candidates")) == 6
         page.locator("summary", has_text="What the verdict rests on").click()

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 import sherkit as sk
 from second_simulator import Robot, draw_geometric_errors, grid, make_plan, scaled_effect, simulate, truth
 from sherkit.data.stream import joined
+from sherkit.diagnosis import findings
+from sherkit.diagnosis.result import Check, Finding
 from sherkit.fit.folds import spatial_blocks
 from sherkit.report.states import states_so_far
 from strategies import EXAMPLE
@@ -423,6 +426,18 @@ def unknown(rows: Any, p: Any) -> Floats:
     return p.a * np.outer(rows.humidty, [1, 1, 1])
 
 
+def another(rows: Any, p: Any) -> Floats:
+    return p.a * np.random.default_rng().normal(size=(len(rows), 3))
+
+
+def rounded(rows: Any, p: Any) -> Floats:
+    return np.round(p.a) * np.ones((len(rows), 3))
+
+
+def idle(rows: Any, p: Any) -> Floats:
+    return 0.0 * p.a * np.ones((len(rows), 3))
+
+
 @pytest.mark.parametrize(
     ("function", "message"),
     [
@@ -430,7 +445,8 @@ def unknown(rows: Any, p: Any) -> Floats:
         (flat, r"'flat': expected an array of shape \(288, 3\), got \(288,\)"),
         (broken, "'broken' is not finite at row 0"),
         (raising, "'raising' failed: AttributeError"),
-        (unknown, "did you mean 'humidity"),
+        (unknown, "'unknown': these rows have no 'humidty'; did you mean 'humidity"),
+        (another, "'another' gives another answer each time"),
     ],
 )
 def test_a_users_mistake_is_named(function: Any, message: str, leaning: sk.Measurements) -> None:
@@ -439,6 +455,21 @@ def test_a_users_mistake_is_named(function: Any, message: str, leaning: sk.Measu
     for use in (lambda: sk.Study(EXAMPLE, leaning, effects=[made]), lambda: sk.Study(EXAMPLE, leaning).add(made)):
         with pytest.raises(sk.errors.EffectError, match=message):
             use()
+
+
+def test_an_effect_that_moves_nothing_is_told(leaning: sk.Measurements) -> None:
+    """Catches one that vanishes from a diagnosis without a word."""
+    own = [sk.effect(at="body", parameters={"a": "mm"})(one) for one in (rounded, idle)]
+    found = sk.diagnose(EXAMPLE, leaning, effects=own)
+    assert {found.untestable["rounded"], found.untestable["idle"]} == {"its parameters move nothing in these rows"}
+    assert any("idle could not be tried" in one.answer for one in found.findings)
+
+
+@pytest.mark.parametrize("size", [-1.0, 0.0])
+def test_a_plausible_size_is_positive(size: float) -> None:
+    """Catches a size that makes everything implausible, or of which a step is none."""
+    with pytest.raises(sk.errors.EffectError, match=r"plausible size of 'a'.*give a positive number"):
+        sk.effect(at="body", parameters={"a": ("mm", size)})(flat)
 
 
 @pytest.mark.parametrize(
@@ -564,3 +595,22 @@ def test_a_users_derivative_is_used_and_checked(leaning: sk.Measurements) -> Non
     raises = dataclasses.replace(damp, derivative=lambda rows, p: d_damp(rows, p) * p.nothing)
     with pytest.raises(sk.errors.EffectError, match="damp"):
         sk.Study(EXAMPLE, leaning, effects=[raises])
+
+
+# -- what a diagnosis says -------------------------------------------------------------------------------------------
+
+
+def test_how_sure_it_is_stands_with_what_it_is_of() -> None:
+    """Catches a p of the effects that were found behind a sentence on what is left."""
+    told = Finding("What is wrong?", "brings", "It falls to 5.5 µm. That is not all: more is left.", sure="p < 1e-16")
+    assert str(told) == "It falls to 5.5 µm (p < 1e-16). That is not all: more is left."
+    assert str(dataclasses.replace(told, answer="It falls to 5.5 µm.")) == "It falls to 5.5 µm (p < 1e-16)."
+
+
+def test_what_is_left_is_said_of_what_was_tried() -> None:
+    """Catches "no pattern that is known" where effects of the catalogue have not been ruled out."""
+    left = Check("nothing_left", "nothing is left", "all rows", "", holds=False, fails="what is left has a structure")
+    found: Any = SimpleNamespace(signature=None, checks=(left,))
+    said = "what is left is more than noise, but no effect and no shape that was tried is clear in it by itself"
+    assert findings._rest(found) == said
+    assert "known" not in findings._rest(SimpleNamespace(signature=None, checks=()))  # type: ignore[arg-type]

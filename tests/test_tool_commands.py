@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import runpy
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from click.testing import CliRunner
 
 from second_tool import CONDITIONS, write_csv
 from sherkit.cli.verbs import cli
+from sherkit.cli.verbs import run as run_typed
 from sherkit.robots.tool.effects import TOOL_CATALOGUE
 from sherkit.robots.tool.tool import load_tool
 from test_tool import TOOL
@@ -60,6 +62,63 @@ def test_story_from_the_command_line(tmp_path: Path) -> None:
     assert sherkit("simulate", there, "-o", tmp_path / "short.csv", *short).exit_code == 0
     diagnosis = json.loads(sherkit("diagnose", late, tmp_path / "short.csv", "--json").stdout)
     assert "camera_delay" in {*diagnosis["effects"], *(name for tie in diagnosis["indistinguishable"] for name in tie)}
+
+
+@pytest.fixture(scope="module")
+def bench_and_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a tool, its bench, its free motion and its run."""
+    folder = tmp_path_factory.mktemp("tables")
+    TOOL.save(folder / "tool.toml")
+    for name, experiment in (("bench", "bench"), ("free", "free"), ("run", "phantom")):
+        made = sherkit("simulate", folder / "tool.toml", "-o", folder / f"{name}.csv", "--experiment", experiment,
+                       "--seconds", "12")  # fmt: skip
+        assert made.exit_code == 0, made.output
+    return folder
+
+
+def test_tables_of_a_tool_are_checked(bench_and_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a refusal that advises a command which knows no tool, and one mistake that hides another."""
+    tool, run, bench = (bench_and_run / name for name in ("tool.toml", "run.csv", "bench.csv"))
+    for table in (run, bench):
+        made = sherkit("check", table, tool)
+        assert (made.exit_code, "nothing is wrong with it" in made.output) == (0, True), made.output
+    turned = [f"robot_r{axis}_rad" for axis in "xyz"]
+    wrong = bench_and_run / "wrong.csv"
+    pl.read_csv(run).with_columns(pl.col("time_s") * 1000.0, *(pl.col(name) * 57.3 + 5.0 for name in turned)).write_csv(
+        wrong
+    )
+    with pytest.raises(SystemExit):
+        run_typed(["estimate", str(tool), str(wrong)])
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"sherkit check {wrong} {tool} lists all that is wrong with it" in said
+    told = sherkit("check", wrong, tool, "--json")
+    assert told.exit_code == 1
+    sentences = [one["said"] for one in json.loads(told.stdout)["wrong"]]
+    assert any("is time_s in another unit?" in one for one in sentences)
+    assert any("are they degrees?" in one for one in sentences)
+    pl.read_csv(bench).rename({"fbg4_nm": "fbg_4"}).drop("force_y_mn").write_csv(wrong)
+    sentences = [one["said"] for one in json.loads(sherkit("check", wrong, tool, "--json").stdout)["wrong"]]
+    assert sentences == ["column 'force_y_mn' is missing", "column 'fbg4_nm' is missing; is 'fbg_4' meant to be it?"]
+
+
+def test_calibrations_of_a_tool_are_told_to_programs(bench_and_run: Path) -> None:
+    """Catches --json that is taken and left alone, and a file that is written without it only."""
+    tool, made = bench_and_run / "tool.toml", bench_and_run / "made.toml"
+    told = json.loads(sherkit("calibrate", tool, bench_and_run / "bench.csv", "-o", made, "--json").stdout)
+    assert told["read_as"] == {"depth": "axis", "force": "across"}
+    assert told["tool"] == load_tool(made).to_tables()
+    told = json.loads(sherkit("register", tool, bench_and_run / "free.csv", "--json").stdout)
+    assert told["delay_s"] == pytest.approx(TOOL.camera_delay_s, abs=5e-3)
+    assert told["tool"]["kind"] == "flexible_tool"
+
+
+def test_rows_that_are_missing_are_said(bench_and_run: Path) -> None:
+    """Catches a hole of seconds in a run that shows as a lower rate alone."""
+    tool, some = bench_and_run / "tool.toml", bench_and_run / "some.csv"
+    pl.read_csv(bench_and_run / "run.csv").filter(~pl.col("time_s").is_between(4.0, 7.0)).write_csv(some)
+    said = sherkit("estimate", tool, some).output
+    assert "rows of the robot at 200 Hz" in said
+    assert re.search(r"No row of the robot came from (3\.99|4\.00) to 7\.0[01] s", " ".join(said.split()))
 
 
 @pytest.mark.slow

@@ -16,10 +16,12 @@ from second_tool.wide import Wide
 from second_tool.wide_families import FAMILIES
 from sherkit.errors import SherkitWarning
 from sherkit.robots.tool.calibration import ToolCalibration, calibrate_tool, read_loads
+from sherkit.robots.tool.checks import exchanged
 from sherkit.robots.tool.consistency import known
 from sherkit.robots.tool.filters import Estimate, estimate
+from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import load_tool
-from sherkit.robots.tool.trust import exchanged, trust
+from sherkit.robots.tool.trust import trust
 from tool_honesty import run_of, tool_of
 from wide_honesty import run_of as wide_run_of
 from wide_honesty import tool_of as wide_tool_of
@@ -99,10 +101,15 @@ def test_exchanged_columns_of_a_run_are_said() -> None:
     world = replace(CONDITIONS["exact_rod_pivot"], pivot_rad=0.8)
     recorded = world.run("vessels", seconds=15.0, seed=1)
     tool, run = tool_of(world, 1), run_of(recorded)
-    assert exchanged(estimate(tool, run)) == []
+
+    def said(run: ToolRun) -> list[str]:
+        e = estimate(tool, run)
+        return exchanged(e, known(e))
+
+    assert said(run) == []
     swapped = replace(run, position_mm=np.ascontiguousarray(run.position_mm[:, [1, 0, 2]]))
-    assert "robot_x_mm and robot_y_mm are exchanged" in exchanged(estimate(tool, swapped))[0]
-    inverse = exchanged(estimate(tool, replace(run, turn_rad=-run.turn_rad)))
+    assert "robot_x_mm and robot_y_mm are exchanged" in said(swapped)[0]
+    inverse = said(replace(run, turn_rad=-run.turn_rad))
     assert len(inverse) == 1
     assert "inverse turn" in inverse[0]
 
@@ -119,7 +126,12 @@ def test_the_depth_is_called_once() -> None:
     sure = estimate(replace(tool, gains=(np.array(tool.gains) * [[[1.02]], [[1.0]]]).tolist()), run)
     assert trust(sure, known(sure)).verdict == "overconfident"
     without = estimate(tool, replace(run, depth_mm=None))
-    assert "no truth is in this run" in trust(without, known(without)).sentence
+    assert "no depth_mm is in this run" in trust(without, known(without)).sentence
+
+
+def without_camera(run: ToolRun) -> ToolRun:
+    """The same run, which no camera saw."""
+    return replace(run, camera_time_s=run.camera_time_s[:0], camera_mm=run.camera_mm[:0])
 
 
 @pytest.mark.parametrize("seeds", [(60,), pytest.param((61,), marks=pytest.mark.slow)])
@@ -130,7 +142,8 @@ def test_a_robot_that_is_late_is_said_and_led_on(seeds: tuple[int, ...]) -> None
         true_s = float(world._rng("late").uniform(0.02, 0.08))
         for w, late in ((world, true_s), (sound, 0.0)):
             truth = w.run("vessels", seconds=60.0)
-            e = estimate(wide_tool_of(w), wide_run_of(truth))
+            # its camera was not registered
+            e = estimate(wide_tool_of(w), without_camera(wide_run_of(truth)))
             assert 0.3 * late - 0.004 < e.late_s[-1] < 1.4 * late + 0.004, (seed, late)
             said = [s for s in trust(e, known(e)).noticed if "later than the gratings" in s]
             assert bool(said) == (late > 0.0)

@@ -10,12 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from second_tool import CONDITIONS, Recorded
 from sherkit.errors import SherkitWarning
+from sherkit.robots.tool.checks import exchanged
 from sherkit.robots.tool.consistency import known
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.model import ToolModel
 from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FlexibleTool
-from sherkit.robots.tool.trust import exchanged, trust
+from sherkit.robots.tool.trust import trust
 from tool_honesty import honest, run_of, tool_of, without_fibres
 
 WORLD = CONDITIONS["exact_rod_pivot"]
@@ -121,7 +122,8 @@ def test_roll_pitch_and_yaw_are_said(order: str, says: str) -> None:
     )
     turned = base * Rotation.from_rotvec(run.turn_rad)
     run = replace(run, position_mm=base.apply(run.position_mm), turn_rad=turned.as_rotvec())
-    assert exchanged(estimate(tool, run)) == []
+    e = estimate(tool, run)
+    assert exchanged(e, known(e)) == []
     told = trust(e := estimate(tool, replace(run, turn_rad=turned.as_euler(order))), known(e))
     assert told.verdict != "trusted"
     assert any(f"roll, pitch and yaw about axes {says}" in s for s in told.noticed), told.noticed

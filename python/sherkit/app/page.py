@@ -106,9 +106,8 @@ class StudyPage:
         )  # fmt: skip
         # each of these is laid out by itself: a new line of progress must not draw every picture again
         roots: dict[str, Any] = {
-            "top": column(
-                self._numbers, self._headline, controls, places[HISTORY], places[EXPORTS], sizing_mode="stretch_width"
-            ),
+            "top": column(self._numbers, self._headline, sizing_mode="stretch_width"),
+            "controls": column(controls, places[HISTORY], places[EXPORTS], sizing_mode="stretch_width"),
             "findings": self._findings,
             "effects": column(places[_EFFECTS], self._effects.root, width=_LEFT),
             "own": self._own_lines(),
@@ -284,7 +283,7 @@ class StudyPage:
             f'{rows} · verdict: <span id="verdict">{escape(found.headline)}</span>'
         )
         shown = [one.to_do for one in found.findings if one.about == "left_out"]
-        shown += [one.answer for one in found.findings if one.about in ("elsewhere", "tie", "shape")]
+        shown += [one.answer for one in found.findings if one.about in ("elsewhere", "unread", "tie", "shape")]
         self._findings.text = "<br>".join(map(escape, shown))
 
 

@@ -200,9 +200,9 @@ def _said(name: str, page_state: PageState) -> str:
 
 # -- The pictures -----------------------------------------------------------------------------------------------------
 
-_WIDTH, _FALL_HEIGHT, _FALL_ROOM = 1000, 232, 350
+_WIDTH, _FALL_HEIGHT, _FALL_ROOM = 850, 232, 350
 #: The colour scale stands beside the panels of the map.
-_BESIDE = 160
+_BESIDE = 120
 _SCALES = [("shared", "one scale for both"), ("own", "each its own scale"), ("noise", "in units of the noise")]
 _MARKED, _MARKED_SHORT = " marked as outliers", " marked"
 

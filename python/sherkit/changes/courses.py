@@ -176,6 +176,9 @@ def lacking(joined: Joined) -> Joined:
 class ChangeSets(Sets):
     """Sets of changes of joined runs, each fitted in full."""
 
+    # to first order two limbs that bend against each other do what one that leans does
+    refits = 16
+
     def __init__(self, made: Courses) -> None:
         super().__init__(made.family, made.base)
         self.made = made

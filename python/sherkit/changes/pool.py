@@ -225,14 +225,16 @@ def _joined(
     fit = identify(made, data[0], effects=() if effects is None else effects)
     if effects is None:
         found = diagnose(fit)
-        # what was missing already is in all runs; a moment or a period of the first says nothing of the others
-        named = [e for e in found.fit.model.effects if e.name in found.effects and e.search is None]
-        outliers = found.outliers
+        # what was missing already is in all runs, with its period; a moment of the first says nothing of the others
+        model, outliers = found.fit.model, found.outliers
+        for effect in model.effects:
+            if effect.search == "time_s" and effect.name in found.effects:
+                model = model.without_effect(effect.name)
     else:
-        named, outliers = list(fit.model.effects), gross_errors(fit)
-    if len(outliers) or (effects is None and named):
+        model, outliers = fit.model, gross_errors(fit)
+    if len(outliers) or model is not fit.model:
         data[0] = data[0].mark_outliers(outliers)
-        fit = identify(made, data[0], effects=named)
+        fit = identify(model, data[0])
     most = max(_ROWS // len(data), _ROWS_OF_A_RUN)
     data = [one.select(enough_of(one, np.arange(len(one)), most)) for one in data]
     axes = tuple(a for a in axes_of(data[0]) if all(a in axes_of(one) for one in data))

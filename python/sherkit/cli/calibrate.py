@@ -87,7 +87,7 @@ def calibrate(
     if (own_way := own_way_of(robot, "calibrate")) is not None:
         if more:
             raise SherkitError(f"{more[0]}: known loads of a tool are one table, {run}")
-        own_way(run, destination)
+        own_way(run, destination, as_json=as_json)
         return 0
     if destination is not None:
         require_kind(destination, "--output", (CALIBRATION,))

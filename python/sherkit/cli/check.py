@@ -17,6 +17,7 @@ from ..model.robot_file import columns_of
 from ..robots.machine import is_machine, robot_at
 from . import output
 from .file_kinds import TABLE
+from .machine_file import own_way_of
 from .next_command import completed
 from .output import columns_option, out, table
 from .paths import InputFile, OutputFile
@@ -35,6 +36,9 @@ def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool
     ROBOT is the file of the machine that was measured: it says which columns there may be. Ends with 1 where the file
     cannot be read as it is, or what is asked for cannot be written.
     """
+    if robot is not None and (own_way := own_way_of(robot, "check")) is not None:
+        own_way(run, as_json=as_json)
+        return
     if robot is not None:
         nominal, _ = robot_at(robot)
         columns = getattr(nominal, "columns", {}) if is_machine(robot) else columns_of(robot)

@@ -15,7 +15,7 @@ from ..base.figures import listed
 from ..data.files import write_whole
 from ..data.tables import write_table
 from ..errors import CalibrationError
-from ..robots.c_header import calibration_header
+from ..robots.c_header import calibration_header, covariates_needed
 from ..robots.calibrated import load_calibration, tables_of
 from ..robots.compensation import axis_table, grid_table
 from . import output
@@ -93,8 +93,16 @@ def c(calibration: Path, destination: Path) -> None:
             f"{calibration}: is of a machine that is a function of Python, and runs there alone; sherkit export comp "
             "and sherkit export grid write tables for its controller"
         )
-    write_whole(destination, calibration_header(load_calibration(calibration), calibration.name))
+    made = load_calibration(calibration)
+    write_whole(destination, calibration_header(made, calibration.name))
     output.say(f"{destination} written; cc loop.c $(sherkit c --cflags --libs) links it (sherkit c --example FOLDER)")
+    if needed := covariates_needed(made):
+        columns = dict.fromkeys(one for needs in needed.values() for one in needs)
+        follow = "follows" if len(needed) == 1 else "follow"
+        output.say(
+            f"{listed(needed)} {follow} {listed(columns)}: give covariates at every call, or &robot_now for what "
+            "Python takes where it is told none; with NULL every call ends with SHERKIT_NOT_FINITE"
+        )
 
 
 @export.command("comp")

@@ -195,7 +195,21 @@ def _pointer(error: SherkitError, typed: list[str]) -> str:
     is_table = isinstance(error, MeasurementError) and source.endswith(_TEXTS) and Path(source).is_file()
     if typed[:1] == ["check"] or "--columns" in str(error):
         return ""
-    return f"; sherkit check {shlex.quote(source)} lists all that is wrong with it" if is_table else ""
+    if not is_table:
+        return ""
+    # a machine that is no robot has tables of its own, which nobody knows without its file
+    own = next((one for one in typed[1:] if one.endswith(".toml") and _checks_its_tables(Path(one))), None)
+    if own is None and typed[:1] == ["tool"]:
+        return ""
+    asked = shlex.join(("sherkit", "check", source, *(() if own is None else (own,))))
+    return f"; {asked} lists all that is wrong with it"
+
+
+def _checks_its_tables(path: Path) -> bool:
+    """Whether a file is of a machine that checks tables in a way of its own."""
+    from .machine_file import own_way_of  # loads all that a robot is asked
+
+    return path.is_file() and own_way_of(path, "check") is not None
 
 
 def run(typed: list[str]) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from ..base.answer import FILES
 from ..base.figures import in_names, listed, number, stated
 from ..fit.regions import TO_DO
+from ..fit.set_up import unread
 from ..model.effect import Effect
 from ..model.kinds import required_um
 from ..model.sensor_pose import SLIP
@@ -19,6 +20,7 @@ from .result import (  # fmt: skip
     FEW,
     MISSING,
     NEXT,
+    NOTHING,
     SINGLY,
     STANDS,
     WHERE,
@@ -111,6 +113,8 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
         sizes = {"error": d.elsewhere.error.rms, "drawing": d.elsewhere.drawing.rms}
         numbers = {f"{name}_{end}": float(value) for name, value in sizes.items()}
         yield Finding(WRONG, "elsewhere", said, numbers, to_do=TO_DO[d.fit.priors > 0.0])
+    for said in unread(d.fit.data):
+        yield Finding(WRONG, "unread", said)
     yield Finding(WRONG, "verdict", d.headline)
 
 
@@ -201,7 +205,12 @@ def _fails(d: Diagnosis, name: str) -> str:
 
 def _rest(d: Diagnosis) -> str:
     """What is left, as far as shapes follow it."""
-    return "what is left has a pattern" if d.signature is not None else "what is left follows no pattern that is known"
+    if d.signature is not None:
+        return "what is left has a pattern"
+    if _fails(d, "nothing_left"):
+        # not all together: one of the catalogue may be in it that says too little by itself
+        return "what is left is more than noise, but no effect and no shape that was tried is clear in it by itself"
+    return "what is left follows no effect and no shape that was tried"
 
 
 def _most(d: Diagnosis, effect: Effect) -> str:
@@ -252,8 +261,11 @@ def _missing(d: Diagnosis) -> Iterator[Finding]:
         )  # fmt: skip
     if SLIP not in d.effects and (motion := motion_of(d.fit)) is not None:
         yield Finding(MISSING, "note", str(motion), motion.numbers)
+    # what was not read stands beside the verdict
+    said = unread(d.fit.data)
     for note in d.notes:
-        yield Finding(MISSING, "note", note)
+        if note not in said:
+            yield Finding(MISSING, "note", note)
 
 
 def _where(d: Diagnosis) -> Iterator[Finding]:
@@ -344,7 +356,7 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
     elif _fails(d, AS_DRAWN):
         yield "measure at the machine what is so far from the robot's file, and correct the file or look again", ""
     else:
-        yield "nothing; go on with the model as it is", ""
+        yield NOTHING, ""
 
 
 def _own_that_helps(d: Diagnosis) -> str | None:

@@ -97,15 +97,25 @@ def _named(trial: _Trial, reachable: Reachable, chosen: Sequence[tuple[int, floa
     )
 
 
+def _effects(fit: Fit) -> list[str]:
+    return [effect.name for effect in fit.model.effects]
+
+
 def _what(fit: Fit, other: Fit) -> str:
-    """The effects that a fit has and another has not."""
-    names = {e.name for e in other.model.effects}
-    return " with ".join(e.name for e in fit.model.effects if e.name not in names) or "the model without effects"
+    """The effects that a fit has and another has not; all of them where one of both has none of its own."""
+    own, others = _effects(fit), _effects(other)
+    apart = [name for name in own if name not in others]
+    named = apart if apart and set(others) - set(own) else own
+    return " with ".join(named) or "the model without effects"
 
 
 def _advice(true: Fit, rows: Measurements, untold: Mapping[Fit, float], sigma: Floats, most: int) -> str:
     """That these instruments cannot tell, and which of the readings that the model can predict would; ``untold`` has
     the separation that poses reach, in standard deviations."""
+    # the same effects with another moment or shape are no other cause
+    untold = {rival: reached for rival, reached in untold.items() if set(_effects(rival)) != set(_effects(true))}
+    if not untold:
+        return ""
     would: dict[str, list[str]] = {}
     for rival in untold:
         told_by = _told_by(true, rows, rival, sigma, most) or "no instrument known to sherkit"

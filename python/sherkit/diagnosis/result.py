@@ -27,6 +27,8 @@ from .where import Dependence
 AS_DRAWN, DIGITS, DECLARED = "as_drawn", "digits", "noise_as_declared"
 #: The check that rows that are wrong lie as accidents do.
 FEW, SINGLY = "gross_errors", "apart"
+#: What comes next where the verdict has already said that the model holds.
+NOTHING = "nothing; go on with the model as it is"
 #: The check that repeats differ by noise alone.
 REPEATS = "repeats_are_noise"
 #: The check that tests lack of fit.
@@ -134,10 +136,11 @@ WRONG, MISSING, WHERE, WHICH, APART, NEXT = QUESTIONS = (
 class Finding:
     """One answer to one of the :data:`QUESTIONS`.
 
-    ``about`` says what of: cause, brings, elsewhere, verdict; missing, noise, note, left_out; where; step, shape; tie,
-    confounded, sensor_pose, untestable, nothing; next. ``answer`` is a sentence or a part of one; ``numbers`` are by
-    name with their unit; ``sure`` says how sure it is; ``rows`` are the lines of the rows it speaks of; ``to_do`` what
-    a person can do; ``command`` is what does that, with :data:`FILES` where the files stand that were given.
+    ``about`` says what of: cause, brings, elsewhere, unread, verdict; missing, noise, note, left_out; where; step,
+    shape; tie, confounded, sensor_pose, untestable, nothing; next. ``answer`` is a sentence or a part of one;
+    ``numbers`` are by name with their unit; ``sure`` says how sure its first sentence is; ``rows`` are the lines of the
+    rows it speaks of; ``to_do`` what a person can do; ``command`` is what does that, with :data:`FILES` where the files
+    stand that were given.
     """
 
     question: str
@@ -152,7 +155,10 @@ class Finding:
     def __str__(self) -> str:
         if not self.sure:
             return f"{self.answer}: {self.command}" if self.command else self.answer
-        return f"{self.answer[:-1]} ({self.sure})." if self.answer.endswith(".") else f"{self.answer}: {self.sure}"
+        if not self.answer.endswith("."):
+            return f"{self.answer}: {self.sure}"
+        first, dot, others = self.answer.partition(". ")
+        return f"{first.removesuffix('.')} ({self.sure}).{dot[1:]}{others}"
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -369,12 +375,14 @@ class Diagnosis(Shown):
         """The same for whoever reads nothing else: what is missing, what it brings, what to do."""
         told = {one.about: one for one in reversed(self.findings)}
         cause, brings, elsewhere = told["cause"], told.get("brings"), told.get("elsewhere")
+        beside = (brings, elsewhere, told.get("unread"))
         to_do = [ToDo((brings or cause).to_do)]
         if elsewhere is not None:
             to_do.append(ToDo(elsewhere.to_do))
-        to_do.append(ToDo(told["next"].answer, told["next"].command))
+        if told["next"].answer != NOTHING:
+            to_do.append(ToDo(told["next"].answer, told["next"].command))
         return Answer(
-            self.headline, cause.answer, tuple(str(one) for one in (brings, elsewhere) if one is not None),
+            self.headline, cause.answer, tuple(str(one) for one in beside if one is not None),
             tuple(one for one in to_do if one.sentence), self._bars(), self.unit,
         )  # fmt: skip
 

@@ -47,8 +47,8 @@ class Names:
     alone: ShapeDescription
     #: What is left without any effect.
     without: Base
-    #: By how much the lead says more where its effects are of one joint each.
-    of_one_joint: float = 0.0
+    #: By how much the lead says more where its effects are of one part each.
+    of_one_part: float = 0.0
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -63,7 +63,7 @@ class Names:
     @property
     def shapes_say_more(self) -> bool:
         """Whether shapes alone say clearly more than the effects with shapes do."""
-        value = -np.inf if self.lead is None else self.lead.value + self.of_one_joint
+        value = -np.inf if self.lead is None else self.lead.value + self.of_one_part
         return self.lead is not None and self.alone.evidence > value + self.beside.evidence + SURE
 
 
@@ -73,12 +73,21 @@ def judged_names(sets: Sets) -> Names:
     alone = sets.described(sets.base, MOST, 1)
     if not found:
         return Names(None, (), {}, (), alone, alone, sets.base)
-    lead = sets.leading(found)
+    judged = _judged(sets, sets.leading(found), found, alone)
+    if judged.lead is None or not judged.lead.explains or not judged.refused:
+        return judged
+    # what shapes say as much as may be a tie's that is less beside them
+    others = (_judged(sets, tie, found, alone) for tie in judged.ties if tie.explains and tie.plausible)
+    return next((one for one in others if not one.refused), judged)
+
+
+def _judged(sets: Sets, lead: EffectSet, found: list[EffectSet], alone: ShapeDescription) -> Names:
+    """Each effect of a set that leads or is tied with it."""
     beside = sets.described(lead.base, MOST, 1)
     # where effects say far more than shapes no other beginning of these changes that
     if lead.value + beside.evidence - alone.evidence < 2.0 * NEEDED:
         alone = sets.described(sets.base, MOST, _STARTS)
-    fewer = _of_one_joint(sets.base, *_columns(lead, 0)) if len(lead.blocks) == 1 else 0.0
+    fewer = _of_one_part(sets.base, *_columns(lead, 0)) if len(lead.blocks) == 1 else 0.0
     judged = Names(lead, (), {}, _ties(sets, lead, found), beside, alone, sets.base, fewer)
     # three or more with many numbers imitate anything; what no shape follows is left, too, where poses are off by
     # errors of their own
@@ -116,22 +125,22 @@ def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDes
         return Told(block.name, np.inf, np.inf, size)
     without = alone if less is None else sets.described(less.base, MOST, _STARTS)
     needed = lead.value + beside.evidence - (0.0 if less is None else less.value) - without.evidence
-    columns, joints = _columns(lead, k)
-    needed += _of_one_joint(sets.base if less is None else less.base, columns, joints)
+    columns, parts = _columns(lead, k)
+    needed += _of_one_part(sets.base if less is None else less.base, columns, parts)
     return Told(block.name, needed, _tells(without.base, columns), size)
 
 
 def _columns(lead: EffectSet, k: int) -> tuple[Floats, list[str]]:
-    """Columns (N, p) of an effect of a set as the full fit has them, of unit length, and the joint of each by its
-    number; empty where its parameter is of none."""
+    """Columns (N, p) of an effect of a set as the full fit has them, of unit length, and of what part of a machine
+    each is: a joint by its number, or what the parameter itself is called."""
     fit, effect = lead.run.of, lead.blocks[k].effect
     assert effect is not None, "shapes are not named"
     at = fit.owns(effect)
     columns = lead.run.flat(lead.run.view.fitted(lead.run.view.whole)[:, :, at])
     length = np.linalg.norm(columns, axis=0)
-    joints = [p.name.rpartition("_")[2] for p in fit.fit.parameters[at]]
+    names = [(p.name, p.name.rpartition("_")[2]) for p in fit.fit.parameters[at]]
     return columns[:, length > 0] / length[length > 0], [
-        joint if joint.isdigit() else "" for joint, some in zip(joints, length > 0, strict=True) if some
+        joint if joint.isdigit() else name for (name, joint), some in zip(names, length > 0, strict=True) if some
     ]
 
 
@@ -141,13 +150,13 @@ def _tells(base: Base, columns: Floats) -> float:
     return float(log_bayes(np.array([part]), np.array([columns.shape[1]]), base.free, len(base.residual))[0])
 
 
-def _of_one_joint(base: Base, columns: Floats, joints: Sequence[str]) -> float:
-    """By how much an effect that any joint may have, as :func:`_columns` has it, says more as that of one joint alone,
-    which of them being as likely as any other and as all together: shapes are of one joint, and pay for no other."""
-    every = dict.fromkeys(joints)
-    if "" in every or len(every) < 2:
+def _of_one_part(base: Base, columns: Floats, parts: Sequence[str]) -> float:
+    """By how much an effect that any part may have, as :func:`_columns` has it, says more as that of one part alone,
+    which of them being as likely as any other and as all together: shapes are of one, and pay for no other."""
+    every = dict.fromkeys(parts)
+    if len(every) < 2:
         return 0.0
-    each = [_tells(base, columns[:, [j == joint for j in joints]]) for joint in every]
+    each = [_tells(base, columns[:, [one == part for one in parts]]) for part in every]
     return max(max(each) - float(np.log(2.0 * len(every))) - _tells(base, columns), 0.0)
 
 

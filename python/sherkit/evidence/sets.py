@@ -79,8 +79,8 @@ ONE_MORE = float(np.log(0.1))
 _SINGLES, _TAKE, _NEARLY = 6, 9, 0.85
 #: By how much less, in nats and as a part, a single may say to first order than one that explains, to be refitted.
 _BEHIND, _PART_BEHIND = 60.0, 0.1
-#: Pairs: beside how many sets, how many seconds each; to first order, of how many firsts; how many are refitted.
-_BESIDE, _SECONDS, _FIRSTS, _THIRDS, _PAIRS = 6, 4, 14, 3, 7
+#: Pairs: beside how many sets, how many seconds each; to first order, of how many firsts.
+_BESIDE, _SECONDS, _FIRSTS, _THIRDS = 6, 4, 14, 3
 #: Nats that an effect must say by itself before overtones of it are asked for: a worn spot, which is none, says 46 of a
 #: wave, one of five noises 594.
 _TONE = 100.0
@@ -134,6 +134,9 @@ class EffectSet:
 
 class Sets:
     """The sets of effects of a run, each fitted once, and shapes beside them."""
+
+    #: Pairs that are refitted.
+    refits = 7
 
     def __init__(self, family: Family, base: Base, step: Callable[[str], None] = lambda _: None) -> None:
         self.family, self.base, self.step = family, base, step
@@ -326,17 +329,19 @@ class Sets:
             if names not in pairs or (again and worth > pairs[names][0]):
                 pairs[names] = (worth, one, other)
 
-        for one in sets[:_BESIDE]:
-            for block in likeliest(self.family, one.each, _SECONDS, one.names):
+        # what explains by itself is no half of a pair
+        whole = tuple(one.blocks[0].name for one in sets if one.explains)
+        for one in [one for one in sets if not one.explains][:_BESIDE]:
+            for block in likeliest(self.family, one.each, _SECONDS, (*one.names, *whole)):
                 add(one.log_bf + float(one.each[self.family.where(block)]), one.blocks[0], block, again=True)
         of_effects = self._of_effects
-        for first in likeliest(of_effects.family, of_effects.each, _FIRSTS):
+        for first in likeliest(of_effects.family, of_effects.each, _FIRSTS, whole):
             beside = of_effects.beside(first)
             alone = float(of_effects.log_bf[of_effects.family.where(first)])
-            for block in likeliest(of_effects.family, beside.each, _THIRDS, (first.name,)):
+            for block in likeliest(of_effects.family, beside.each, _THIRDS, (first.name, *whole)):
                 add(alone + float(beside.each[of_effects.family.where(block)]), first, block, again=False)
         out = []
-        for _, a, b in sorted(pairs.values(), key=lambda pair: -pair[0])[:_PAIRS]:
+        for _, a, b in sorted(pairs.values(), key=lambda pair: -pair[0])[: self.refits]:
             # each setting beside the other, until both rest
             first, second = a, b
             for _ in range(2 if a.setting is not None or b.setting is not None else 0):

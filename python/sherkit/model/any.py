@@ -121,8 +121,7 @@ class Extended(ModelWithEffects):
         refused: dict[str, str] = {}
         for effect in effects:
             try:
-                zero = np.zeros(len(effect.parameters))
-                columns.append((effect, effect.columns(rows, zero, self.axes_of(effect, data))))
+                columns.append((effect, effect.columns_at_zero(rows, self.axes_of(effect, data))))
             except EffectError as error:
                 refused[effect.name] = str(error)
         none = np.empty((*data.readings.shape, 0))

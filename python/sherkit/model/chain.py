@@ -376,8 +376,7 @@ class ChainModel(SeenModel):
             if effect.function is None:
                 continue
             try:
-                inner = effect.columns(rows, np.zeros(len(effect.parameters)), self.axes_of(effect, data))
-                tried.append((effect, inner))
+                tried.append((effect, effect.columns_at_zero(rows, self.axes_of(effect, data))))
             except EffectError as error:
                 refused[effect.name] = str(error)
         widths = [(e, len(e.parameters)) for e in (*built_in, *(effect for effect, _ in tried))]

@@ -170,6 +170,8 @@ class Effect(Shown):
         p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
         try:
             out = np.asarray(self.function(rows, p))
+        except EffectError as error:
+            raise EffectError(f"effect '{self.name}': {error}") from error
         except SherkitError:
             raise
         except (Exception, SystemExit) as error:
@@ -189,6 +191,16 @@ class Effect(Shown):
         if wrong.any():
             row = int(np.argmax(wrong))
             raise EffectError(f"effect '{self.name}' is not finite at row {row}")
+        return out
+
+    def columns_at_zero(self, rows: Any, axes: int) -> Floats:
+        """Derivatives (n, axes, p) of a NumPy effect that is not in the model.
+
+        Raises :class:`EffectError` also where none of its parameters moves anything in these rows.
+        """
+        out = self.columns(rows, np.zeros(len(self.parameters)), axes)
+        if not out.any():
+            raise EffectError("its parameters move nothing in these rows")
         return out
 
     def columns(self, rows: Any, values: Floats, axes: int) -> Floats:
@@ -307,16 +319,28 @@ def parameters_of_core(
     )
 
 
+#: Part of its plausible size at which an effect is asked twice, and by which part of the largest both may differ:
+#: threads may sum in another order.
+_TRIED, _SAME = 1e-3, 1e-9
+
+
 def check_user_effect(effect: Effect, rows: Any, axes: int) -> None:
-    """What a user's effect must pass on these rows: zero at zero, right shape, finite, derivative that agrees.
+    """What a user's effect must pass on these rows: zero at zero, right shape, finite, the same when it is asked again,
+    derivative that agrees.
 
     Raises :class:`~sherkit.errors.EffectError` with a sentence on what is wrong.
     """
     zero = np.zeros(len(effect.parameters))
     if np.abs(effect.evaluate(rows, zero, axes)).max(initial=0.0) > 0:
         raise EffectError(f"effect '{effect.name}' is not zero where its parameters are zero")
+    sizes = np.array([p.size for p in effect.parameters])
+    once, again = (effect.evaluate(rows, _TRIED * sizes, axes) for _ in range(2))
+    if np.abs(once - again).max(initial=0.0) > _SAME * np.abs(once).max(initial=0.0):
+        raise EffectError(
+            f"effect '{effect.name}' gives another answer each time it is asked the same: draw no random numbers in it "
+            "and keep nothing from one call to the next"
+        )
     if effect.derivative is not None:
-        sizes = np.array([p.size for p in effect.parameters])
         numeric = replace(effect, derivative=None).columns(rows, 0.3 * sizes, axes)
         given = effect.columns(rows, 0.3 * sizes, axes)
         scale = np.abs(numeric).max(initial=1e-300)
@@ -339,8 +363,8 @@ def effect(
     ``at`` is the link, and the function gives what is added there: at ``joints`` (n, k) to the readings of k joints, mm
     or rad as they are; at ``body`` (n, 3) mm to the measured point; at ``sensor`` (n, m) to what is read, in its unit:
     (n, 3) mm of a delta, (n, 2) px or rad of a spherical robot, the readings of any other machine. ``parameters`` maps
-    names to units, or to (unit, plausible size). Raises :class:`~sherkit.errors.EffectError` for an unknown link or no
-    parameter.
+    names to units, or to (unit, plausible size). Raises :class:`~sherkit.errors.EffectError` for an unknown link, no
+    parameter, or a size that is not positive.
 
         @sk.effect(at="body", parameters={"amplitude": "mm"})
         def floor_heave(rows, p):
@@ -355,6 +379,8 @@ def effect(
         made = []
         for name, unit in parameters.items():
             text, size = unit if isinstance(unit, tuple) else (unit, _SIZES.get(unit, 1.0))
+            if size <= 0.0:
+                raise EffectError(f"effect: the plausible size of '{name}' is {size:g} {text}; give a positive number")
             made.append(Parameter(name, name, text, float(size)))
         return Effect(
             name=getattr(function, "__name__", "effect"),

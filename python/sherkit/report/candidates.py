@@ -36,6 +36,7 @@ from .picture import (
     quantity,
     rule,
     sources_of,
+    ticks_between,
 )
 from .residual_arrows import plane_of_most, round_number
 
@@ -75,10 +76,12 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
               ("p", "@p{0.0e}"), ("largest parameter", "@largest"), ("size", "@size"))
     )  # fmt: skip
     made.ygrid.grid_line_color = None
+    made.xaxis.ticker.ticks = ticks_between(low, high)
 
     def tune(new: Diagnosis) -> None:
         made.y_range.factors = _names(new)[::-1]
         made.x_range.start, made.x_range.end = _reach(new)
+        made.xaxis.ticker.ticks = ticks_between(*_reach(new))
         made.height = _ROW_HEIGHT * len(_names(new)) + _AROUND
 
     note = (

@@ -44,6 +44,8 @@ from .states import error_history, error_history_of, packed, states_of
 _MOST_TIED = 3
 #: Candidates that stand in the part that is open.
 _MOST_OPEN = 5
+#: Width of the maps beside one another: wider ones are higher, and the first screens are for what was found.
+_MAPS_PX = 760
 #: The parts, in the order in which a person asks.
 _CONTENTS = (
     ("answer", "Answer"), ("maps", "Maps"), ("which", "What it is"), ("known", "Parameters"),
@@ -192,7 +194,7 @@ def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] |
     states, now = _states(report, base)
     chosen = states[now]
     change = Change(before, chosen.left, states[0].title, chosen.title)
-    out["residual_map"] = residual_map(change, planes_across=True, alone=_nothing_added(report))
+    out["residual_map"] = residual_map(change, planes_across=True, width_px=_MAPS_PX, alone=_nothing_added(report))
     if before.variables:
         variable = _leading(found, before)
         out["against"] = residual_against(ResidualAgainst(chosen.left, variable, before if now else None))

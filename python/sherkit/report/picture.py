@@ -54,6 +54,19 @@ DIVERGING_AREAS = list(interp_palette(["#0072b2", "#ffffff", "#d55e00"], 41))
 SEQUENTIAL = list(interp_palette(["#f7fbff", "#9ecae1", "#2b8cbe", "#084081", "#1a1a2e"], 64))
 
 
+_LOG_TICKS = [m * 10.0**k for k in range(-6, 9) for m in (1, 2, 5)]
+
+
+def ticks_between(low: float, high: float) -> list[float]:
+    """Of a logarithmic axis that reaches from ``low`` to ``high``: 1, 2, 5 of each decade; round numbers evenly apart
+    where fewer than three of these lie between."""
+    if sum(low <= tick <= high for tick in _LOG_TICKS) > 2:
+        return _LOG_TICKS
+    step = 10.0 ** np.floor(np.log10((high - low) / 3.0)) * np.array([1.0, 2.0, 5.0])
+    step = float(step[step <= (high - low) / 3.0 * (1 + 1e-9)][-1])
+    return [k * step for k in range(int(np.ceil(low / step)), int(high / step) + 1)]
+
+
 def figure(across: str | None = None, up: str | None = None, **settings: Any) -> Any:
     """A Bokeh figure in the style of the house with what its axes say, as wide as there is room unless ``settings`` say
     how wide. Hover is the caller's; wheel zoom waits until it is asked for."""
@@ -75,7 +88,7 @@ def figure(across: str | None = None, up: str | None = None, **settings: Any) ->
         axis.axis_line_color = axis.major_tick_line_color = MUTED
         axis.minor_tick_line_color = None
         if isinstance(axis, LogAxis):
-            axis.ticker = FixedTicker(ticks=[m * 10.0**k for k in range(-6, 9) for m in (1, 2, 5)])
+            axis.ticker = FixedTicker(ticks=_LOG_TICKS)
             axis.formatter = BasicTickFormatter(use_scientific=False)
     made.grid.grid_line_color = "#eeeeee"
     made.title.text_font_size = FONT_SIZE

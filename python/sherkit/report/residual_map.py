@@ -55,16 +55,19 @@ def residual_map(
 ) -> Picture[Change]:
     """Arrows of the error, before and after side by side on one scale, a row of panels for each plane.
 
-    ``planes_across`` puts planes side by side instead, before above after: wider and less high. ``width_px`` is that of
-    all panels together. Where the run moved along one coordinate only, arrows stand along a line. ``alone`` draws what
-    is left after, with nothing beside it.
+    ``planes_across`` puts planes side by side instead, before above after, with one axis for each row: wider and less
+    high. ``width_px`` is that of all panels together. Where the run moved along one coordinate only, arrows stand along
+    a line. ``alone`` draws what is left after, with nothing beside it.
     """
     panels = cut(change.before)
     count = len(panels.names)
     moments = MOMENTS[1:] if alone else MOMENTS
     planes_across = planes_across and count > 1
     columns = count if planes_across else 2
-    width = max(width_px // columns, _NARROWEST) - _AROUND
+    if planes_across:
+        width = max((width_px - _AROUND) // columns, _NARROWEST - _AROUND)
+    else:
+        width = max(width_px // columns, _NARROWEST) - _AROUND
     sheet = Sheet(change, width, panels)
 
     def tables(state: Change) -> Tables:
@@ -79,6 +82,9 @@ def residual_map(
     ranges = Range1d(*sheet.ranges[0]), Range1d(*sheet.ranges[1])
     figures = [_panel(sources, k, moment, sheet, mappers[moment], ranges) for moment, k in order]
     tickers = {m: FixedTicker() for m in MOMENTS}
+    if planes_across:
+        for made, (_, k) in zip(figures, order, strict=True):
+            made.yaxis.visible = panels.up is not None and k == 0
     named = []
     if len(change.before.names) != 2:
         # beside what is always seen; where rows of panels are moments, each has its own

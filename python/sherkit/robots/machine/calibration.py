@@ -259,7 +259,7 @@ class MachineCalibration(Calibration):
             effect = own_effect(name)
             if effect is None:
                 raise table.fail("own", f"an effect that this program knows: run the file of '{name}' first "
-                                        f"(sk.load_effects)")  # fmt: skip
+                                        f"(sk.model.load_effects)")  # fmt: skip
             own.append((effect, tuple(one.numbers("values", len(effect.parameters)))))
         return {"box": table.rows("box", 2), "own": tuple(own)}
 

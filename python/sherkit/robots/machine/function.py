@@ -170,7 +170,8 @@ class UserFunction:
             if np.iscomplexobj(joints):
                 raise
             raise FitError(
-                f"the model's function '{self.name}' failed: {type(error).__name__}: {error}{self._hint(error)}"
+                f"the model's function '{self.name}' failed{self._where(joints, values)}: {type(error).__name__}: "
+                f"{error}{self._hint(error)}"
             ) from error
         expected = (len(joints), len(self.readings))
         if out.shape != expected:
@@ -181,6 +182,25 @@ class UserFunction:
         if out.dtype.kind not in "fciu":
             raise FitError(f"the model's function '{self.name}' gives {out.dtype} and no numbers")
         return out
+
+    def _where(self, joints: NDArray[Any], values: NDArray[Any]) -> str:
+        """The joints at which the function fails, of the first such row; nothing where it fails at every one of several
+        rows, or only with rows together."""
+        failing = [row for row in range(len(joints)) if self._fails(joints[row : row + 1], values, row)]
+        if not 0 < len(failing) < max(len(joints), 2):
+            return ""
+        at = ", ".join(f"{name} = {x:g}" for name, x in zip(self.joints, joints[failing[0]].tolist(), strict=True))
+        return f" at {at} (row {failing[0]} of the {len(joints)} that it was asked for; {len(failing)} fail)"
+
+    def _fails(self, joints: NDArray[Any], values: NDArray[Any], row: int) -> bool:
+        columns = values[row] if values.ndim == 2 else values
+        p = SimpleNamespace(**{one.name: column for one, column in zip(self.parameters, columns, strict=True)})
+        try:
+            with np.errstate(all="ignore"):
+                self.forward(joints.copy(), p)
+        except (Exception, SystemExit):
+            return True
+        return False
 
     def _hint(self, error: Exception | SystemExit) -> str:
         """What was meant, where a parameter is asked for that is none, or in another way."""

@@ -3,12 +3,14 @@ read.
 
 A row's moments at sections I and II and the deflection of the contact are what its load makes of the rod. They scatter
 by the wavelengths' noise, by the load cell's (which both sections share), by friction that drags on the shaft (moment
-``T y`` beside ``N x``), and by the gauge's. All four are found with the parameters: Gaussian likelihood, in turns least
-squares whitened by the scatter and the scatter of largest likelihood (Patterson and Thompson, Biometrika 1971).
+``T y`` beside ``N x``), by the gauge's, and by where each load stands. All five are found with the parameters: Gaussian
+likelihood, in turns least squares whitened by the scatter and the scatter of largest likelihood (Patterson and
+Thompson, Biometrika 1971).
 
 What a table calls depth and force is a convention: the load's height along the unbent axis (the paper's l, section V.A)
-or the length of shaft beyond it; the force across that axis or across the shaft. Large bends tell which. Where the
-bench has its zero of the depth, and where sections stand, is told by both the drawing and the rows.
+or the length of shaft beyond it; the force across that axis or across the shaft of what pushes it, or a weight that
+hangs on it. Large bends tell which. Where the bench has its zero of the depth, and where sections stand, is told by
+both the drawing and the rows.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ import sherkit._core as _core
 
 from ...base import linalg
 from ...base.types import Bools, Floats
+from .dead_weight import hung
 from .tool import FlexibleTool, ToolDoubt, nested
 
 #: How far a drawing may be off, mm: sections, free length; and the zero of the bench.
@@ -36,6 +39,8 @@ _ROUNDS = 4
 #: How well rows must tell a term that the model lacks, of the largest that is expected.
 _TOLD = 0.05
 _STEP = 1e-4
+#: For a derivative by where a load stands, mm.
+_ELSEWHERE_MM = 1e-3
 #: Two differences of three fibres, orthonormal, without what is common to them.
 DIFFERENCES = np.array([[2.0, -1.0, -1.0], [0.0, np.sqrt(3.0), -np.sqrt(3.0)]]) / np.sqrt(6.0)
 
@@ -43,29 +48,33 @@ DIFFERENCES = np.array([[2.0, -1.0, -1.0], [0.0, np.sqrt(3.0), -np.sqrt(3.0)]]) 
 @dataclass(frozen=True)
 class Convention:
     """How a table of loads is to be read: ``depth`` is ``"axis"`` or ``"arc"``, ``force`` ``"across"`` or
-    ``"normal"``."""
+    ``"normal"`` of one that pushes the shaft, ``"weight"`` of one that hangs on it."""
 
     depth: str
     force: str
 
     def __str__(self) -> str:
         depths = {"axis": "heights along the unbent axis", "arc": "lengths of shaft beyond the load"}
-        forces = {"across": "across that axis", "normal": "across the bent shaft"}
+        forces = {"across": "across that axis", "normal": "across the bent shaft",
+                  "weight": "dead weights across that axis"}  # fmt: skip
         return f"the bench's depths are {depths[self.depth]}, its forces {forces[self.force]}"
 
 
+DEPTHS, FORCES = ("axis", "arc"), ("across", "normal", "weight")
 #: The paper's own first.
-CONVENTIONS = tuple(Convention(depth, force) for depth in ("axis", "arc") for force in ("across", "normal"))
+CONVENTIONS = tuple(Convention(depth, force) for depth in DEPTHS for force in FORCES)
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Deviations of a wavelength (nm), of a load's components (mN), of the friction's share, of the gauge (mm)."""
+    """Deviations of a wavelength (nm), of a load's components (mN), of the friction's share, of the gauge (mm), and of
+    where each load stood (mm)."""
 
     wavelength_nm: float
     load_mn: float
     friction: float
     gauge_mm: float
+    place_mm: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +141,11 @@ class BenchModel:
     noise_nm: float
 
     @property
+    def hangs(self) -> bool:
+        """Whether the loads are weights, which differ from what pushes where bends are large."""
+        return self.convention.force == "weight" and self.drawn.bending == "exact"
+
+    @property
     def drawn_rod(self) -> Floats:
         """What the vector (13,) says of sections, rod and zero (5,), as they are drawn."""
         d = self.drawn
@@ -144,19 +158,21 @@ class BenchModel:
         p, r = Parameters.of(x), self.rows
         beam = _core.ToolBeam(max(p.length_mm, 1.0), p.stiffness_mn_mm2, self.drawn.bending == "exact")
         near, far = p.distances_mm.tolist()
-        loads = beam.loads_batch(
-            larger * r.size_mn, np.ascontiguousarray(r.depth_mm - p.zero_mm), (near, far),
-            self.convention.depth == "axis", self.convention.force == "across",
-        )  # fmt: skip
+        size, depth, by_height = larger * r.size_mn, r.depth_mm - p.zero_mm, self.convention.depth == "axis"
+        if self.hangs:
+            loads = hung(p.length_mm, p.stiffness_mn_mm2, size, depth, p.distances_mm, by_height=by_height)
+        else:
+            across = self.convention.force == "across"
+            loads = beam.loads_batch(size, np.ascontiguousarray(depth), (near, far), by_height, across)
         moments = np.einsum("sad,nsd->nsa", p.by_difference, r.differences_nm)
         along = np.einsum("nsa,na->ns", moments, r.way) - loads[:, 2:4]
-        across = np.einsum("nsa,na->ns", moments, r.sideways)
+        aside = np.einsum("nsa,na->ns", moments, r.sideways)
         bend = np.where(r.bent > 0, np.nan_to_num(r.deflection_mm) - loads[:, 4], 0.0)
-        return np.column_stack([along, bend, across]), loads[:, 2:], loads[:, :2]
+        return np.column_stack([along, bend, aside]), loads[:, 2:], loads[:, :2]
 
     def spread(self, x: Floats) -> Floats:
-        """Covariances of each row's residuals (5, n, 5, 5) by a variance of one of wavelengths, load, friction and
-        gauge; and one of a deflection that was not read."""
+        """Covariances of each row's residuals (6, n, 5, 5) by a variance of one of wavelengths, load, friction, gauge
+        and place; and one of a deflection that was not read."""
         p, r = Parameters.of(x), self.rows
         _, expected, loads = self.residuals(x)
         force, arc = loads.T
@@ -172,14 +188,20 @@ class BenchModel:
             # and it takes a part in what a cell feels across the unbent axis
             more = self.residuals(x, 1.0 + _STEP)[1]
             by_drag -= (more - expected) / (_STEP * r.size_mn[:, None]) * force[:, None] * bend / 2 * (1 - bend**2 / 20)
+        # a load that stood elsewhere is one whose bench has another zero
+        moved = x.copy()
+        moved[12] += _ELSEWHERE_MM
+        by_place = (self.residuals(moved)[1] - expected) / _ELSEWHERE_MM
+        by_place[:, 2] *= r.bent
         by_load[:, 2] *= r.bent
         by_drag[:, 2] *= r.bent
-        out = np.zeros((5, len(force), 5, 5))
+        out = np.zeros((6, len(force), 5, 5))
         moments = [0, 1, 3, 4]
         out[0][:, moments, moments] = np.tile((p.by_difference**2).sum(axis=(1, 2)) / 2.0, 2)
         out[1, :, :3, :3], out[1, :, 3:, 3:] = _outer(by_load), _outer(by_load[:, :2])
         out[2, :, :3, :3] = _outer(by_drag)
-        out[3, :, 2, 2], out[4, :, 2, 2] = r.bent, 1.0 - r.bent
+        out[3, :, 2, 2], out[5, :, 2, 2] = r.bent, 1.0 - r.bent
+        out[4, :, :3, :3] = _outer(by_place)
         return out
 
     def prior(self, x: Floats) -> Floats:
@@ -197,13 +219,13 @@ class BenchModel:
     def scattered(self, x: Floats, before: Scatter) -> Scatter:
         """The scatter of largest likelihood."""
         left, spread = self.residuals(x)[0], self.spread(x)
-        least = np.array([self.noise_nm, 1e-3, 1e-4, 1e-4])
+        least = np.array([self.noise_nm, 1e-3, 1e-4, 1e-4, 1e-4])
         start = np.log(np.maximum(astuple(before), 2.0 * least))
 
         def scatter_of(v: Floats) -> Scatter:
             return Scatter(*np.maximum(np.exp(v), least).tolist())
 
-        simplex = np.vstack([start, start + 0.7 * np.eye(4)])
+        simplex = np.vstack([start, start + 0.7 * np.eye(len(least))])
         # so near that rounding does not decide where it ends
         options = {"xatol": 2e-3, "fatol": 2e-3, "maxiter": 1000, "initial_simplex": simplex}
         found = minimize(
@@ -244,8 +266,8 @@ class BenchFit:
         return Parameters.of(self.x)
 
 
-def fit_bench(model: BenchModel, scatter: Scatter | None = None) -> BenchFit:
-    """Fits a table read under a convention; with a ``scatter`` given, that is kept."""
+def fit_bench(model: BenchModel) -> BenchFit:
+    """Fits a table read under a convention."""
     x = _start(model)
     scale = np.concatenate([np.full(8, 0.1 * np.abs(x[:8]).max()), [0.3, 0.3, 0.5, 0.1, 0.2]])
 
@@ -253,10 +275,10 @@ def fit_bench(model: BenchModel, scatter: Scatter | None = None) -> BenchFit:
         by = _whitener(model.spread(x), s)
         return least_squares(model.whitened, x, x_scale=scale, args=(by,), method="trf", max_nfev=60)
 
-    found = scatter or Scatter(model.noise_nm, 1.0, 0.03, 0.02)
+    found = Scatter(model.noise_nm, 1.0, 0.03, 0.02, 0.02)
     done = settled(x, found)
-    for _ in range(1 if scatter else _ROUNDS):
-        found = scatter or model.scattered(done.x, found)
+    for _ in range(_ROUNDS):
+        found = model.scattered(done.x, found)
         done = settled(done.x, found)
     left, expected, _ = model.residuals(done.x)
     scaled = done.jac * scale
@@ -376,16 +398,20 @@ def left_open(fit: BenchFit, lacks: Sequence[Lack]) -> ToolDoubt:
     )  # fmt: skip
 
 
+#: Of conventions whose deviance differs by less the paper's own is taken; one that differs by less than the second of
+#: these is as good.
+_THE_SAME, AS_GOOD = 1.0, 6.0
+
+
 def fit_as_reads_best(
     rows: LoadRows, drawn: FlexibleTool, noise_nm: float, told: tuple[str, str]
 ) -> tuple[BenchFit, dict[Convention, float]]:
-    """The best fit under the conventions that were not told otherwise (``"any"``), and χ² of the same rows under each,
-    by its scatter; a difference of the deviance of less than 6 tells nothing, and the paper's own reading comes first
-    then."""
+    """The best fit under the conventions that were not told otherwise (``"any"``), and by how much χ² of each is larger
+    than the likeliest's: twice the difference of the logarithms of their likelihoods, each with a scatter of its own.
+    Of those that are the same the paper's own reading comes first."""
     depth, force = told
     tried = [c for c in CONVENTIONS if depth in ("any", c.depth) and force in ("any", c.force)]
     fits = [fit_bench(BenchModel(rows, drawn, c, noise_nm)) for c in tried]
     least = min(f.deviance for f in fits)
-    best = next(f for f in fits if f.deviance < least + 6.0)
-    again = (fit_bench(f.model, best.scatter) for f in fits)
-    return best, {f.model.convention: float((f.whitened[0] ** 2).sum()) for f in again}
+    best = next(f for f in fits if f.deviance < least + _THE_SAME)
+    return best, {f.model.convention: f.deviance - least for f in fits}

@@ -124,6 +124,11 @@ def known(e: Estimate) -> list[NeesConsistency]:
     return out
 
 
+def known_of(truths: Sequence[NeesConsistency], quantity: str) -> NeesConsistency | None:
+    """What is known of the filter's depth or tip over the whole run."""
+    return next((k for k in truths if (k.quantity, k.signal, k.condition) == (quantity, "filter", "whole run")), None)
+
+
 def knowledge(
     off: Floats, covariance: Floats, of_truth: float = 0.0, *, quantity: str = "depth", signal: str = "filter",
     truth: str = "truth", condition: str = "whole run",

@@ -31,6 +31,8 @@ _UNITS = {"pm": 1e3, "um": 1e-3, "m": 1e-9}
 OUT_OF_REACH_NM = 8.0
 #: Rows of a robot are no further apart, and readings no further from their rows, s.
 _SLOWEST_S, _STRANGE_CLOCK_S = 0.5, 1.0
+#: Rows are missing where none came for so long, s, and for so many usual steps.
+_GAP_S, _GAP_STEPS = 0.5, 20.0
 _LONGEST_TURN_RAD = 2.0 * np.pi + 0.1
 #: A depth that never exceeds this is none, or in another unit, mm.
 _LEAST_DEPTH_MM = 0.1
@@ -39,7 +41,7 @@ _SAME, _UNLIKE, _SCALE = 0.8, 0.9, 30.0
 #: A reflection takes this much of what a turn leaves, where the motion has three directions.
 _MIRRORED = 0.02
 #: A camera further off than a tool is long was never registered, mm.
-_ELSEWHERE_MM = 60.0
+ELSEWHERE_MM = 60.0
 
 
 def check_unit(wavelengths_nm: Floats, reference_nm: Floats, source: str) -> None:
@@ -169,7 +171,7 @@ def check_camera(robot_mm: Floats, seen_mm: Floats, source: str) -> None:
     if alike.rigid > _SAME and (wrong := alike.other_units):
         raise MeasurementError(f"{source}: {wrong}")
     off = float(np.median(np.linalg.norm(seen_mm - robot_mm, axis=1)))
-    if off > _ELSEWHERE_MM:
+    if off > ELSEWHERE_MM:
         warnings.warn(
             f"{source}: the camera sees the tip {off:.0f} mm from where the robot has it: is [camera] of the tool file "
             "that of this camera? sherkit register finds it from a free motion",
@@ -306,6 +308,13 @@ class ToolRun:
         """Rows (n,) of which nobody knows where the robot was."""
         return rows_of(self.frozen_pose, len(self))
 
+    @cached_property
+    def gaps(self) -> list[tuple[float, float]]:
+        """Spans, s, in which no row of the robot came though some should have."""
+        step = np.diff(self.time_s)
+        after = np.flatnonzero(step > max(_GAP_S, _GAP_STEPS * float(np.median(step))))
+        return [(float(self.time_s[k]), float(self.time_s[k + 1])) for k in after]
+
     @property
     def froze(self) -> list[str]:
         """A sentence on each stream that stood still while the others went on."""
@@ -421,7 +430,7 @@ def summary(run: ToolRun) -> dict[str, Any]:
     return {
         "rows": len(run),
         "seconds": span,
-        "robot_hz": (len(run) - 1) / span if span > 0 else float("nan"),
+        "robot_hz": 1.0 / float(np.median(np.diff(run.time_s))) if span > 0 else float("nan"),
         "pictures": len(run.camera_time_s),
         "without_fibres": int((~run.present).sum()),
     }

@@ -202,7 +202,7 @@ class FlexibleTool(Declared, Saved):
         },
         "bench": {
             "depth": key(Table.text, ("axis", "arc", "any")).of("bench", 0),
-            "force": key(Table.text, ("across", "normal", "any")).of("bench", 1),
+            "force": key(Table.text, ("across", "normal", "weight", "any")).of("bench", 1),
         },
         "doubt": Inner(ToolDoubt, "doubt"),
     }

@@ -17,7 +17,7 @@ ESTIMATE = Later(
     at=2,
 )
 REGISTER = Later(
-    "sherkit.robots.tool.verbs.estimate:register",
+    "sherkit.robots.tool.verbs.register:register",
     "Flexible tool",
     "frame and clock of its camera",
     "sherkit register tool.toml camera.csv -o registered.toml",

@@ -1,4 +1,4 @@
-"""``sherkit estimate`` and ``sherkit register``: depth and tip of a flexible tool over a recorded run."""
+"""``sherkit estimate``: depth and tip of a flexible tool over a recorded run."""
 
 from __future__ import annotations
 
@@ -16,24 +16,20 @@ from ....base.answer import AFTER, BEFORE, Bar, ToDo, as_sentence
 from ....base.figures import finite, listed
 from ....base.types import Floats
 from ....cli import output
-from ....cli.file_kinds import PICTURE, TABLE, TOOL
+from ....cli.file_kinds import PICTURE, TABLE
 from ....cli.paths import InputFile, OutputFile
 from ....data.tables import write_table
 from ....diagnosis import Diagnosis
-from ..alignment import Aligned, align_run
-from ..calibration import ToolCalibration
 from ..consistency import ErrorStatistics, NeesConsistency, SignalErrors, judge, known, mean_errors
 from ..filters import Estimate, status_in_words
 from ..filters import estimate as run_filters
 from ..model import Applied
-from ..runs import read_free_motion, read_tool_run, summary
+from ..runs import read_tool_run, summary
 from ..tool import load_tool
-from ..trust import trust
+from ..trust import COARSE, trust
 
 #: Filters by the name that a person gives, and by what a tool file calls their noise.
 _FILTERS = {"rod": "propagated", "paper": "ebrahimi_2020", "paper-of-force": "ebrahimi_2020_of_force"}
-#: Beyond this share of the variance a truth says more about the camera than about the tip.
-_COARSE = 0.8
 _KNOWN = "Does the filter know its own errors?"
 _KNOWLEDGE = ("rows", "95 % cover", "NEES", "99 % band", "largest / σ", "verdict")
 
@@ -123,11 +119,11 @@ def _error_cells(e: SignalErrors) -> tuple[str, ...]:
 def print_knowledge(truths: list[NeesConsistency]) -> None:
     """Whether stated deviations are true, where a truth is known."""
     if truths:
-        coarse = any(k.of_truth > _COARSE for k in truths)
+        coarse = any(k.of_truth > COARSE for k in truths)
         table = output.table(
             _KNOWN, "", *_KNOWLEDGE,
             note="NEES per degree of freedom is 1 where deviations are true"
-            + (f"; more than {100 * _COARSE:.0f} % of the tip's is the camera's own std_mm" if coarse else ""),
+            + (f"; more than {100 * COARSE:.0f} % of the tip's is the camera's own std_mm" if coarse else ""),
         )  # fmt: skip
         for cells in _knowledge_cells(truths):
             table.add_row(*cells)
@@ -139,7 +135,7 @@ def _knowledge_cells(truths: list[NeesConsistency]) -> Iterator[tuple[str, ...]]
     its own."""
     for k in truths:
         if k.signal == "filter" or k.condition == "whole run":
-            own = ", or the camera" if k.verdict == "overconfident" and k.of_truth > _COARSE else ""
+            own = ", or the camera" if k.verdict == "overconfident" and k.of_truth > COARSE else ""
             yield (
                 f"{k.quantity}, {k.signal}, {k.condition}", str(k.rows), f"{k.coverage:.3f}", f"{k.nees:.2f}",
                 f"{k.low:.2f} to {k.high:.2f}", f"{k.largest:.1f}", f"{k.verdict}{own}",
@@ -161,8 +157,8 @@ def _json(e: Estimate, judged: list[ErrorStatistics], truths: list[NeesConsisten
             }
             for j in judged
         },
-        "trust": {"verdict": told.verdict, "sentence": told.sentence, "to_do": told.to_do,
-                  "noticed": list(told.noticed)},
+        "trust": {"verdict": told.verdict, "of": told.of, "sentence": told.sentence, "to_do": told.to_do,
+                  "noticed": list(told.noticed), "checks": [asdict(one) for one in told.checks]},
         "innovations": finite(e.depth.consistency.ratio),
         "knowledge": knowledge_json(truths),
         "status": status_in_words(e.depth),
@@ -224,54 +220,6 @@ def _left_gratings(e: Estimate) -> str:
     return f"the filter left its own gratings by more than their deviation for {total:.1f} s: {some}"
 
 
-def print_calibration(result: ToolCalibration) -> None:
-    """What the loads say."""
-    table = output.table(
-        "Gratings", "", "fibre 1", "fibre 2", "fibre 3", "left, mN mm",
-        note=f"{result.loaded} loads, {result.unloaded} rows without; noise of a wavelength "
-        f"{result.tool.noise_nm:.2g} nm",
-    )  # fmt: skip
-    for s, section in enumerate(("I", "II")):
-        for a, axis in enumerate("xy"):
-            cells = (
-                f"{k:.1f} ± {std:.1g}" for k, std in zip(result.tool.gains[s][a], result.gains_std[s, a], strict=True)
-            )
-            table.add_row(f"K_{section} {axis}, mN mm/nm", *cells, f"{result.rms_mn_mm[s]:.2f}" if a == 0 else "")
-    output.out.print(table)
-    output.say(f"   {result.read_as}")
-    scatter = result.scatter
-    output.say(
-        f"   rows scatter by {scatter.load_mn:.2g} mN of the cell, friction of {scatter.friction:.2g} and "
-        f"{1000 * scatter.gauge_mm:.2g} µm of the gauge; the bench counts {result.zero_mm[0]:+.2f} ± "
-        f"{result.zero_mm[1]:.2f} mm too deep"
-    )
-    if result.slope_mn_mm2 and result.stiffness_mn_mm2 and result.length_mm:
-        shaft = output.table("Shaft", "", "value", "± std")
-        shaft.add_row("EI by the paper's slope, mN mm²", *(f"{v:.4g}" for v in result.slope_mn_mm2))
-        shaft.add_row("EI with the length, mN mm²", *(f"{v:.4g}" for v in result.stiffness_mn_mm2))
-        for k, section in enumerate(("I", "II")):
-            shaft.add_row(f"tip to section {section}, mm", *(f"{v:.4g}" for v in result.distances_mm[:, k]))
-        shaft.add_row("free length h, mm", *(f"{v:.4g}" for v in result.length_mm))
-        output.out.print(shaft)
-    else:
-        output.say("no deflections (deflection_mm): stiffness and length stay as they are")
-
-
-@click.command()
-@click.argument("tool", type=InputFile())
-@click.argument("run", type=InputFile())
-@click.option("-o", "--output", "destination", type=OutputFile(TOOL), help="Write the tool file here.")
-@click.option("--longest-delay-s", type=click.FloatRange(min=0, min_open=True), default=0.5, show_default=True)
-def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: float) -> None:
-    """Frame and clock of the camera from RUN, in which the unbent TOOL was led around freely."""
-    made = load_tool(tool)
-    found = align_run(read_free_motion(run), longest_delay_s)
-    print_alignment(found)
-    if destination is not None:
-        found.in_tool(made).save(destination)
-        output.say(f"tool with this camera written to {destination}")
-
-
 def sentences_of(told: Applied) -> list[str]:
     """What was written into a tool file, and what has no place there."""
     written = listed((*told.written, "the camera's offset"))
@@ -305,27 +253,3 @@ def _tables(e: Estimate) -> list[str]:
         (_KNOWN, ("", *_KNOWLEDGE), list(_knowledge_cells(known(e)))),
     )
     return [html_table(heads, rows, caption) for caption, heads, rows in tables if rows]
-
-
-def print_alignment(found: Aligned) -> None:
-    """Frame and clock of the camera."""
-    r = found.registration
-    std = np.sqrt(np.diag(r.covariance).clip(0.0))
-    table = output.table(
-        "Camera in the robot's base", "", "value", "± std", note=f"{len(r.residuals_mm)} pictures, mean error "
-        f"{r.mean_error_mm:.3f} mm (paper: 0.67 mm)",
-    )  # fmt: skip
-    cells = (
-        *((f"turn {axis}, rad", f"{v:+.5f}") for axis, v in zip("xyz", r.rotation_rad, strict=True)),
-        *((f"shift {axis}, mm", f"{v:+.3f}") for axis, v in zip("xyz", r.translation_mm, strict=True)),
-        ("delay, s", f"{found.delay_s:+.4f}"),
-    )
-    for (name, value), known_to in zip(cells, (*std, found.delay_std_s), strict=True):
-        table.add_row(name, value, f"{known_to:.1g}")
-    output.out.print(table)
-    errors = found.errors
-    if errors.size_mm > 0:
-        output.say(
-            f"   deviations are for noise of {errors.noise_mm:.2f} mm an axis and smooth errors of "
-            f"{errors.size_mm:.2f} mm that are alike within {errors.reach_mm:.0f} mm"
-        )

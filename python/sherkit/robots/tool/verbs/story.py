@@ -28,14 +28,9 @@ from ..places import TipPlaces
 from ..runs import ToolRun, read_free_motion, read_tool_run, require_camera
 from ..tare import Tare, tare
 from ..tool import FlexibleTool, load_tool
-from .estimate import (
-    knowledge_json,
-    print_alignment,
-    print_calibration,
-    print_knowledge,
-    sentences_of,
-    write_tool_report,
-)
+from .estimate import knowledge_json, print_knowledge, sentences_of, write_tool_report
+from .loads import calibration_json, print_calibration
+from .register import alignment_json, print_alignment
 
 
 @click.command("tool")
@@ -146,11 +141,8 @@ def _json(
         for name, e in (("before", before), ("after", after))
     }
     return {
-        "calibration": {
-            "loads": calibration.loaded, "unloaded": calibration.unloaded, "rms_mn_mm": calibration.rms_mn_mm.tolist(),
-            "stiffness_mn_mm2": calibration.stiffness_mn_mm2, "length_mm": calibration.length_mm,
-        },
-        "camera": {"delay_s": found.delay_s, "delay_std_s": found.delay_std_s, "rms_mm": found.rms_mm},
+        "calibration": calibration_json(calibration),
+        "camera": alignment_json(found),
         "tare": [{"seconds": one.seconds, "shift_nm": one.shift_nm.tolist()} for one in tares],
         "diagnosis": diagnosis.to_json(),
         "written": list(told.written),

@@ -31,7 +31,9 @@ from ..model import ToolModel, mended
 from ..runs import read_tool_run
 from ..tool import KIND, FlexibleTool, load_tool
 from ..virtual import EXPERIMENTS, VirtualTool
-from .estimate import print_calibration, sentences_of, write_tool_report
+from .check import check_table
+from .estimate import sentences_of, write_tool_report
+from .loads import calibration_json, print_calibration
 
 
 class ToolFile:
@@ -54,8 +56,9 @@ class ToolFile:
 
     @property
     def own_ways(self) -> Mapping[str, Callable[..., None]]:
-        """A bench of known loads instead of poses, a page that is one file, runs in time, a header of its own."""
-        return {"calibrate": self._calibrate, "app": self._app, "simulate": self._simulate, "export": self._export}
+        """A bench of known loads instead of poses, a page that is one file, runs in time, a header and own tables."""
+        return {"calibrate": self._calibrate, "app": self._app, "simulate": self._simulate, "export": self._export,
+                "check": self._check}  # fmt: skip
 
     # -- a diagnosis -------------------------------------------------------------------------------------
 
@@ -86,14 +89,24 @@ class ToolFile:
 
     # -- verbs in a way of its own -----------------------------------------------------------------------
 
-    def _calibrate(self, loads: Path, destination: Path | None) -> None:
-        refuse_given("robot", "runs", "destination", "columns", why="is not for the known loads of a flexible tool")
+    def _check(self, table: Path, *, as_json: bool) -> None:
+        refuse_given("run", "robot", "as_json", why="tables of a flexible tool are mended by hand")
+        check_table(load_tool(self.path), self.path, table, as_json=as_json)
+
+    def _calibrate(self, loads: Path, destination: Path | None, *, as_json: bool) -> None:
+        refuse_given(
+            "robot", "runs", "destination", "columns", "as_json", why="is not for the known loads of a flexible tool"
+        )
         if destination is not None:
             require_kind(destination, "--output", (TOOL,))
         result = calibrate_tool(load_tool(self.path), read_loads(loads))
-        print_calibration(result)
         if destination is not None:
             result.tool.save(destination)
+        if as_json:
+            output.print_json({**calibration_json(result), "tool": result.tool.to_tables()})
+            return
+        print_calibration(result)
+        if destination is not None:
             output.say(f"calibrated tool written to {destination}")
 
     def _app(self, run: Path, files: Sequence[Path], *, opened: bool) -> None:

@@ -1,0 +1,127 @@
+"""``sherkit check`` of a flexible tool's tables: all that is wrong with a run or a bench, as far as it can be read."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from ....base.figures import closest
+from ....base.types import Floats
+from ....cli import output
+from ....data.columns import TIME
+from ....errors import SherkitError, SherkitWarning
+from ..bench_doubts import against_drawing
+from ..calibration import calibrate_tool, check_loads, loaded_rows, read_loads
+from ..checks import checks
+from ..consistency import judge, known
+from ..filters import estimate
+from ..runs import check_clocks, check_turn, check_wavelengths, read_tool_run, table_at
+from ..tool import ARC, DEFLECTION, DEPTH, FIBRES, FORCE, KNOWN, POSITION, TURN, FlexibleTool
+
+
+def check_table(tool: FlexibleTool, of: Path, table: Path, *, as_json: bool) -> None:
+    """Lists all that is wrong with a run or a bench of a tool; ends with 1 where there is anything."""
+    frame = table_at(table)
+    is_bench = any(name in frame.columns for name in FORCE)
+    wrong = wrong_with(tool, table, frame, is_bench=is_bench)
+    what = "a bench of known loads" if is_bench else "a run"
+    if as_json:
+        output.print_json({
+            "format": "sherkit check 1", "source": str(table), "read_as": what, "good": not wrong, "rows": len(frame),
+            "wrong": [{"said": one} for one in wrong],
+        })  # fmt: skip
+    else:
+        output.say(f"{table}: {len(frame)} rows, read as {what} of a flexible tool")
+        for one in wrong:
+            output.warn(one)
+        if not wrong:
+            then = ("sherkit", "calibrate" if is_bench else "estimate", str(of), str(table))
+            output.say(f"nothing is wrong with it\nNext:\n     {shlex.join(then)}")
+    if wrong:
+        if not as_json:
+            output.fail(f"{table}: cannot be trusted as it is")
+        sys.exit(1)
+
+
+def wrong_with(tool: FlexibleTool, table: Path, frame: pl.DataFrame, *, is_bench: bool) -> list[str]:
+    """Sentences: first on its columns, then on their numbers, last on what a tool makes of them."""
+    depth = ARC if ARC in frame.columns and DEPTH not in frame.columns else DEPTH
+    needed = (*FORCE, depth, *FIBRES) if is_bench else (TIME, *POSITION, *TURN, *FIBRES)
+    told = list(_columns(frame, needed, (*needed, DEFLECTION) if is_bench else KNOWN))
+    lacking = any(name not in frame.columns for name in needed)
+    if not lacking:
+        asked = _of_bench(tool, table) if is_bench else _of_run(tool, table, frame)
+        for one in asked:
+            told += [sentence.removeprefix(f"{table}: ") for sentence in _said_by(one)]
+    return list(dict.fromkeys(told))
+
+
+def _columns(frame: pl.DataFrame, needed: tuple[str, ...], known: tuple[str, ...]) -> Iterator[str]:
+    """What is missing, and what holds other things than numbers."""
+    spare = [name for name in frame.columns if name not in known]
+    for name in needed:
+        if name not in frame.columns:
+            near = closest(name, spare)
+            yield f"column '{name}' is missing" + (f"; is '{near}' meant to be it?" if near else "")
+    for name in (one for one in known if one in frame.columns):
+        cells = frame[name].cast(pl.String)
+        bad = cells.cast(pl.Float64, strict=False).is_null() & cells.is_not_null()
+        if bad.any():
+            row = int(bad.arg_max() or 0)
+            yield f"column '{name}': {int(bad.sum())} cells are no number, the first in row {row + 1}: '{cells[row]}'"
+
+
+def _said_by(ask: Callable[[], Any]) -> list[str]:
+    """The refusal and the warnings of one question, and the sentences that it answers with."""
+    told: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", SherkitWarning)
+        try:
+            answer = ask()
+            told += answer if isinstance(answer, list) else []
+        except SherkitError as error:
+            told.append(str(error))
+    return [*(str(one.message) for one in caught if issubclass(one.category, SherkitWarning)), *told]
+
+
+def _numbers(frame: pl.DataFrame, names: tuple[str, ...]) -> Floats:
+    """Columns (n, k), NaN where there is no number."""
+    cast = (frame[name].cast(pl.String).cast(pl.Float64, strict=False) for name in names)
+    return np.column_stack([one.to_numpy().astype(float) for one in cast])
+
+
+def _of_run(tool: FlexibleTool, table: Path, frame: pl.DataFrame) -> list[Callable[[], Any]]:
+    """Units and clocks each for itself, so that one that is wrong hides no other; then what a run says of itself."""
+    pose, source = _numbers(frame, (TIME, *POSITION, *TURN)), str(table)
+    robot = pose[np.isfinite(pose).all(axis=1)]
+    waves = _numbers(frame, FIBRES)
+
+    def contradicts() -> list[str]:
+        e = estimate(tool, read_tool_run(table))
+        truths = known(e)
+        judge(e)
+        return [sentence for one in checks(e, truths) for sentence in one.sentences]
+
+    asked: list[Callable[[], Any]] = [lambda: read_tool_run(table)]
+    if len(robot) > 1:
+        asked += [lambda: check_clocks(robot[:, 0], None, source), lambda: check_turn(robot[:, 4:], source)]
+    return [*asked, lambda: check_wavelengths(waves, np.array(tool.reference_nm), source), contradicts]
+
+
+def _of_bench(tool: FlexibleTool, table: Path) -> list[Callable[[], Any]]:
+    """Whether loads can calibrate the tool, and what they have wrong beside its drawing."""
+
+    def beside_drawing() -> list[str]:
+        loads = read_loads(table)
+        return against_drawing(tool, loaded_rows(loads, np.array(tool.reference_nm)))
+
+    return [
+        lambda: check_loads(tool, read_loads(table)), beside_drawing, lambda: calibrate_tool(tool, read_loads(table)),
+    ]  # fmt: skip
