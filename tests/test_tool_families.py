@@ -8,6 +8,7 @@ import pytest
 from second_tool.wide import Wide
 from second_tool.wide_families import FAMILIES, Family, creeping, sticking
 from tool_families import EXPERIMENTS, judged
+from wide_honesty import faulty, healthy
 
 SHORT_S = 10.0
 #: What is seen late or little of at the tip.
@@ -52,6 +53,27 @@ def test_a_hole_that_goes_along_is_seen_and_one_that_stays_is_not() -> None:
         assert "along" not in judged("sound", seed, "phantom").says
         share = float(judged("goes along", seed, "phantom").says.split("along ")[1].split(" %")[0])
         assert 4.0 <= share <= 13.0
+
+
+def test_a_shaft_thought_far_outside_is_found_by_what_it_feels() -> None:
+    """Catches a filter that takes a force for none where it believes the tip to stand before the hole, and never comes
+    back: it stood 23 mm off its gratings."""
+    h = healthy(21000, "bends", "full")
+    assert h.ours.over(h.plain)[0] < 0.6
+    assert h.ours.depth_covered > 0.95
+
+
+@pytest.mark.parametrize("name", ["drifts", "lags 1 %"])
+def test_gratings_off_their_zero_feign_no_touch(name: str) -> None:
+    """Catches warmth of single gratings, or glue with play, that passes for a touch at the tip and moves the depth by
+    millimetres before the first bend."""
+    j = judged(name, 14003, "vessels")
+    assert max(j.ratios) < 1.05, j
+
+
+def test_a_fibre_that_fails_is_not_taken_for_section_iii() -> None:
+    """Catches the section named whose three gratings stand beside one that is bad."""
+    assert faulty(21000, "phantom", "fibre").right
 
 
 @pytest.mark.slow

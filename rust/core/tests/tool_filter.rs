@@ -153,17 +153,17 @@ fn what_is_not_known_is_not_averaged_away() {
     };
     t.per_second_mm2 = 0.0;
     let (short, tip) = (run(&t, 100), run(&t, 4000));
-    // what no calibration says: fibres that may lag a little, for which section III's zero is doubted, and a touch near the
-    // tip that hardly shows; together less than 0.1 mm
-    assert!(tip < short && tip < 0.1 * 0.1, "{short} {tip}");
+    // what no calibration says: fibres that may lag a little, for which section III's zero is doubted, a touch near the tip
+    // that hardly shows, and, as nothing rests here, gratings 0.1 K otherwise than on the bench; together less than 0.3 mm
+    assert!(tip < short && tip < 0.3 * 0.3, "{short} {tip}");
     // at 10 mm the depth is off by the sum of the three
     let root = Matrix3::new(0.02, 0.0, 0.0, 0.01, 0.03, 0.0, -0.01, 0.02, 0.01);
     t.doubt.depth = root * root.transpose();
     let (short, long) = (run(&t, 100), run(&t, 4000));
     assert!(long > 0.5 * short);
     // of readings far better than the prior all is left that they do not know, beside what was left without a bench's doubt
-    let expected = t.doubt.depth.sum() + tip;
-    assert!((long / expected - 1.0).abs() < 0.1, "{long} {expected}");
+    let (more, expected) = (long - tip, t.doubt.depth.sum());
+    assert!((more / expected - 1.0).abs() < 0.2, "{more} {expected}");
 }
 
 /// Catches a late reading that is taken for one of now: the tool goes in at 5 mm/s, all readings are 0.2 s old.

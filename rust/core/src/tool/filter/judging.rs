@@ -53,8 +53,7 @@ fn hypothesis(h: usize) -> Set {
     match h {
         0..GRATINGS => 1 << h,
         9..12 => 0b1_001_001 << (h - GRATINGS),
-        12 => 0b111_000_000,
-        _ => 1 << (h - FIBRES - 1),
+        _ => 1 << (h - FIBRES),
     }
 }
 
@@ -178,9 +177,9 @@ impl ToolFilter {
                     o.learn_lag(g, jitter, &m, third.then_some(mean), elapsed);
                 }
                 if !self.tip.on
-                    && let Some(zero) = o.rest(s, g, &m, third.then_some(&shifts[2]))
+                    && let Some(zero) = o.rest(s, g, &m, whole.then_some(&shifts[2]))
                 {
-                    (self.tip.zero, self.tip.bent) = (zero, 0.0);
+                    self.tip.zero = zero;
                 }
             }
         }

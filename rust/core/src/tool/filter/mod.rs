@@ -91,7 +91,9 @@ impl ToolFilter {
             });
         }
         let (d, gratings) = (&t.doubt, moments::Gratings::new(t));
-        let [one, two] = gratings.per_nm.map(|v| v * d.reference_nm * d.reference_nm);
+        // until a rest tells them, moments of no force are known as well as gratings are as warm as on the bench
+        let rest = d.reference_nm * d.reference_nm + offsets::APART_NM * offsets::APART_NM;
+        let [one, two] = gratings.per_nm.map(|v| v * rest);
         let variances = [
             variance,
             d.clearance_mm * d.clearance_mm,

@@ -1,7 +1,7 @@
 //! How the moments of no force move: with warmth, as references creep, and after bends, as fibres lag.
 //!
-//! A quarter of a second in which moments are small and stand still tells them: what leans on a hand trembles. How far they
-//! stand from where an earlier rest had them says how references creep. Fibres that lag show in the means of their sections:
+//! A quarter of a second in which moments are small and stand still tells them: what leans on a hand trembles. How long ago
+//! that was says how far they may have crept since. Fibres that lag show in the means of their sections:
 //! each lags by a share of its own. What lags is considered: all fibres alike put the force off, each by itself the depth.
 
 use super::moments::{Gratings, Moments};
@@ -20,11 +20,6 @@ const NOISE: f64 = 0.2;
 const RESTS_NM2: f64 = 2e-6;
 const RESTS_NOISE: f64 = 9.0;
 const MAY_LAG: f64 = 1e-5;
-/// Rests are compared that lie further apart than this, s; deviations beyond which a change is no noise; what is left of a
-/// change after another.
-const APART_S: f64 = 1.5;
-const BEYOND: f64 = 2.5;
-const KEEPS: f64 = 0.9;
 /// How long a bend is remembered, and over which time what it left is, s.
 const BENT_S: f64 = 20.0;
 const LAGS_S: f64 = 1.0;
@@ -38,13 +33,17 @@ const SHOWS: f64 = 81.0;
 /// What they may lag before anything was seen of it, over the bend, squared; and the bend that this counts as, nm⁴ s.
 const BEFORE: f64 = 4e-5;
 const BEFORE_NM4_S: f64 = 0.005;
+/// Glue with play follows the least bend by as much too late as a large one, squared, nm²: of a middle bend.
+const PLAY_NM2: f64 = 1.0;
 /// How much of it a bend may leave, squared; how much of it, squared, one section lags unlike the other.
 const LEFT: f64 = 1.0 / 7.0;
 const UNLIKE: f64 = 1.0 / 32.0;
-/// The least and the largest lag over the bend, squared; how far the warmth of two gratings differs, nm.
+/// The least and the largest lag over the bend, squared; how far the warmth of two gratings differs, nm, and how long after a
+/// rest it does so, s.
 const LEAST: f64 = 4e-8;
 const MOST: f64 = 1e-2;
 pub(super) const APART_NM: f64 = 1e-3;
+const APART_S: f64 = 30.0;
 
 /// Sums over a rest: of moments and of their squares over their variances, of section III, and how many.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -59,12 +58,8 @@ pub(super) struct Rest {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Offsets {
     pub(super) now: Rest,
-    /// The last rest that was compared, and its time, s; squares of changes from one to the next, nm², and of the times in
-    /// which they came, s².
-    pub(super) last: Option<(f64, [f64; 4])>,
-    pub(super) moved: f64,
-    pub(super) waited: f64,
-    /// How far a reference may have crept since the last rest, nm²; warmth then, nm.
+    /// The last rest, s; how far a reference may have crept since, nm²; warmth then, nm.
+    pub(super) rested_s: Option<f64>,
     pub(super) crept: f64,
     pub(super) warm: f64,
     /// Bends of late, as a fibre's shift squared, nm²; the lag over the bend, squared.
@@ -90,6 +85,7 @@ impl Offsets {
     ) {
         let [one, two, _] = m.means_nm;
         let [p, q] = g.bends(m);
+        // what a bench that lags calls noise is none of a reading's
         let white = g.noise.min(jitter) / 3.0;
         let mut shows = 0.0;
         let apart = [Some(one - two), third.map(|x| x - 0.5 * (one + two))];
@@ -118,7 +114,7 @@ impl Offsets {
     /// Variance of a component of a section's moment by what its fibres lag, (mN·mm)².
     #[inline]
     fn lagging_moment(&self, g: &Gratings, section: usize) -> f64 {
-        self.lag * self.bent[section] * g.per_nm[section]
+        self.lag * self.bent[section].max(PLAY_NM2) * g.per_nm[section]
     }
 
     /// By what they lag unlike those of the other section.
@@ -148,8 +144,9 @@ impl Offsets {
         let bends = g.bends(m);
         let keeps = (1.0 - 2.0 * elapsed_s / BENT_S).max(0.0);
         let warmer = (0.5 * (m.means_nm[0] + m.means_nm[1]) - self.warm) * doubt;
-        let waited = self.last.map_or(0.0, |(at, _)| s.time_s - at);
-        self.crept = self.moved * (waited * waited / self.waited.max(1e-9)).min(1.0);
+        let since = |at: f64| ((s.time_s - at) / APART_S).min(1.0);
+        let apart = APART_NM * self.rested_s.map_or(1.0, since);
+        self.crept = apart * apart;
         for i in 0..2 {
             self.bent[i] = (self.bent[i] * keeps).max(bends[i].min(64.0));
             let most =
@@ -205,21 +202,7 @@ impl Offsets {
             s.take(&seen, told[k] - s.x[OFFSETS + k]);
         }
         self.warm = 0.5 * (m.means_nm[0] + m.means_nm[1]);
-        if let Some((at_s, before)) = self.last {
-            let waited = s.time_s - at_s;
-            if waited < APART_S {
-                return third;
-            }
-            let mut moved = -BEYOND * BEYOND * 2.0 / COMPARED * g.noise;
-            for k in 0..4 {
-                moved += 0.25 * (told[k] - before[k]) * (told[k] - before[k]) / g.per_nm[k / 2];
-            }
-            // what does not move adds up to no credit
-            self.moved = (KEEPS * self.moved + moved).max(0.0);
-            let more = KEEPS * self.waited + waited * waited;
-            self.waited = if self.moved > 0.0 { more } else { 0.0 };
-        }
-        self.last = Some((s.time_s, told));
+        self.rested_s = Some(s.time_s);
         third
     }
 }

@@ -94,7 +94,8 @@ pub(super) fn say(
     // reading itself has the hole: from far away its moments are no straight line
     let vague = s.p[L][L] > VAGUE_MM * VAGUE_MM;
     let rounds = if vague { AGAIN } else { 1 };
-    let held = |depth: f64| depth.min(near - NEAREST_MM);
+    // what is felt acts on the shaft, also where the tip was thought to stand before the hole
+    let held = |depth: f64| depth.min(near - NEAREST_MM).max(0.0);
     let (mut depth, mut relief, mut short) = (held(s.arc()), s.relief, s.short);
     let (mut c, mut f, mut v) = ([0.0; 2], Vector2::zeros(), Matrix2::zeros());
     let mut ahead = 0.0;
@@ -116,7 +117,7 @@ pub(super) fn say(
         if round == 0 {
             depth = held(expected);
         } else {
-            depth = held(found.max(0.0));
+            depth = held(found);
             ahead = depth - expected;
         }
     }

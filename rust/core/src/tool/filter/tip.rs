@@ -12,8 +12,8 @@ const CHANGES: f64 = 4.0;
 const MOST_MN: f64 = 40.0;
 /// How far a grating of III is off its zero by a warmth of its own, squared, nm²: 0.03 K at 10 pm/K.
 const ZERO_NM2: f64 = 1e-7;
-/// Of the bends of the others, squared: glue that has play lets all fibres lag by one strain.
-const PLAY: f64 = 1.0 / 36.0;
+/// Glue that has play lets all fibres lag, squared, nm², by what the hole bends the others: a sixth of that.
+const PLAY_NM2: f64 = 1.0 / 36.0;
 /// Squares of deviations from which on there is a force, and down to which.
 const FELT: f64 = 16.0;
 const GONE: f64 = 6.0;
@@ -26,9 +26,8 @@ pub(super) struct Tip {
     pub(super) force: Vector2<f64>,
     pub(super) variance: f64,
     pub(super) of_zero: f64,
-    /// The moment of section III at rest, mN·mm, and how far the hole has bent III since, as a fibre's shift squared, nm².
+    /// The moment of section III at rest, mN·mm.
     pub(super) zero: Vector2<f64>,
-    pub(super) bent: f64,
     pub(super) tells: bool,
     /// Whether it is one.
     pub(super) on: bool,
@@ -49,20 +48,13 @@ impl Tip {
         let per = 0.5 * (g.per_nm[0] + g.per_nm[1]) / (THIRD_MM * THIRD_MM);
         let third = g.of_third(&shifts[2]);
         let told = (third - self.zero) / THIRD_MM;
-        // what the hole's bends leave in its zero, since it stood near the tip
-        if !deep {
-            self.bent = self
-                .bent
-                .max((third.norm_squared() / g.per_nm[0]).min(64.0));
-        }
-        self.bent = self.bent.max(PLAY * o.bent[0].max(o.bent[1]));
         let tells = believed && deep && told.norm_squared() < MOST_MN * MOST_MN;
         if !(tells && self.tells) {
             (self.force, self.variance) = (Vector2::zeros(), CHANGES);
         }
         self.tells = tells;
         // its zero is known as well as the bench repeats a reference, and its gratings are as warm as each other
-        let lags = o.lag * self.bent;
+        let lags = o.lag * PLAY_NM2;
         self.of_zero = per * (reference_nm * reference_nm + ZERO_NM2 + o.crept + lags);
         if tells {
             self.variance += CHANGES * elapsed_s;

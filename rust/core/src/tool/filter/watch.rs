@@ -13,8 +13,8 @@ const MOVED_NM: f64 = 0.08;
 const AT_ONCE_S: f64 = 0.1;
 /// How long noise is watched, s.
 const WATCHED_S: f64 = 5.0;
-/// What may be left out beside what is: nine gratings, three fibres, section III, the warmth of three sections.
-pub(super) const HYPOTHESES: usize = GRATINGS + FIBRES + 1 + SECTIONS;
+/// What may be left out beside what is: nine gratings, three fibres, the warmth of three sections.
+pub(super) const HYPOTHESES: usize = GRATINGS + FIBRES + SECTIONS;
 
 /// What was seen of the gratings.
 #[derive(Clone, Copy, Debug, PartialEq)]
