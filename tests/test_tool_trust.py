@@ -134,4 +134,5 @@ def test_another_tools_file_is_never_trusted() -> None:
     off = np.repeat([0.0, 0.0, 1.0], 3) * np.tile([0.5, -0.3, 0.1], 3)
     said = told(replace(tool, reference_nm=tuple((reference + off).tolist())), run)
     assert said.verdict != "trusted"
-    assert "fbg7_nm, fbg8_nm, fbg9_nm are left out in" in said.noticed[0]
+    # of section I and II one may be taken for what section III is off by
+    assert "fbg8_nm, fbg9_nm are left out in" in said.noticed[0]
