@@ -131,8 +131,8 @@ def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDes
 
 
 def _columns(lead: EffectSet, k: int) -> tuple[Floats, list[str]]:
-    """Columns (N, p) of an effect of a set as the full fit has them, of unit length, and of what part of a machine
-    each is: a joint by its number, or what the parameter itself is called."""
+    """Columns (N, p) of an effect of a set as the full fit has them, of unit length, and of what part each is: a
+    joint by its number, one of what an instrument reads wrong by its own name; empty where it is of none."""
     fit, effect = lead.run.of, lead.blocks[k].effect
     assert effect is not None, "shapes are not named"
     at = fit.owns(effect)
@@ -140,7 +140,9 @@ def _columns(lead: EffectSet, k: int) -> tuple[Floats, list[str]]:
     length = np.linalg.norm(columns, axis=0)
     names = [(p.name, p.name.rpartition("_")[2]) for p in fit.fit.parameters[at]]
     return columns[:, length > 0] / length[length > 0], [
-        joint if joint.isdigit() else name for (name, joint), some in zip(names, length > 0, strict=True) if some
+        joint if joint.isdigit() else name if effect.link == "sensor" else ""
+        for (name, joint), some in zip(names, length > 0, strict=True)
+        if some
     ]
 
 
@@ -154,7 +156,7 @@ def _of_one_part(base: Base, columns: Floats, parts: Sequence[str]) -> float:
     """By how much an effect that any part may have, as :func:`_columns` has it, says more as that of one part alone,
     which of them being as likely as any other and as all together: shapes are of one, and pay for no other."""
     every = dict.fromkeys(parts)
-    if len(every) < 2:
+    if "" in every or len(every) < 2:
         return 0.0
     each = [_tells(base, columns[:, [one == part for one in parts]]) for part in every]
     return max(max(each) - float(np.log(2.0 * len(every))) - _tells(base, columns), 0.0)
