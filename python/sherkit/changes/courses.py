@@ -164,9 +164,8 @@ def lacking(joined: Joined) -> Joined:
             lasting.append(block.at[len(block.at) // 2 :])
             base = base.with_columns(columns.of(lasting[-1]))
             continue
-        effects = np.where(base.family.is_effect, base.each, -np.inf)
-        i, beside = int(np.argmax(effects)), beside + 1
-        if effects[i] < ALARM or beside > _MOST_BESIDE:
+        i, beside = int(np.argmax(base.effects)), beside + 1
+        if base.effects[i] < ALARM or beside > _MOST_BESIDE:
             break
         at = base.family.blocks[i].at
         base = base.with_columns(columns.of(at[: len(at) // 2]))

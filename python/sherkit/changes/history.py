@@ -144,13 +144,9 @@ class History(Shown):
         bars = () if len(errors) < 2 else (
             Bar(BEFORE, "first run", errors[0]), Bar(AFTER, "last, by the model of the first", errors[-1])
         )  # fmt: skip
-        to_do = ToDo(self.advice, "" if self._is_gone else calibrate_again(self.verdict, self.known))
+        gone = _is_gone(self.verdict, self.changes)
+        to_do = ToDo(self.advice, "" if gone else calibrate_again(self.verdict, self.known))
         return Answer(self.verdict_and_what, "", tuple(told), (to_do,), bars, self.unit)
-
-    @property
-    def _is_gone(self) -> bool:
-        """Whether all that has changed did so for one run."""
-        return self.verdict == "changed" and all(one.kind == ONCE for one in self.changes)
 
     @property
     def sees(self) -> str:
@@ -284,7 +280,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     quiet = verdict == "unchanged"
     if quiet:
         advice = unchanged_advice(float(joined.fit.error.rms), needed, pool.unit, joined)
-    elif verdict == "changed" and all(one.kind == ONCE for one in changes):
+    elif _is_gone(verdict, changes):
         days = listed([f"in {data[pool.numbers.index(one.since)].source}" for one in changes if one.since is not None])
         advice = f"look for what was different {days}: it is gone since, and the calibration of the other runs holds"
     else:
@@ -295,6 +291,11 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
         smallest_found=pool.smallest if quiet else None, silent={name: str(one) for name, one in pool.silent.items()},
         advice="; ".join([advice, *pool.to_measure]),
     )  # fmt: skip
+
+
+def _is_gone(verdict: str, changes: Sequence[Course]) -> bool:
+    """Whether all that has changed did so for one run."""
+    return verdict == "changed" and all(one.kind == ONCE for one in changes)
 
 
 def _found(base: Base) -> tuple[str, list[Block]]:
@@ -312,9 +313,8 @@ def _found(base: Base) -> tuple[str, list[Block]]:
         return "changed", found
     found = []
     while len(found) < _MOST and base.evidence >= ALARM:
-        effects = np.where(base.family.is_effect, base.each, -np.inf)
-        lead = int(np.argmax(effects))
-        if effects[lead] < base.shapes.max(initial=-np.inf) + SURE:
+        lead = int(np.argmax(base.effects))
+        if base.effects[lead] < base.shapes.max(initial=-np.inf) + SURE:
             return "partly explained" if found else "unexplained", found
         found.append(base.family.blocks[lead])
         base = base.beside(found[-1])
@@ -327,12 +327,11 @@ def _from(base: Base, first: Block) -> tuple[float, list[Block]]:
     value = float(base.each[base.family.where(first)])
     base = base.beside(first)
     while base.evidence >= ALARM:
-        effects = np.where(base.family.is_effect, base.each, -np.inf)
-        lead = int(np.argmax(effects))
-        if len(found) == _MOST or effects[lead] < 0:
+        lead = int(np.argmax(base.effects))
+        if len(found) == _MOST or base.effects[lead] < 0:
             return value, []
         found.append(base.family.blocks[lead])
-        value += float(effects[lead]) + ONE_MORE
+        value += float(base.effects[lead]) + ONE_MORE
         base = base.beside(found[-1])
     return value, found
 
@@ -340,9 +339,8 @@ def _from(base: Base, first: Block) -> tuple[float, list[Block]]:
 def _instead(base: Base, found: Sequence[Block], k: int) -> list[Block]:
     """What would say as much in the place of one of those that were found, beside the others."""
     beside = base.beside(*(one for one in found if one is not found[k]))
-    effects = np.where(base.family.is_effect, beside.each, -np.inf)
-    least = effects[base.family.where(found[k])] - TIED
-    return [base.family.blocks[i] for i in np.argsort(-effects).tolist() if effects[i] > least]
+    least = beside.effects[base.family.where(found[k])] - TIED
+    return [base.family.blocks[i] for i in np.argsort(-beside.effects).tolist() if beside.effects[i] > least]
 
 
 def _called(name: str, kind: str) -> str:

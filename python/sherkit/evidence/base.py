@@ -192,6 +192,11 @@ class Base:
         return self.family.log_weight + self.log_bf
 
     @cached_property
+    def effects(self) -> Floats:
+        """The same of effects alone (B,), -inf for shapes."""
+        return np.where(self.family.is_effect, self.each, -np.inf)
+
+    @cached_property
     def shapes(self) -> Floats:
         """The same of shapes alone (B,), -inf for effects."""
         return np.where(self.family.is_effect, -np.inf, self.each)
