@@ -1,9 +1,11 @@
 """Many machines of one robot: what each is missing, what they share, and which of them stands out.
 
 Every run is diagnosed by itself, wherever an executor of :mod:`concurrent.futures` takes it. Machines are compared by
-median and median absolute deviation, which half of them may be wrong without moving (Huber and Ronchetti, *Robust
-Statistics*, 5.1). Which of them stands out is asked of the farthest one beside all others, then of the next (Rosner,
-"Percentage points for a generalized ESD many-outlier procedure", Technometrics 1983), at a chance for the whole fleet.
+what the readings say of them: the drawing is that of all, so what it adds to a value and to its deviation is no
+difference of machines. Which of them stands out is asked of the farthest one beside all others, then of the next
+(Rosner, "Percentage points for a generalized ESD many-outlier procedure", Technometrics 1983), at a chance for the
+whole fleet. By how much the others differ is known from these few alone, and from what each is uncertain by, below
+which they cannot be alike: :func:`_deviations`.
 """
 
 from __future__ import annotations
@@ -44,23 +46,27 @@ FEWEST = 4
 _ONE_OF = 3
 #: Deviations from the median within which nothing stands out.
 _NEAR = 2.0
+#: By how much machines may differ, as variances in that of the values told.
+_DIFFER = np.logspace(-8.0, 4.0, 200)
 
 
 @dataclass(frozen=True)
 class FleetMember(Summary):
     """One run of the fleet, and what was found in it.
 
-    ``failed`` is the sentence that says why there is no more, None where all went well. ``values``, ``std`` and
-    ``units`` are those of the fitted parameters, with the effects that were found missing; those ``of_stand`` say where
-    the instrument stood, and nothing of the machine. ``remarks`` are the warnings that were given.
+    ``failed`` is the sentence that says why there is no more, None where all went well. ``values``, their deviations
+    (``std_from_readings``, and ``std`` with the drawing's) and ``units`` are those of the fitted parameters, with the
+    effects that were found missing; those ``of_sensor`` say where the instrument stood and what it shows, and nothing
+    of the machine. ``remarks`` are the warnings that were given.
     """
 
     run: str
     failed: str | None = None
     values: Mapping[str, float] | None = None
+    std_from_readings: Mapping[str, float] | None = None
     std: Mapping[str, float] | None = None
     units: Mapping[str, str] | None = None
-    of_stand: tuple[str, ...] = ()
+    of_sensor: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     def row(self) -> dict[str, str | int | float | None]:
@@ -84,9 +90,8 @@ class Common:
 
 @dataclass(frozen=True)
 class StandsOut:
-    """A machine that is not like the others in one quantity: ``deviations`` from their mean, in the spread of the
-    others and the uncertainty of the machine's own value together, where ``threshold`` is rarely passed by chance.
-    ``median`` is that of the fleet."""
+    """A machine that is not like the others in one quantity: so rare among them as ``deviations`` of a normal
+    distribution, where ``threshold`` is rarely passed by chance. ``median`` is that of the fleet."""
 
     run: str
     name: str
@@ -146,15 +151,15 @@ class Fleet:
 
     @cached_property
     def _quantities(self) -> dict[str, dict[str, tuple[float, float]]]:
-        """Values with their uncertainty by quantity and run."""
+        """Values with what the readings leave of them uncertain, by quantity and run."""
         out: dict[str, dict[str, tuple[float, float]]] = {"error left": {}}
         for m in self.diagnosed:
             if m.after:
                 # that of the root of a mean of squares, one of each row at least
                 out["error left"][m.run] = (m.after, m.after / np.sqrt(2.0 * max(m.rows, 1)))
             for name, value in (m.values or {}).items():
-                if name not in m.of_stand:
-                    out.setdefault(name, {})[m.run] = (value, (m.std or {})[name])
+                if name not in m.of_sensor:
+                    out.setdefault(name, {})[m.run] = (value, (m.std_from_readings or {})[name])
         return out
 
     @cached_property
@@ -285,9 +290,10 @@ def _machine(task: _FleetTask) -> FleetMember:
         **vars(found.summary),
         run=task.name,
         values=dict(zip(names, found.fit.values.tolist(), strict=True)),
+        std_from_readings=dict(zip(names, found.fit.std_from_readings.tolist(), strict=True)),
         std=dict(zip(names, found.fit.std.tolist(), strict=True)),
         units={p.name: p.unit for p in found.fit.parameters},
-        of_stand=tuple(name for name in names if name in found.fit.model.of_sensor),
+        of_sensor=tuple(name for name in names if name in found.fit.model.of_sensor),
         remarks=_said(said),
     )
 
@@ -314,16 +320,36 @@ def _outlying(values: Floats, stds: Floats, level: float) -> list[tuple[int, flo
     rounds = max((len(values) - 1) // _ONE_OF, 1)
 
     def away(k: int, others: Ints) -> float:
-        own, part = float(np.mean(stds[others] ** 2)), 1.0 / len(others)
-        # of their spread what each is uncertain by is no difference of machines
-        differ = max(float(np.var(values[others], ddof=1)) - own, 0.0)
-        scale = np.sqrt(differ * (1.0 + part) + own * part + stds[k] ** 2)
-        return float((values[k] - values[others].mean()) / scale) if scale > 0 else 0.0
+        return _deviations(float(values[k]), float(stds[k]), values[others], stds[others])
 
     def rare(others: Ints) -> float:
-        return float(-scipy.special.stdtrit(len(others) - 1, 0.5 * level / rounds / (len(others) + 1)))
+        return float(-scipy.special.ndtri(0.5 * level / rounds / (len(others) + 1)))
 
     tried = min(rounds, int((apart > _NEAR).sum()))
     last = max((j + 1 for j in range(tried) if abs(away(order[j], order[j + 1 :])) > rare(order[j + 1 :])), default=0)
     left = order[last:]
     return [(int(k), away(k, left), rare(left)) for k in order[:last]]
+
+
+def _deviations(value: float, std: float, others: Floats, stds: Floats) -> float:
+    """How rare a value with its ``std`` is among others (m,) with theirs, as deviations of a normal distribution.
+
+    The predictive distribution of one more value: its mean is that of the others, weighed, and the variance by which
+    machines differ is integrated over, with Jeffreys' prior of the whole variance, of which what the readings leave
+    (``stds``) is known (Box and Tiao, *Bayesian Inference in Statistical Analysis*, 2.3 and 5.2). Where they tell all
+    exactly it is Student's t of m - 1 degrees of freedom.
+    """
+    known = float(np.mean(stds**2))
+    size = max(float(np.var(others)), known)
+    if not size:
+        return 0.0
+    differ = size * _DIFFER
+    weights = 1.0 / (differ[:, None] + stds**2)
+    total = weights.sum(1)
+    mean = weights @ others / total
+    left = (weights * np.square(others - mean[:, None])).sum(1)
+    likely = 0.5 * (np.log(weights).sum(1) - np.log(total) - left) + np.log(differ / (differ + known))
+    apart = (value - mean) / np.sqrt(differ + 1.0 / total + std**2)
+    sign = 1.0 if value > float(others.mean()) else -1.0
+    tail = scipy.special.logsumexp(likely + scipy.special.log_ndtr(-sign * apart)) - scipy.special.logsumexp(likely)
+    return sign * float(-scipy.special.ndtri_exp(tail))
