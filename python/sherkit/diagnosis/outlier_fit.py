@@ -28,7 +28,7 @@ from ..evidence.shapes import Smooth, smooth_shapes
 from ..evidence.whitening import orthonormal
 from ..fit.folds import BLOCK
 from .gathered import WRONG
-from .robust_start import CUT, ROUNDS, apart_from_pose, huber
+from .robust_start import CUT, ROUNDS, apart_from_pose, huber, median
 
 #: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
 #: ones. And chance that a column takes part in describing a run of pure noise.
@@ -63,7 +63,8 @@ class OutlierFit:
     ``e`` (n, m) are residuals, over noise that is ``declared`` or not; an item is what is judged as one: the readings
     of a pose that agree, or a row that stands apart from them. What is fitted is taken for the same in all rows of an
     item: ``basis`` (items · m, k) is orthonormal where each item weighs as much as it has rows. Rows that are known to
-    have been ``bumped`` (n,) are items of their own.
+    have been ``bumped`` (n,) are items of their own. What is usual is that of the poses: the items of one have its
+    ``weight`` (items,) by their rows, so that accidents in a run of many readings are not most of its items.
     """
 
     def __init__(self, view: Linearised, *, declared: bool, bumped: Bools | None = None) -> None:
@@ -75,10 +76,12 @@ class OutlierFit:
         if bumped is not None:
             apart = apart | bumped
         group = np.unique(view.repeated, return_inverse=True)[1].ravel()
+        part = 1.0 / np.bincount(group)[group]
         group = np.where(apart, len(view) + np.arange(len(view)), group)
         self.item = np.unique(group, return_inverse=True)[1].ravel()
         self.count = np.bincount(self.item).astype(float)
         self.root = np.sqrt(self.count)[:, None]
+        self.weight: Floats = np.bincount(self.item, part).astype(float)
         self.order = np.argsort(self.item, kind="stable")
         self.starts = np.concatenate([[0], np.cumsum(self.count[:-1])]).astype(np.int64)
         # of the mean of an item; nothing where it is not known
@@ -176,7 +179,7 @@ class OutlierFit:
         within = np.zeros((self.e[::stride].size, 0))
         for _ in range(int(_MOST_COLUMNS * len(q))):
             left = self._left_by(q, seen)
-            limit = CUT * self._spread(left)
+            limit = CUT * self._spread(left, self.weight[seen])
             tame = (np.clip(left, -limit, limit) * self.root[seen] / limit).ravel()
             tame -= q @ (q.T @ tame)
             variance = float(tame @ tame) / (len(q) - q.shape[1])
@@ -223,11 +226,15 @@ class OutlierFit:
     def _left_by(self, q: Floats, items: Ints) -> Floats:
         """What orthonormal columns leave of the means of some items (items, m), outliers cut to size."""
         root = self.root[items]
-        return huber(self.mean[items], lambda tame: (q @ (q.T @ (tame * root).ravel())).reshape(tame.shape) / root)
 
-    def _spread(self, left: Floats) -> Floats:
-        """Robust standard deviation (m,) of what is left, no less than digits."""
-        return np.maximum(MAD * np.median(np.abs(left), axis=0), self.floor)
+        def taken(tame: Floats) -> Floats:
+            return np.asarray((q @ (q.T @ (tame * root).ravel())).reshape(tame.shape) / root)
+
+        return huber(self.mean[items], taken, self.weight[items])
+
+    def _spread(self, left: Floats, weight: Floats) -> Floats:
+        """Robust standard deviation (m,) of what is left (n, m), no less than digits."""
+        return np.maximum(MAD * median(np.abs(left), weight), self.floor)
 
     def _later(self, still: int, those: Bools, stride: int, some: list[Floats], rows: slice) -> Floats:
         """Columns of what slips (b, m, k), of a stretch of rows, where it is one of ``those`` (n,), on each axis and by
@@ -267,8 +274,8 @@ class OutlierFit:
         rows = every[place[self.item[::stride]]]
         off = self.e[::stride] - rows[:, :, 0]
         if within.shape[1]:
-            off = huber(off, lambda tame: (within @ (within.T @ tame.ravel())).reshape(tame.shape))
-        limit = CUT * self._spread(off)
+            off = huber(off, lambda tame: (within @ (within.T @ tame.ravel())).reshape(tame.shape), np.ones(len(off)))
+        limit = CUT * self._spread(off, np.ones(len(off)))
         tame = np.clip(off, -limit, limit) / limit * rows[:, :, 1]
         rows[:, :, 0] = tame - stride * rows[:, :, 2:] @ np.einsum("nm,nmk->k", tame, rows[:, :, 2:])
         variance = max(variance, float(np.square(rows[:, :, 0]).mean()))
@@ -311,8 +318,8 @@ class OutlierFit:
         """Inliers, from a start that leaves ``left`` (items, m), among those that are any ``witness``; how far each
         item is off from what they predict, and the variance of that (items, m)."""
         square = left**2 * self.count[:, None]
-        distance = (square / np.maximum(np.median(square, axis=0), self.floor**2)).sum(axis=1)
-        near = distance <= np.median(distance)
+        distance = (square / np.maximum(median(square, self.weight), self.floor**2)).sum(axis=1)
+        near = distance <= median(distance, self.weight)
         for robust in (True, False):
             # the spread of the inliers is known better than a median, but only once the outliers are out
             for _ in range(ROUNDS):
@@ -354,8 +361,8 @@ class OutlierFit:
         # an item of more readings is known better, as far as its readings differ among themselves
         each = self.within**2 / self.count[:, None]
         if robust:
-            spread, usual = MAD**2 * np.median(square, axis=0), np.median(each, axis=0)
-            freedom: Floats | float = _MAD_EFFICIENCY * items
+            spread, usual = MAD**2 * median(square, self.weight), median(each, self.weight)
+            freedom: Floats | float = _MAD_EFFICIENCY * self.weight.sum()
         else:
             # of each item, that of the others: an outlier would hide in its own
             others = inliers.sum() - inliers[:, None]
@@ -375,7 +382,8 @@ class OutlierFit:
             those = np.flatnonzero((self.count == 1) == alone)
             order = those[np.argsort(p[those])]
             below = np.flatnonzero(p[order] <= _LEVEL * np.arange(1, len(order) + 1) / items)
-            out[order[: min(int(below[-1]) + 1, items // 2)] if len(below) else []] = True
+            those = order[: int(below[-1]) + 1 if len(below) else 0]
+            out[those[np.cumsum(self.weight[those]) <= 0.5 * self.weight.sum()]] = True
         return out, variance * free
 
     # -- rows and items ------------------------------------------------------------------------------------

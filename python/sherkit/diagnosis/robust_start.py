@@ -52,12 +52,22 @@ def robust_start(run: FittedRun, rows: Ints) -> FittedRun:
     return run.without(rows[(np.abs(left) > _APART * spread).any(axis=1)])
 
 
-def huber(e: Floats, fitted: Callable[[Floats], Floats]) -> Floats:
-    """What a fit leaves of residuals (n, m) when outliers are cut to size; ``fitted`` is what it takes of any."""
+def median(values: Floats, weight: Floats) -> Floats:
+    """That (…) of values (n, …), each of this ``weight`` (n,)."""
+    if np.ptp(weight) <= 0:
+        return np.asarray(np.median(values, axis=0))
+    order = np.argsort(values, axis=0)
+    half = np.cumsum(weight[order], axis=0) >= 0.5 * weight.sum()
+    return np.asarray(np.take_along_axis(values, np.take_along_axis(order, half.argmax(axis=0)[None], 0), 0)[0])
+
+
+def huber(e: Floats, fitted: Callable[[Floats], Floats], weight: Floats) -> Floats:
+    """What a fit leaves of residuals (n, m) when outliers are cut to size; ``fitted`` is what it takes of any, and
+    their spread is that by ``weight`` (n,)."""
     left = e
     before = np.inf
     for _ in range(5 * ROUNDS):
-        limit = CUT * MAD * np.median(np.abs(left), axis=0)
+        limit = CUT * MAD * median(np.abs(left), weight)
         tame = e - left + np.clip(left, -limit, limit)
         left = e - fitted(tame)
         now = float(limit.sum())
