@@ -66,6 +66,9 @@ def scara(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Flo
     """Two arms and a quill."""
     first, second, quill = q + 0.5 * np.array([h.play_rad, h.play_rad, 0.0]) * came
     first = first + h.ring_rad * np.sin(first + 0.7) + h.ripple_rad * np.sin(50 * first + 0.3)
+    # play that is more at one end, and a bump of the other joint
+    first = first + 0.5 * h.worn_rad * came[0] * (q[0] + 1.5) / 3.0
+    second = second + h.bump_rad * np.exp(-0.5 * ((q[1] - h.sizes.get("bump_at_rad", 1.3)) / 0.3) ** 2)
     second = second + h.belt * q[0] + h.oval_rad * np.cos(2 * second)
     reach = shift(250.4, 0, 0) @ turn(2, second) @ shift(199.7, 0, 0)
     frame = turn(2, first) @ reach @ turn(0, h.quill_lean) @ shift(0, 0, -quill)

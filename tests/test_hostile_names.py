@@ -23,7 +23,7 @@ from sherkit.diagnosis import template
 from test_commands_fuzz import run
 from test_fuzz import lines_run
 
-_SHAPES = ("smooth", "periodic", "step", "kink", "hysteretic", "interaction")
+_SHAPES = ("smooth", "periodic", "step", "kink", "bump", "hysteretic", "interaction")
 
 
 @st.composite
@@ -45,8 +45,8 @@ def signatures(draw: st.DrawFn) -> tuple[dict[str, Any], Layout, str]:
         "period": draw(st.floats(1e-3, 1e3)), "at": draw(st.one_of(st.none(), st.floats(0.1, 9.0))),
         "ranges": dict.fromkeys(depends, (1.0, 2.0)),
     }  # fmt: skip
-    if shape in ("step", "kink"):
-        signature["at"] = 3.0
+    if shape in ("step", "kink", "bump"):
+        signature |= {"at": 3.0, "width": 0.5}
     return signature, layout, draw(names)
 
 

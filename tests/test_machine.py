@@ -183,6 +183,30 @@ def test_a_rack_in_two_pieces_is_no_wave(seed: int, tmp_path: Path) -> None:
     assert_template_helps("gantry", run, d, tmp_path)
 
 
+@pytest.mark.parametrize("seed", [0, *slow(*range(1, 8))])
+def test_a_bump_is_no_wave(seed: int, tmp_path: Path) -> None:
+    """Catches one bump of a joint that is named as a wave and its overtone, of which nobody saw a second period (14 of
+    40 arms "explained"); and its effect for one's own, which helps nothing."""
+    at = float(np.random.default_rng([seed, 23]).uniform(0.9, 1.7))
+    run = run_of("scara", seed, {"bump_rad": 5e-4, "bump_at_rad": at})
+    d = sk.diagnose(MACHINE["scara"], run)
+    assert (d.verdict, d.effects) == ("unexplained", ())
+    assert (d.signature["shape"], d.signature["joint"]) == ("bump", "elbow_rad")
+    assert d.signature["at"] == pytest.approx(at, abs=0.2)
+    assert_template_helps("scara", run, d, tmp_path)
+
+
+@pytest.mark.parametrize("seed", [0, *slow(*range(1, 8))])
+def test_play_that_grows_is_no_play_and_no_ring(seed: int, tmp_path: Path) -> None:
+    """Catches play that is more at one end of a joint and is "explained" by play and an eccentric ring."""
+    run = run_of("scara", seed, {"worn_rad": 1e-3})
+    d = sk.diagnose(MACHINE["scara"], run)
+    assert d.verdict in ("unexplained", "partly explained")
+    assert set(d.effects) <= {"backlash"}
+    assert (d.signature["shape"], d.signature["depends_on"]) == ("hysteretic", ["shoulder_rad"])
+    assert_template_helps("scara", run, d, tmp_path)
+
+
 def test_a_users_effect_stands_beside_the_generic_ones() -> None:
     """Catches an own effect at a joint whose derivative is not carried by the machine's function. Seed 4."""
 

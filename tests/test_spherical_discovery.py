@@ -437,7 +437,9 @@ def test_templates_of_every_shape_run_on_pixels(tmp_path: Path, joint: bool) -> 
         {"shape": "periodic", "period": 0.3, "depends_on": ["v_px"]},
         {"shape": "step", "at": 100.0, "depends_on": ["time_s"]},
         {"shape": "kink", "at": 0.1, "depends_on": ["theta2_rad"]},
+        {"shape": "bump", "at": 0.1, "width": 0.05, "depends_on": ["theta2_rad"]},
         {"shape": "hysteretic", "at": 0.02, "depends_on": ["theta2_rad"]},
+        {"shape": "hysteretic", "order": 1, "depends_on": ["theta2_rad"]},
         {"shape": "hysteretic", "at": 0.0, "depends_on": ["theta2_rad"]},
         {"shape": "interaction", "depends_on": ["theta1_rad", "theta2_rad"]},
     ]

@@ -14,7 +14,7 @@ from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
 from ..evidence.thresholds import ABSURD, COUNTS, PLAUSIBLE, farthest_parameter, times_plausible
-from ..fit.set_up import Mistake
+from ..fit.set_up import Mistake, frozen
 from .held_out import PRAISE, Elimination, HeldOutGain
 from .repeats import Repeats, Rounded, rounded
 from .result import (  # fmt: skip
@@ -70,7 +70,7 @@ def checks_of(
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
         "by the weighted mean of the Bayes factors of all effects and shapes",
-        holds=p > level and not found.structure, p=p, fails="what is left has a structure",
+        holds=p > level and not found.structure, p=p, fails=f"what is left has a structure{frozen(final.data)}",
     )  # fmt: skip
     error = found.steps[-1].error.rms
     small = _small(final, error, sigma, origin, by_noise)
@@ -214,7 +214,7 @@ def _poses(final: FittedRun, own: OwnErrors | None, off: bool, *, followed: bool
         fails=told if followed else (
             f"{told}, which no effect and no shape follows: look at what differs from pose to pose but not between "
             "repeats (how the marker is found, seating, a reading taken before it is still); where that is known, "
-            f"declare it: {declare}"
+            f"declare it: {declare}{frozen(final.data)}"
         ),
     )  # fmt: skip
 

@@ -23,6 +23,7 @@ from ..evidence.blocks import Block
 from ..evidence.fitted_run import FittedRun
 from ..evidence.sets import ShapeDescription
 from ..fit.identify import identify
+from .signature import numbers_of
 from .template import course
 
 # -- What repeats hold -------------------------------------------------------------------------------------------------
@@ -111,10 +112,7 @@ def _apart(values: Floats, axes: int, pose: Ints) -> Floats:
 def _told(run: FittedRun, shape: Block, size: Floats) -> str:
     """A shape of this size (m,) on each axis, in words."""
     most = [a for a, one in zip(run.axes, size.tolist(), strict=True) if 2.0 * one > size.max()]
-    told = course({
-        "depends_on": list(shape.depends_on), "axis": [bare(run.names[a]) for a in most], "shape": shape.shape,
-        "order": shape.order, "period": shape.period, "at": shape.setting,
-    })  # fmt: skip
+    told = course({**numbers_of(shape, [bare(run.names[a]) for a in most]), "joint": None})
     return f"{told} by {run.per_unit * float(np.linalg.norm(size)) / np.sqrt(len(most)):.3g} {run.unit}"
 
 

@@ -23,7 +23,7 @@ from .template import what_parts
 #: Evidence, in nats, by which one shape is clearly better than another (Kass and Raftery, "Bayes factors", JASA 1995).
 CLEARLY = 3.0
 #: Kinds of shapes, the simplest first.
-_SIMPLEST = ("alternating", "smooth", "step", "kink", "interaction", "hysteretic", "periodic")
+_SIMPLEST = ("alternating", "smooth", "step", "kink", "bump", "interaction", "hysteretic", "periodic")
 #: Level at which an axis takes part in a signature.
 _AXIS_LEVEL = 1e-3
 
@@ -71,13 +71,20 @@ def _as_likely(base: Base) -> list[Block]:
 
 def _told(run: Run, shape: Block, axes: list[str]) -> dict[str, Any]:
     """A shape as a table has it; ``axes`` where it is one on all of them."""
+    return numbers_of(shape, axes if shape.axis is None else [run.of.names[run.of.axes[shape.axis]]])
+
+
+def numbers_of(shape: Block, axes: Sequence[str]) -> dict[str, Any]:
+    """A shape on these ``axes`` as a table has it."""
+    at, width = shape.setting if isinstance(shape.setting, tuple) else (shape.setting, None)
     return {
         "depends_on": list(shape.depends_on),
         "shape": shape.shape,
         "order": shape.order,
         "period": shape.period,
-        "axis": axes if shape.axis is None else [run.of.names[run.of.axes[shape.axis]]],
-        "at": shape.setting,
+        "axis": list(axes),
+        "at": at,
+        "width": width,
         "joint": shape.pattern,
     }
 

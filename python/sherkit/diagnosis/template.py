@@ -79,8 +79,9 @@ def _how(shape: Mapping[str, Any]) -> str:
         "periodic": f"repeats with {what}, period {shape['period'] or 0.0:.3g}",
         "step": f"steps at {what} = {shape.get('at') or 0.0:.0f}",
         "kink": f"has another slope from {what} = {shape.get('at') or 0.0:.4g} on",
+        "bump": f"has a bump about {what} = {shape.get('at') or 0.0:.4g}, {shape.get('width') or 0.0:.2g} wide (sd)",
         "hysteretic": f"depends on the way {what} came there "
-        f"(width {shape.get('at') or 0.0:g} {unit_in(shape['depends_on'][0])})",
+        + ("and on where it is" if order else f"(width {shape.get('at') or 0.0:g} {unit_in(shape['depends_on'][0])})"),
         "interaction": f"depends on {what} together",
         "alternating": "differs in every other row, as they were read (two faces, two heads, two sides?)",
     }[shape["shape"]]
@@ -164,7 +165,7 @@ def _variables(signature: Mapping[str, Any], layout: Layout) -> list[str]:
     """Lines that bring each variable to about -1 … 1, with the numbers of this run written in."""
     out = []
     for letter, name in zip("uv", signature["depends_on"], strict=False):
-        if signature["shape"] in ("periodic", "step", "kink", "hysteretic"):
+        if signature["shape"] in ("periodic", "step", "kink", "bump", "hysteretic"):
             out.append(f"{letter} = {_column(name, layout)}")
         else:
             middle, half = signature["ranges"][name]
@@ -185,10 +186,16 @@ def _terms(signature: Mapping[str, Any], layout: Layout) -> tuple[list[str], lis
     if shape == "kink":
         half = float(signature["ranges"][signature["depends_on"][0]][1])
         return ["slope"], [f"np.maximum(u - {float(signature['at'])!r}, 0.0) / {half!r}"]
+    if shape == "bump":
+        at, width = float(signature["at"]), float(signature["width"])
+        return ["height"], [f"np.exp(-0.5 * ((u - {at!r}) / {width!r}) ** 2)"]
     if shape == "hysteretic":
         if not signature.get("at"):
-            joint = layout.joints.index(signature["depends_on"][0])
-            return ["width"], [f"0.5 * rows.direction[:, {joint}]"]
+            came = f"0.5 * rows.direction[:, {layout.joints.index(signature['depends_on'][0])}]"
+            middle, half = signature["ranges"][signature["depends_on"][0]]
+            grows = signature["order"] is not None
+            more = [f"{came} * (u - {float(middle)!r}) / {float(half)!r}"] if grows else []
+            return ["width", "more"][: 1 + grows], [came, *more]
         return ["play"], [f"sk.diagnosis.play_operator(u, {float(signature['at'])!r}) - u"]
     if signature.get("joint"):
         return ["other", "other_squared", "product"], ["v", "v**2", "u * v"]

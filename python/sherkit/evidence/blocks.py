@@ -27,7 +27,7 @@ _TOGETHER = 2_000_000
 @dataclass(frozen=True, eq=False)
 class Block:
     """Columns that say one thing together: an ``effect`` at a ``setting`` (a moment, a lag, a period), or a ``shape``
-    (smooth, periodic, step, kink, hysteretic, interaction, alternating) of the variables it ``depends_on``.
+    (smooth, periodic, step, kink, bump, hysteretic, interaction, alternating) of the variables it ``depends_on``.
 
     ``at`` (k,) are the numbers of its columns in the family. Of a shape ``axis`` is the reading it is on, None for all;
     ``pattern`` the joint as whose error it arrives; ``order`` that of a polynomial and ``period`` that of a wave. Where

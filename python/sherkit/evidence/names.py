@@ -9,11 +9,14 @@ import numpy as np
 
 from ..base.types import Floats
 from .base import Base, log_bayes
+from .blocks import Block
 from .sets import MOST, EffectSet, Sets, ShapeDescription
 from .thresholds import ABSURD, ALARM, COUNTS, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, times_plausible
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
+#: Waves over the range of a joint from which on it is seen that they repeat.
+_REPEATS = 1.5
 #: Beginnings of a description that takes the place of an effect.
 _STARTS = 3
 
@@ -165,9 +168,9 @@ def _of_one_part(base: Base, columns: Floats, parts: Sequence[str]) -> float:
 def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: bool) -> str:
     """Why an effect of a set is not named; empty where it may be. ``partly`` where the set does not explain all."""
     # where one or two explain all, what follows no cause may do a little better, but not clearly; but of a wave
-    # whose period was looked for a bend of the joint, as of a rack in two pieces, is as good a cause
+    # whose period was looked for a bend or a bump of the joint, as of a rack in two pieces, is as good a cause
     wave = any(block.effect is not None and block.effect.is_periodic for block in lead.blocks if block.name == one.name)
-    bend = wave and any(shape.shape == "kink" for shape in alone.shapes)
+    bend = wave and any(_bends(alone.base, shape) for shape in alone.shapes)
     least = NEEDED if partly else TIED if bend else -SURE
     steps = [block for block in lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
@@ -179,6 +182,13 @@ def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: boo
     if partly and one.tells < TELLS and one.needed < PLAINLY:
         return "it says nothing beside the shapes that describe this run without it"
     return ""
+
+
+def _bends(base: Base, shape: Block) -> bool:
+    """Whether a shape is a bend or a bump of a joint, or a wave of it that nobody saw repeat."""
+    if shape.period is None or shape.pattern is None:
+        return shape.shape in ("kink", "bump")
+    return float(np.ptp(base.family.run.view.variables[shape.pattern])) < _REPEATS * shape.period
 
 
 def _ties(sets: Sets, lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSet, ...]:

@@ -314,7 +314,9 @@ class Sets:
                 blocks.append(block)
         sets: list[EffectSet] = []
         for block in blocks:
-            best = max((one.value for one in sets if one.explains), default=-np.inf)
+            # both to first order: a step says more at its own moment than at the nearest of those that are tried
+            first = (min(one.value, float(each[self.family.where(one.blocks[0])])) for one in sets if one.explains)
+            best = max(first, default=-np.inf)
             behind = max(_BEHIND, _PART_BEHIND * abs(best)) if np.isfinite(best) else 0.0
             if each[self.family.where(block)] >= best - behind and (one := self.fitted([refined(self.base, block)])):
                 sets.append(one)

@@ -85,8 +85,9 @@ def stepped(columns: Floats, cut: int) -> Floats:
 _ORDERS, _FEWEST, _FEWEST_FOR_WAVES, _FEWEST_ALONG = 3, 2, 5, 9
 #: Time constants of what dies away, in parts of the run; widths of play, in the unit of the joint.
 _DYING, _PLAY = (0.06, 0.12, 0.25, 0.5), (0.02, 0.1, 0.5, 2.0)
-#: Places, over a joint's range of -1 … 1, from which on its error may have another slope.
-_KINKS = tuple(np.linspace(-0.75, 0.75, 13).tolist())
+#: Places, over a joint's range of -1 … 1, from which on its error may have another slope, or about which it may have
+#: a bump, and how wide that is.
+_PLACES, _WIDE = tuple(np.linspace(-0.75, 0.75, 13).tolist()), (0.12, 0.18, 0.26, 0.37, 0.53)
 #: Waves in time that are also looked for on one axis alone: up to so many over the run.
 _ON_ONE_AXIS = 12.0
 
@@ -111,12 +112,12 @@ def blocks_of_shapes(made: Maker) -> None:
         if name in joints:
             if count[name] >= _FEWEST_ALONG:
                 _along(made, name, u[name])
-                _kinks(made, name, u[name])
+                _kinks_and_bumps(made, name, u[name])
         elif count[name] >= _FEWEST_FOR_WAVES:
             _over_place(made, name, u[name])
     _products(made, u, joints, poses)
     for name in joints:
-        _play(made, name)
+        _play(made, name, u[name])
     if made.reference is None:
         for name, values in view.way.items():
             made.on_axes("smooth", (name,), [made.function(unit(values))], order=1)
@@ -170,12 +171,22 @@ def _along(made: Maker, name: str, t: Floats) -> None:
         made.add("periodic", (name,), [(part, at)], pattern=name, period=reach / count)
 
 
-def _kinks(made: Maker, name: str, t: Floats) -> None:
-    """Another slope of a joint's error from a place on: of scales, racks or rails in two pieces."""
-    values = made.view.variables[name]
-    for place in _KINKS if made.reference is None else ():
-        at = float(values.min()) + 0.5 * (place + 1.0) * float(np.ptp(values))
-        made.add("kink", (name,), [made.along(name, np.maximum(t - place, 0.0))], pattern=name, setting=at)
+def _kinks_and_bumps(made: Maker, name: str, t: Floats) -> None:
+    """Another slope of a joint's error from a place on: of scales, racks or rails in two pieces; or a bump about it: of
+    a worn stretch, a dent, a rail that is not straight."""
+    values, pattern = made.view.variables[name], made.view.patterns[name][:, :, None]
+    half = 0.5 * float(np.ptp(values))
+
+    def of(error: Floats) -> list[Piece]:
+        # nothing elsewhere: the zero of a joint need not be in the model
+        return [made.whole(pattern * error[:, None, None])]
+
+    for place in _PLACES if made.reference is None else ():
+        at = float(values.min()) + (place + 1.0) * half
+        made.add("kink", (name,), of(np.maximum(t - place, 0.0)), pattern=name, setting=at)
+        for wide in _WIDE:
+            bump = np.exp(-0.5 * np.square((t - place) / wide))
+            made.add("bump", (name,), of(bump), pattern=name, setting=(at, wide * half))
 
 
 def _over_place(made: Maker, name: str, t: Floats) -> None:
@@ -207,13 +218,14 @@ def _products(made: Maker, u: Mapping[str, Floats], joints: list[str], poses: li
                 made.add("interaction", (a, b), pieces, pattern=a)
 
 
-def _play(made: Maker, name: str) -> None:
-    """Which way a joint came, and play of several widths."""
+def _play(made: Maker, name: str, t: Floats) -> None:
+    """Which way a joint came, also where that does more at one end of it, and play of several widths."""
     q = made.view.variables[name]
     step = np.sign(np.diff(q, prepend=q[:1]))
     came = step[np.maximum.accumulate(np.where(step != 0, np.arange(len(q)), 0))]
     made.on_axes("hysteretic", (name,), [made.function(came)], setting=0.0)
     made.add("hysteretic", (name,), [made.along(name, came)], pattern=name, setting=0.0)
+    made.add("hysteretic", (name,), [made.along(name, one) for one in (came, came * t)], pattern=name, order=1)
     for width in _PLAY:
         behind = play_operator(q, width) - q
         if np.ptp(behind):

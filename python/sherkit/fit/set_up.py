@@ -71,6 +71,13 @@ def unread(data: Measurements) -> tuple[str, ...]:
     return (f"{names}: not read in any row, so that nothing is said of what moves the robot there alone",)
 
 
+def frozen(data: Measurements) -> str:
+    """Behind a sentence on what nothing explains, that joints never changed; empty where all did."""
+    still = np.flatnonzero(np.ptp(data.joints[~data.outlier], axis=0) == 0.0)
+    names = listed(data.layout.joints[k] for k in still)
+    return f"; {names} never changed: where it moved, what writes it froze" if len(still) else ""
+
+
 def constant_by_mistake(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[int, str]]:
     """Readings that never change though the drawing moves the place: the column and the sentence.
 
@@ -492,8 +499,4 @@ def _nothing_usual(now: Plausible, before: float, unit: str, data: Measurements)
         f"plausible size, {100 * now.relative:.0f} % of how far the readings move; compare a pose or two with the "
         "robot's file by hand"
     )
-    still = np.flatnonzero(np.ptp(data.joints[~data.outlier], axis=0) == 0.0)
-    if len(still):
-        names = listed(data.layout.joints[k] for k in still)
-        sentence += f"; {names} never changed: where it moved, what writes it froze"
-    return Mistake(sentence, before)
+    return Mistake(sentence + frozen(data), before)

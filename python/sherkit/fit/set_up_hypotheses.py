@@ -33,6 +33,8 @@ UNITS: dict[str, tuple[tuple[str, float], ...]] = {
 _QUARTERS = ((-1.0, 0.5), (-1.0, 1.0), (1.0, 0.5), (1.0, -0.5), (1.0, 1.0))
 #: Rows by which readings may stand below their joints.
 _ROWS = (1, -1, 2, -2, 3, -3)
+#: Joints leave the ranges that a file gives them by no more than this part of each.
+_BEYOND = 0.1
 #: All subsets of so few columns are tried; of more, single ones and all together.
 _FEW = 3
 
@@ -156,7 +158,7 @@ def _of_columns(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[s
                 yield from _counted_from_elsewhere(block, same)
                 if block is joints:
                     yield from _counted_with_the_one_before(data, same)
-    yield from _other_units(data, joints, readings, taken)
+    yield from _other_units(model.joint_ranges(), data, joints, readings, taken)
 
 
 def _exchanged(block: _Block, same: Sequence[int]) -> Iterator[tuple[str, str, Measurements]]:
@@ -230,21 +232,35 @@ def _counted_with_the_one_before(data: Measurements, same: Sequence[int]) -> Ite
 
 
 def _other_units(
-    data: Measurements, joints: _Block, readings: _Block, taken: Sequence[int]
+    ranges: dict[str, tuple[float, float]], data: Measurements, joints: _Block, readings: _Block, taken: Sequence[int]
 ) -> Iterator[tuple[str, str, Measurements]]:
     every = list(range(len(joints.names)))
+
+    def may_be(columns: Sequence[int], factor: float) -> bool:
+        """Whether joints may have been written in a unit of so many of theirs: of one that is smaller they are beyond
+        their ranges as they stand, of one that is larger within them once they are changed."""
+        within = []
+        for k in columns:
+            values = max(factor, 1.0) * data.joints[~data.outlier, k]
+            if joints.names[k] in ranges and np.ptp(values) > 0:
+                low, high = ranges[joints.names[k]]
+                slack = _BEYOND * (high - low)
+                within.append(bool(values.min() >= low - slack and values.max() <= high + slack))
+        return not within or (all(within) if factor > 1.0 else not any(within))
+
     for unit, ways in UNITS.items():
         here = [k for k in every if unit_in(joints.names[k]) == unit]
         there = [k for k in taken if unit_in(readings.names[k]) == unit]
         for called, factor in ways:
             advice = f"multiply by {factor:.6g}" if factor > 1 else f"divide by {1 / factor:.6g}"
             for block, columns in ((joints, here), (readings, there)):
-                if columns:
+                if columns and (block is readings or may_be(columns, factor)):
                     changed = block.changed(columns, factor=factor)
                     yield f"{block.called} ({block.named(columns)}) look like {called}", advice, changed
                 for k in columns if len(columns) > 1 else ():
-                    yield f"{block.names[k]} alone looks like {called}", advice, block.changed([k], factor=factor)
-            if here and there:
+                    if block is readings or may_be([k], factor):
+                        yield f"{block.names[k]} alone looks like {called}", advice, block.changed([k], factor=factor)
+            if here and there and may_be(here, factor):
                 both = joints.changed(here, factor=factor, data=readings.changed(there, factor=factor))
                 names = f"{joints.named(here)}; {readings.named(there)}"
                 elsewhere = f"{advice}, or write the robot file in that unit" if unit == "mm" else advice

@@ -198,6 +198,10 @@ class ModelWithEffects(Saved, ABC):
         del data
         return {}
 
+    def joint_ranges(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest reading of each joint by column, in its unit, where the machine's file says them."""
+        return {}
+
     def as_declared(self, data: Measurements) -> Measurements:
         """The rows with the errors of each pose that the machine's file declares, where they declare none themselves;
         as they are, unless a machine has such a file."""

@@ -158,6 +158,11 @@ class ChainModel(SeenModel):
         size; all unless it has one."""
         return np.ones(len(coordinates), dtype=bool)
 
+    def joint_ranges(self) -> dict[str, tuple[float, float]]:
+        """Limits that are the same for all joints."""
+        limits = self.robot.joint_limits
+        return {} if limits is None else dict.fromkeys(self.layouts[0].joints, limits)
+
     def reachable(self, data: Measurements, values: Floats) -> Reachable | None:
         """A grid of poses within joint limits and the workspace, by the drawing and by the identified robot.
 

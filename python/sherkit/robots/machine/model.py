@@ -95,6 +95,10 @@ class MachineModel(ChainModel):
         times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
         return MachineCore(self.robot.asked, self.robot.links, self.robot.pose, tuple(waves.tolist()), *times)
 
+    def joint_ranges(self) -> dict[str, tuple[float, float]]:
+        """Each joint's own, where they were given."""
+        return dict(self.robot.joints) if isinstance(self.robot.joints, Mapping) else {}
+
     # -- where a fit begins --------------------------------------------------------------------------------
 
     def reads_places(self, data: Measurements) -> bool:
