@@ -155,8 +155,9 @@ def run_of(
         2 * np.pi * (time_s / time_s[-1] * waves + room.uniform())
     )
     hidden = Hidden(sizes or {})
-    # the first joint loses steps in the middle of the run; the stand is late by eight minutes
-    q = q + zeros_of(name, seed) + np.outer(time_s > time_s[-1] / 2, np.eye(len(low))[0]) * hidden.lost
+    # the first joint loses steps about the middle of the run; the stand is late by eight minutes
+    lost, kicked = np.random.default_rng([seed, 55]).uniform([0.35, 0.55], [0.65, 0.75]) * time_s[-1]
+    q = q + zeros_of(name, seed) + np.outer(time_s > lost, np.eye(len(low))[0]) * hidden.lost
     # the motors of the first two joints warm up
     q = q + np.outer(1 - np.exp(-4 * time_s / time_s[-1]), [1.0, -0.7, *np.zeros(len(low) - 2)]) * hidden.warm_motors
     late = np.full(len(time_s), warmth[0] - 20.0)
@@ -165,7 +166,7 @@ def run_of(
         late[k] = now + (late[k - 1] - now) * np.exp(-(time_s[k] - time_s[k - 1]) / 480.0)
     seen = np.array([true(*row, hidden) for row in zip(q, came, time_s / 3600, warmth - 20, strict=True)])
     if seen.shape[1] == 3:
-        seen = _knocked(seen, stand_of(seed) if stand is None else stand, time_s, hidden)
+        seen = _knocked(seen, stand_of(seed) if stand is None else stand, time_s > kicked, hidden)
     seen += hidden.stand_per_c * np.outer(late, np.linspace(1.0, -0.6, seen.shape[1]))
     seen += (0.0 if exact else noise) * rng.normal(size=seen.shape)
     made = pl.DataFrame(
@@ -176,10 +177,10 @@ def run_of(
     return made if in_order else made[room.permutation(len(made))]
 
 
-def _knocked(points: Floats, stand: Floats, time_s: Floats, h: Hidden) -> Floats:
-    """What the instrument shows; after two thirds of the run somebody kicks the tripod."""
+def _knocked(points: Floats, stand: Floats, since: NDArray[np.bool_], h: Hidden) -> Floats:
+    """What the instrument shows; before some of the points somebody kicks the tripod."""
     after = shift(h.kick_mm, -h.kick_mm, 0.5 * h.kick_mm) @ stand @ turn(2, h.kick_rad) @ turn(0, 0.7 * h.kick_rad)
-    return np.where((time_s > time_s[-1] * 2 / 3)[:, None], seen_from(after, points), seen_from(stand, points))
+    return np.where(since[:, None], seen_from(after, points), seen_from(stand, points))
 
 
 def foreign(frame: pl.DataFrame, name: str, seed: int) -> tuple[pl.DataFrame, dict[str, str]]:

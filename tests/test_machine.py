@@ -7,6 +7,7 @@ import json
 import pickle
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,8 +27,9 @@ from sherkit.app.workbench import Workbench
 from sherkit.base.types import Floats
 from sherkit.diagnosis import template
 from sherkit.errors import FitError, NotConverged, RobotError, SherkitError
+from sherkit.fit.set_up_hypotheses import hypotheses
 from sherkit.model.effect import load_effects
-from sherkit.model.kinds import known_kinds
+from sherkit.model.kinds import known_kinds, model_of
 from sherkit.model.sensor_pose import SPACE
 from sherkit.robots.compensation import grid_table
 from sherkit.robots.machine import load_machine
@@ -205,6 +207,27 @@ def test_play_that_grows_is_no_play_and_no_ring(seed: int, tmp_path: Path) -> No
     assert set(d.effects) <= {"backlash"}
     assert (d.signature["shape"], d.signature["depends_on"]) == ("hysteretic", ["shoulder_rad"])
     assert_template_helps("scara", run, d, tmp_path)
+
+
+@pytest.mark.parametrize("seed", [1, *slow(0, *range(2, 8))])
+def test_a_step_of_a_joint_that_shifts_all_is_in_the_tie(seed: int) -> None:
+    """Catches "the instrument moved, or what stands on it" of a gantry whose motor lost steps at a moment that is none
+    of those that are tried first: joint_slip, which says the same, was in no tie."""
+    d = sk.diagnose(MACHINE["gantry"], run_of("gantry", seed, {"lost": 0.1}))
+    assert "joint_slip" in {*d.effects, *(name for tie in d.indistinguishable for name in tie)}
+
+
+@pytest.mark.parametrize(("times", "unit"), [(1.0, ""), (1e3, "micrometres"), (1 / 25.4, "inches")])
+def test_joints_within_their_ranges_are_in_their_unit(times: float, unit: str) -> None:
+    """Catches "all look like micrometres: divide by 1000" of a gantry with a frozen motor, whose joints lie within the
+    ranges that its file gives them; and other units that are no longer tried."""
+    data = sk.from_frame(run_of("gantry", 0))
+    data = replace(data, joints=data.joints * times)
+    told = [one.looks for one in hypotheses(model_of(MACHINE["gantry"]), data)]
+    tried = {
+        word for word in ("micrometres", "inches", "metres ") for one in told if one.startswith("joint") and word in one
+    }
+    assert tried == ({unit} if unit else set())
 
 
 def test_a_users_effect_stands_beside_the_generic_ones() -> None:
