@@ -23,7 +23,7 @@ from running import slow
 from second_simulator import room_temperature
 from second_simulator.spherical import SPHERICAL_EFFECTS, SecondSpherical, sphere_grid, spherical_plan
 from sherkit.diagnosis import template
-from sherkit.evidence.thresholds import ABSURD
+from sherkit.fit.identify import ABSURD
 from sherkit.model.effect import load_effects
 from sherkit.model.sensor_pose import POSE
 from sherkit.robots.spherical import CameraView, Spherical

@@ -13,7 +13,8 @@ from ..data.columns import bare
 from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
-from ..evidence.thresholds import ABSURD, COUNTS, PLAUSIBLE, farthest_parameter, times_plausible
+from ..evidence.thresholds import COUNTS, PLAUSIBLE, farthest_parameter, times_plausible
+from ..fit.identify import ABSURD
 from ..fit.set_up import Mistake, frozen
 from .held_out import PRAISE, Elimination, HeldOutGain
 from .repeats import Repeats, Rounded, rounded

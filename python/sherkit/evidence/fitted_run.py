@@ -169,7 +169,10 @@ class FittedRun(Saved):
                 taken[self.owns(effect)] = True
                 model = model.without_effect(effect.name)
         return FittedRun(
-            identify(model, self.data, noise=self.fit.noise, start=self.fit.values[~taken], priors=self.fit.priors)
+            # without what explained them readings may be told by a machine that nobody built
+            identify(
+                model, self.data, noise=self.fit.noise, start=self.fit.values[~taken], priors=self.fit.priors or None
+            )
         )
 
     def on(self, rows: Ints, sigma: Floats | None = None) -> FittedRun:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..base.types import Floats
+from ..fit.identify import ABSURD
 from .base import Base, log_bayes
 from .blocks import Block
 from .sets import MOST, EffectSet, Sets, ShapeDescription
-from .thresholds import ABSURD, ALARM, COUNTS, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, times_plausible
+from .thresholds import ALARM, COUNTS, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, times_plausible
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2

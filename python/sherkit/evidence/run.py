@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from ..base import linalg
 from ..base.types import Floats, Ints
 from ..errors import FitError
 from ..model.effect import Effect
 from .fitted_run import FittedRun
 from .linearised import Linearised
-from .thresholds import UNEVEN
+from .thresholds import PLAUSIBLE, UNEVEN
 from .whitening import InCommon, Whitening, independent
 
 #: Fewest rows of which anything can be said.
@@ -67,8 +68,17 @@ class Run:
 
     @cached_property
     def basis(self) -> Floats:
-        """Orthonormal columns (N, rank) of all that is fitted, where the sensor stands among it."""
-        return independent(self.flat(self.view.fitted(self.view.whole)))
+        """Orthonormal columns (N, rank) of all that is fitted, where the sensor stands among it.
+
+        What no plausible parameters move by a noise of all rows together is none of it: a squareness about an axis that
+        nobody reads would take, at a thousand radians, what a screw does.
+        """
+        columns = self.flat(self.view.fitted(self.view.whole))
+        q = independent(columns)
+        by_size = (q.T @ columns) * np.array([p.size for p in self.of.fit.parameters])
+        turn, moved, _ = linalg.svd(by_size, full_matrices=False)
+        seen = moved * PLAUSIBLE > 1.0
+        return q if seen.all() else q @ turn[:, seen]
 
     @cached_property
     def poses(self) -> Ints:

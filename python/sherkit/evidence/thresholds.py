@@ -13,7 +13,7 @@ import numpy as np
 from ..base.figures import sized, stated
 from ..base.types import Floats
 from ..errors import FitError, SherkitWarning
-from ..fit.identify import Fit
+from ..fit.identify import ABSURD, Fit
 from ..model.effect import Effect, Parameter
 from ..model.sensor_pose import slip_of
 from ..model.set_ups import SETUP_PREFIX
@@ -55,9 +55,9 @@ UNEVEN = 0.3
 # -- Plausible sizes ---------------------------------------------------------------------------------------------------
 # How large fitted parameters are beside what is plausible.
 
-#: Plausible sizes up to which people are told that a parameter is plausible; up to which a search takes it for as good
-#: as any; and from which on it is absurd, and nothing is believed.
-TOLD, PLAUSIBLE, ABSURD = 3.0, 5.0, 500.0
+#: Plausible sizes up to which people are told that a parameter is plausible; and up to which a search takes it for as
+#: good as any.
+TOLD, PLAUSIBLE = 3.0, 5.0
 
 
 def times_plausible(fit: Fit) -> Floats:

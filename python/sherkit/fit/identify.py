@@ -45,7 +45,7 @@ from .least_squares import (
     scale,
     spread,
 )
-from .regions import Elsewhere, errors_elsewhere, in_plausible_sizes, part_of, scaled_sizes, sizes_told
+from .regions import Elsewhere, drawn_by, errors_elsewhere, in_plausible_sizes, part_of, scaled_sizes, sizes_told
 from .set_up import held, set_up_mistakes
 from .table import Direction, badly_observed, parameter_frame, parameter_table, unobserved
 
@@ -55,6 +55,8 @@ _ROBUST_ROUNDS = 30
 _EVALUATIONS = 100
 #: A part of the plausible sizes from which on they count as they are.
 _AS_PLAUSIBLE = 0.9
+#: From so many plausible sizes on a parameter is absurd, and nothing is believed.
+ABSURD = 500.0
 #: It has settled when no value moves by more than this part of its plausible size; and it may still move by this part
 #: of its deviation when the rounds are over.
 _SETTLED = 1e-7
@@ -318,13 +320,20 @@ def _with_drawing(fit: Fit, start: Sequence[float] | Floats | None) -> Fit:
     smaller a robot is, the better it fits them. What begins at another fit was asked there how closely it holds."""
     if not fit.converged or fit.supported < fit.rank:
         drawn = _drawn(fit, 1.0, start)
-        kept = fit.converged and not held(fit.data) and _contradict(fit, drawn)
+        kept = fit.converged and not held(fit.data) and not _is_absurd(fit) and _contradict(fit, drawn)
         return fit if kept else _as_it_holds(drawn)
     part = part_of(fit) if start is None and fit.loss == "linear" else 1.0
     if start is not None or _holds_alone(fit, part):
         return fit
     drawn = _drawn(fit, part, fit.values)
     return fit if not held(fit.data) and _contradict(fit, drawn) else replace(drawn, for_regions=True)
+
+
+def _is_absurd(fit: Fit) -> bool:
+    """Whether it takes a machine that nobody could have built: what readings hardly tell of it swallows all else."""
+    drawn = drawn_by(fit.model)
+    sizes = np.array([p.size for p in fit.parameters])
+    return bool((np.abs(fit.values[drawn]) > ABSURD * sizes[drawn]).any())
 
 
 def _holds_alone(fit: Fit, part: float) -> bool:

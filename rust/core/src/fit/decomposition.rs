@@ -29,6 +29,9 @@ const NOTHING: f64 = 1e-60;
 /// A parameter whose plausible size moves the readings by less than this part of what the strongest one does, or of
 /// what is to be explained, is not observed: what its column holds is rounding.
 const ROUNDING: f64 = 1e-13;
+/// Nor is one by less than this part of what nothing observed explains: ten thousand such sizes would be no machine, as
+/// a squareness about an axis that nobody reads, which a sensor that stands a hair askew seems to tell.
+const ABSURD: f64 = 1e-4;
 
 /// Singular value decomposition of a column-scaled triangle. `S` is storage of [`decomposition_len`].
 #[derive(Clone, Debug)]
@@ -127,6 +130,29 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Decomposition<S> {
                 *norm = 0.0;
             }
         }
+        self.turn(triangle, tolerance)?;
+        let told: f64 = self.observed().map(|(_, c, _)| c * c).sum();
+        let least = ABSURD * sqrt((left - told).max(0.0));
+        let p = parts(self.storage.as_mut(), n);
+        let mut absurd = false;
+        for (norm, &size) in p.norms.iter_mut().zip(sizes) {
+            if *norm > 0.0 && *norm * size <= least {
+                *norm = 0.0;
+                absurd = true;
+            }
+        }
+        if absurd {
+            self.turn(triangle, tolerance)?;
+        }
+        let p = parts(self.storage.as_mut(), n);
+        complete(p.vectors, p.unobserved, p.norms, p.sizes, n, self.rank);
+        Ok(())
+    }
+
+    /// Singular values and vectors of the columns that have a norm, and the rank.
+    fn turn(&mut self, triangle: &[f64], tolerance: f64) -> Result<()> {
+        let n = self.n;
+        let p = parts(self.storage.as_mut(), n);
         // row i of the triangle, scaled, is column i of its transpose: one vector to rotate
         for (i, (vector, row)) in p
             .vectors
@@ -152,7 +178,6 @@ impl<S: AsRef<[f64]> + AsMut<[f64]>> Decomposition<S> {
             .iter()
             .take_while(|&&s| s > tolerance * largest && s > 0.0)
             .count();
-        complete(p.vectors, p.unobserved, p.norms, p.sizes, n, self.rank);
         Ok(())
     }
 

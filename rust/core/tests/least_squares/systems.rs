@@ -138,14 +138,34 @@ pub fn effects(a: &Design, b: &Targets, sizes: &Vector) -> (Vector, f64) {
     (each, each.amax().max(b.norm()))
 }
 
-/// The matrix without the columns that count as rounding; none where a column is so close to the limit that
-/// rounding decides.
+/// A column that moves the readings by less than this part of what nothing explains tells nothing.
+const ABSURD: f64 = 1e-4;
+
+/// The matrix without the columns that count as rounding, or that would explain nothing at any size; none where a column
+/// is so close to the limit that rounding decides.
 pub fn known(a: &Design, b: &Targets, sizes: &Vector) -> Option<Design> {
     let (each, most) = effects(a, b, sizes);
     let mut known = *a;
     for (k, effect) in each.iter().enumerate() {
         let share = effect / (ROUNDING * most);
         if (share - 1.0).abs() < 1e-9 {
+            return None;
+        }
+        if share < 1.0 {
+            known.column_mut(k).fill(0.0);
+        }
+    }
+    let svd = scaled(&known).svd(true, false);
+    let u = svd.u?;
+    let mut left = *b;
+    for (k, s) in svd.singular_values.iter().enumerate() {
+        if *s > TOLERANCE * svd.singular_values.max() {
+            left -= u.column(k) * u.column(k).dot(b);
+        }
+    }
+    for (k, effect) in each.iter().enumerate() {
+        let share = effect / (ABSURD * left.norm());
+        if (share - 1.0).abs() < 1e-6 {
             return None;
         }
         if share < 1.0 {
