@@ -109,12 +109,16 @@ class DeltaPair:
             read = seen + sigma * rng.normal(size=seen.shape)
             self.runs.append({**plan, "x_mm": read[:, 0], "y_mm": read[:, 1], "z_mm": read[:, 2]})
 
-    def run_with(self, moved: Mapping[str, float], seed: int) -> dict[str, Any]:
-        """One more run of the robot as it was before, but for what has moved (mm, rad); the sensor stands anew."""
+    def run_with(
+        self, moved: Mapping[str, float], seed: int, effects: Mapping[str, Sequence[float]] | None = None
+    ) -> dict[str, Any]:
+        """One more run of the robot as it was before, but for what has moved (mm, rad) and ``effects``; the sensor
+        stands anew."""
         rng = np.random.default_rng([seed, 23])
         plan = make_plan(self.real, somewhere(rng, 30), 2, "shuffled", seed)
         errors = {name: value + moved.get(name, 0.0) for name, value in self.errors.items()}
-        seen = truth(self.real, plan, errors, {"sensor_pose": draw_pose(rng)})
+        beside = {name: np.asarray(values, dtype=float) for name, values in (effects or {}).items()}
+        seen = truth(self.real, plan, errors, {"sensor_pose": draw_pose(rng), **beside})
         read = seen + self.noise * rng.normal(size=seen.shape)
         return {**plan, "x_mm": read[:, 0], "y_mm": read[:, 1], "z_mm": read[:, 2]}
 

@@ -88,6 +88,39 @@ def test_two_numbers_of_a_robot_are_no_bent_instrument(seed: int, changed: tuple
         assert size[name][0] == pytest.approx(truth_of_change(pair, name), abs=4.0 * size[name][1])
 
 
+def test_a_limb_that_leans_pays_for_no_other() -> None:
+    """Catches an effect of six numbers in the place of one limb that leans and a rod of another, in a comparison; and
+    in a history a third change beside these two, with which the search began and which says nothing beside them."""
+    world = DeltaPair(56006)
+    leans = {"rail_lean": [0.0, 0.0, 0.0, -0.0043, 0.0, 0.0]}
+    runs = [world.run_with({}, 60), world.run_with({"rod_length_3": 0.043}, 61, leans)]
+    found = sk.compare(world.robot, runs)
+    assert (found.verdict, found.changed) == ("changed", ("rail_lean", "rod_length_3"))
+    assert [one.name for one in found.parameters] == ["rail_lean.tangential_2", "rod_length_3"]
+    assert not found.indistinguishable
+    runs[1:] = [
+        world.run_with(
+            {"rod_length_3": 0.043 * (k >= 2)}, 61 + k, {"rail_lean": [0.0, 0.0, 0.0, -0.0043 * k / 4, 0.0, 0.0]}
+        )
+        for k in range(1, 5)
+    ]  # fmt: skip
+    years = sk.history(world.robot, runs)
+    assert years.verdict == "changed"
+    assert {(one.name, one.kind) for one in years.changes} == {("rail_lean", "ramp"), ("rod_length_3", "step")}
+    assert all(len(one.parameters) == 1 for one in years.changes)
+
+
+def test_two_limbs_that_lean_are_one_change() -> None:
+    """Catches an effect that is named twice since two of its parts have changed, each in the same course."""
+    world = DeltaPair(56007)
+    leans = {"rail_lean": [0.0, 0.003, 0.0, -0.0043, 0.0, 0.0]}
+    runs = [world.run_with({}, 60), *(world.run_with({}, 61 + k, leans) for k in (1, 2))]
+    assert sk.compare(world.robot, runs[:2]).changed == ("rail_lean",)
+    years = sk.history(world.robot, runs)
+    assert [one.name for one in years.changes] == ["rail_lean"]
+    assert [name for name, *_ in years.changes[0].parameters] == ["rail_lean.tangential_1", "rail_lean.tangential_2"]
+
+
 def test_what_the_stand_makes_alike_is_a_tie() -> None:
     """Catches one of three radii and angles named as if it were told: before a tracker that stands anywhere any two of
     them are the same change."""
@@ -323,6 +356,23 @@ def test_what_a_model_lacked_on_its_day_is_no_change(seed: int, correction: str)
     assert found.valid
     assert found.changed == ()
     assert found.advice == "nothing needs to be done"
+
+
+@pytest.mark.parametrize(
+    ("seed", "changed"), [(43, ("base_radius_3", "rod_length_1")), *slow((44, ("base_angle_2", "rod_length_3")))]
+)
+def test_two_changes_since_a_calibration_are_named(seed: int, changed: tuple[str, str]) -> None:
+    """Catches "calibrate again; these poses are too few to say what has moved" of two parameters that a comparison
+    names."""
+    before = DeltaPair(seed)
+    made = sk.calibrate(before.robot, before.runs[0], correction="none").calibration
+    poses = sk.changes.verifying_poses(made, 12, seed=seed)
+    world = DeltaPair(seed, changed, 6.0, places=poses, poses=(60, 12))
+    found = sk.verify(made, world.runs[1])
+    assert found.valid is False
+    assert found.changed == changed
+    for one in found.parameters:
+        assert one.change == pytest.approx(world.true[one.name], abs=4.0 * one.std)
 
 
 def test_backlash_is_no_noise() -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import sherkit._core as _core
 from sherkit.errors import SherkitError
 from sherkit.evidence.base import Base, log_bayes
+from sherkit.evidence.design import power
 from sherkit.evidence.family import Family
 from sherkit.evidence.thresholds import HELD_SHAPE
 from sherkit.evidence.whitening import InCommon, Whitening, independent
@@ -116,12 +117,10 @@ def test_an_error_of_its_own_at_each_pose() -> None:
 
 def test_power_is_that_of_a_test() -> None:
     """Catches a non-centrality that is no square, against draws. 4,000 of them: within four standard errors."""
-    base = base_of(visits=2)
-    block = next(i for i, rank in enumerate(base.gains[1]) if rank == 2)
     rng = np.random.default_rng(6)
     z = rng.normal(size=(4000, 2)) + np.array([3.0, 0.0])
     drawn = float((np.square(z).sum(axis=1) > -2.0 * np.log(0.01)).mean())
-    assert base.power(block, 3.0, 0.01) == pytest.approx(drawn, abs=0.032)
+    assert power(9.0, 2.0, 0.01) == pytest.approx(drawn, abs=0.032)
 
 
 def _in_numpy(grams: np.ndarray, right: np.ndarray, least: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

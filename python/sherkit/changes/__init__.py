@@ -1,6 +1,7 @@
 """What has changed since: a machine before and after, over the years, and whether its calibration still holds."""
 
-from .comparison import Comparison, ParameterChange, compare
+from .change_model import ParameterChange
+from .comparison import Comparison, compare
 from .history import Course, History, history
 from .verification import Verification, verify, verifying_poses
 

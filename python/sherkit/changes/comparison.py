@@ -12,58 +12,32 @@ import numpy as np
 from ..base import linalg
 from ..base.answer import AFTER, BEFORE, TARGET, Answer, Bar, ToDo
 from ..base.arguments import validate_arguments
-from ..base.figures import finite, number, odds, stated
+from ..base.figures import finite, number, odds
 from ..base.notebook import Shown
 from ..data import Measurements
 from ..data.columns import bare, unit_in
 from ..data.reader import RunLike
 from ..errors import FitError
 from ..evidence.base import Base
-from ..evidence.names import Names, judged_names
+from ..evidence.names import judged_names
 from ..evidence.sets import EffectSet
 from ..evidence.thresholds import ALARM, PLAUSIBLE
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
-from .courses import Courses
+from .change_model import ParameterChange
+from .courses import Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
-from .pooled_fit import About, Joined
+from .pooled_fit import Joined
 from .vouching import error_in_another
 
-#: Evidence (a logarithm) up to which nothing has changed.
-QUIET = np.log(20.0)
-#: A change of one unit of the noise must be seen with readings of so many beyond what is free.
-_FEWEST = 12
 #: Changes that a line holds; of more the clearest stands for all.
 _FEW = 2
 #: Poses that are proposed, of how many.
 _POSES, _CANDIDATES = 8, 200
 
 
-#: Deviations by which a number moved; medians by which a zero surely did, and how constant a column is that is one.
-_MOVED, _SURELY, _CONSTANT = 2.0, 10.0, 1e-9
-
-
-@dataclass(frozen=True)
-class ParameterChange:
-    """A parameter that has changed: by how much, with its deviation, in its unit, since which run (from 0)."""
-
-    name: str
-    change: float
-    std: float
-    unit: str
-    since: int = 1
-
-    def __str__(self) -> str:
-        return f"{self.name} by {self.by}"
-
-    @property
-    def by(self) -> str:
-        """The change with its deviation, in the unit in which people read it."""
-        return stated(self.change, self.std, self.unit)
-
-    def to_json(self) -> dict[str, Any]:
-        """For programs."""
-        return {"name": self.name, "change": self.change, "std": self.std, "unit": self.unit, "since": self.since}
+#: Medians by which a zero surely moved, and how constant a column is that is one.
+_SURELY, _CONSTANT = 10.0, 1e-9
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -197,19 +171,18 @@ def concluded(pool: Pool) -> Comparison:
         return _nothing_said(pool)
     made = Courses.of(joined, joined.steps)
     # every shape counts here, those too that are an effect once more: sets take the weight of these only beside them
-    if made.evidence < ALARM and (speaking := pool.speaking()) is not pool:
+    if made.quiet and (speaking := pool.speaking()) is not pool:
         # what says nothing may hide what others say
         return concluded(speaking)
     sets = made.sets()
-    names = judged_names(sets) if made.evidence >= ALARM else None
-    verdict = change_verdict(made, names)
-    lead = names.lead if names else None
-    named = names.named if names else ()
-    ties = [lead, *names.ties] if names and lead and named == tuple(one.name for one in lead.blocks) else []
-    moved = estimated(lead.run.of, named) if lead else ()
+    names = None if made.quiet else judged_names(sets)
+    lead, named = (names.lead, names.named) if names else (None, ())
+    verdict = made.quiet or change_verdict(named, explains=bool(names and names.explains))
+    ties = names.alike if names else ()
+    moved = lead.run.of.moved(named) if lead else ()
     large = [one for one in moved if _is_large(joined, named, one)]
     moved = tuple(replace(one, since=pool.numbers[one.since]) for one in moved)
-    tied = tuple(" & ".join(one.names) for one in ties)
+    tied = names.tied if names else ()
     before = joined.fit.error
     rows = [len(run.rows) for run in joined.runs[1:]]
     # each seen from where its sensor stands
@@ -225,7 +198,7 @@ def concluded(pool: Pool) -> Comparison:
     return Comparison(
         verdict=verdict,
         changed=tuple(sorted(named)),
-        indistinguishable=(*((tied,) if len(tied) > 1 else ()), *(lead.run.of.swaps if lead else ())),
+        indistinguishable=(*tied, *(joined.swaps(lead.run.of) if lead else ())),
         stand={name: joined.runs[k].stand.moved for k, name in enumerate(called) if k},
         error=error,
         unit=before.unit,
@@ -297,32 +270,6 @@ def _called(data: Measurements, number: int) -> str:
     return f"{number + 1}: {data.source}"
 
 
-def change_verdict(made: Courses, names: Names | None) -> str:
-    """What is said of changes: ``names`` where there is evidence of any."""
-    if names is None:
-        readings = sum(run.used.sum() - run.stand.columns.shape[2] for run in made.joined.runs[1:])
-        return "unchanged" if made.evidence < QUIET and min(readings, made.base.free) >= _FEWEST else "undecided"
-    if not names.named:
-        return "unexplained"
-    return "changed" if names.explains else "partly explained"
-
-
-def estimated(about: About, names: Sequence[str]) -> tuple[ParameterChange, ...]:
-    """The changes of these names with their deviations: of each the numbers that moved, the surest where none did."""
-    out: list[ParameterChange] = []
-    for (effect, factors), told in zip(about.changes, about.told, strict=True):
-        if effect.name in names:
-            since = int(np.flatnonzero(factors)[0])
-            surest = max(abs(value) / max(std, 1e-300) for _, value, std in told)
-            least = min(_MOVED, surest)
-            out += [
-                ParameterChange(p.name, value, std, p.unit, since)
-                for p, value, std in told
-                if abs(value) / max(std, 1e-300) >= least
-            ]
-    return tuple(out)
-
-
 def _is_large(joined: Joined, names: Sequence[str], one: ParameterChange) -> bool:
     """Whether an effect is larger than is plausible: it may then stand for something else."""
     effects = [joined.candidate(name) for name in names]
@@ -347,12 +294,12 @@ def _doubt(large: Sequence[ParameterChange]) -> str:
     return f"{most} is more than such an effect plausibly does: look whether it stands for something else; "
 
 
-def _advice(verdict: str, names: tuple[str, ...], tied: tuple[str, ...], proposed: bool, left: float) -> str:
+def _advice(verdict: str, names: tuple[str, ...], tied: Sequence[tuple[str, ...]], proposed: bool, left: float) -> str:
     if verdict == "undecided":
         return "measure more poses: these are too few to say whether anything has changed"
-    if verdict == "changed" and len(tied) > 1:
+    if verdict == "changed" and tied:
         more = "measure the poses below as well" if proposed else "measure other poses as well"
-        return f"{more}: these runs cannot tell {' from '.join(tied[:3])}; or calibrate again"
+        return f"{more}: these runs cannot tell {' from '.join(tied[0][:3])}; or calibrate again"
     if verdict == "changed":
         return f"calibrate again {' and '.join(names)} alone: what is then left is {left:.2g} times the noise"
     return "calibrate again, all of it: no single change explains what is seen"
@@ -367,7 +314,7 @@ def next_poses(joined: Joined, ties: Sequence[EffectSet]) -> tuple[dict[str, flo
     columns = joined.columns_at(rows)
     told = []
     for about in (tie.run.of for tie in ties[:3]):
-        every = np.concatenate([columns[effect.name] for effect, _ in about.changes], axis=2)
+        every = np.concatenate([columns[e.name][:, :, joined.numbers(e)] for e, _ in about.changes], axis=2)
         told.append(every @ (about.values / [p.size for p in about.parameters]))
     apart = np.max([np.linalg.norm(a - told[0], axis=1) for a in told[1:]], axis=0)
     names = {**dict(zip(rows.layout.joints, rows.joints.T, strict=True))}

@@ -16,16 +16,19 @@ from ..base import linalg
 from ..base.types import Floats, Ints
 from ..errors import SherkitError
 from ..evidence.base import Base, log_bayes, total
-from ..evidence.blocks import Block, ColumnPart, Columns, Visits
-from ..evidence.family import Family
-from ..evidence.made import Maker
+from ..evidence.blocks import Block, ColumnPart, Columns
+from ..evidence.family import Family, everything
 from ..evidence.sets import ONE_MORE, EffectSet, Sets, ShapeDescription
-from ..evidence.shapes import blocks_of_effects, blocks_of_shapes
 from ..evidence.thresholds import ALARM, TIED, is_plausible
-from .pooled_fit import Change, Joined
+from .change_model import ChangeRows
+from .pooled_fit import Joined
 
 #: Shapes and effects that all runs may lack alike, changes beside which they are looked for.
 _MOST_LASTING, _MOST_BESIDE = 8, 3
+#: Evidence (a logarithm) up to which nothing has changed.
+_QUIET = np.log(20.0)
+#: A change of one unit of the noise must be seen with readings of so many beyond what is free.
+_FEWEST = 12
 #: Steps of a fit in full.
 _REFITS = 3
 
@@ -43,15 +46,12 @@ class Courses:
     def of(cls, joined: Joined, courses: Sequence[Floats], *, waves: bool = True) -> Courses:
         """Every candidate and every shape, without ``waves`` those alone that have no period."""
         run = joined.run()
-        made = Maker(run, Visits.of(run))
-        blocks_of_effects(made)
-        blocks_of_shapes(made)
-        parts, blocks = made.done()
-        kept = [block for block in blocks if waves or block.period is None]
+        made, blocks = everything(run)
+        kept = [block for block in in_parts(blocks) if waves or block.period is None]
         factors = [joined.by_row(list(course), 0.0) for course in (*courses, np.ones(len(joined.runs)))]
         # a function of a reading itself, of one unit in all runs, over the noise of each
         over = joined.by_row([joined.noise / joined.sigma(one) for one in joined.runs], 0.0)
-        columns, twice = _times(Columns(run, made.visits, parts), kept, np.array(factors, dtype=float), over)
+        columns, twice = _times(made, kept, np.array(factors, dtype=float), over)
         return cls(joined, np.array(courses, dtype=float), Family(run, made=(columns, twice)))
 
     @cached_property
@@ -66,9 +66,33 @@ class Courses:
         apart = any(self.joined.is_apart(k) for k in range(len(self.joined.runs)))
         return total(self.base.each[self.family.is_effect]) if apart else self.base.evidence
 
+    @property
+    def quiet(self) -> str:
+        """``unchanged`` or ``undecided`` where nothing is seen to have changed, else empty."""
+        if self.evidence >= ALARM:
+            return ""
+        readings = sum(run.used.sum() - run.stand.columns.shape[2] for run in self.joined.runs[1:])
+        enough = min(readings, self.base.free) >= _FEWEST
+        return "unchanged" if self.evidence < _QUIET and enough else "undecided"
+
     def sets(self) -> ChangeSets:
         """Sets of changes."""
-        return ChangeSets(self)
+        return ChangeSets(self.joined, self.courses, self.base)
+
+
+def change_verdict(named: Sequence[object], *, explains: bool) -> str:
+    """What is said of changes of which there is evidence, by what may be ``named`` and whether it explains all."""
+    return "unexplained" if not named else "changed" if explains else "partly explained"
+
+
+def in_parts(blocks: Sequence[Block]) -> list[Block]:
+    """Blocks, and those of effects once more of each of their parts alone: what has changed of one limb pays for no
+    other."""
+    return [*blocks, *(
+        replace(block, effect=effect.of(numbers), at=block.at[numbers], pattern=part)
+        for block in blocks if (effect := block.effect) is not None and len(block.at) == len(effect.parameters)
+        for part, numbers in effect.parts.items()
+    )]  # fmt: skip
 
 
 def _times(
@@ -173,23 +197,20 @@ def lacking(joined: Joined) -> Joined:
 
 
 class ChangeSets(Sets):
-    """Sets of changes of joined runs, each fitted in full."""
+    """Sets of changes in ``courses`` (S, R), each fitted in full to the ``rows``."""
 
     # to first order two limbs that bend against each other do what one that leans does
     refits = 16
 
-    def __init__(self, made: Courses) -> None:
-        super().__init__(made.family, made.base)
-        self.made = made
+    def __init__(self, rows: ChangeRows, courses: Floats, base: Base) -> None:
+        super().__init__(base.family, base)
+        self.rows, self.courses = rows, courses
 
     @property
     def every(self) -> list[EffectSet]:
-        """All that were fitted, the likeliest first."""
-        return sorted((one for one in self._fitted.values() if one is not None), key=lambda one: -one.value)
-
-    def changes(self, blocks: Sequence[Block]) -> list[Change]:
-        """The effects of blocks, each with its course."""
-        return [(block.effect, self.made.courses[block.since]) for block in blocks if block.effect is not None]
+        """All that were fitted, of each name the likeliest, that first."""
+        fitted = sorted((one for one in self._fitted.values() if one is not None), key=lambda one: one.value)
+        return sorted({one.names: one for one in fitted}.values(), key=lambda one: -one.value)
 
     @property
     def _of_effects(self) -> Base:
@@ -200,32 +221,29 @@ class ChangeSets(Sets):
         instrument that is bent to any shape."""
         return sum(len(block.effect.parameters) for block in one.blocks if block.effect)
 
-    def _of_the_instrument(self, lead: EffectSet) -> EffectSet:
-        # each run has a pose of the sensor of its own
-        return lead
-
     def described(self, base: Base, most: int, starts: int) -> ShapeDescription:
         """As of any sets; as effects are, shapes in the place of all of them are held against what says most without a
         change, and not against what all runs have of themselves."""
         found = super().described(base, most, starts)
-        if base is not self.base or not found.shapes:
+        if base is not self.base or not found.shapes or not isinstance(self.base, Changed):
             return found
-        own = max(float(self.made.base.common[self.family.blocks.index(found.shapes[0])]), 0.0)
+        own = max(float(self.base.common[self.family.blocks.index(found.shapes[0])]), 0.0)
         return replace(found, evidence=found.evidence + own - self._still)
 
     @cached_property
     def _still(self) -> float:
-        return max(float(self.made.base.common.max(initial=0.0)), 0.0)
+        return float(self.base.common.max(initial=0.0)) if isinstance(self.base, Changed) else 0.0
 
     def _fit(self, blocks: tuple[Block, ...]) -> EffectSet | None:
-        joined, changes = self.made.joined, self.changes(blocks)
+        rows = self.rows
+        changes = [(block.effect, self.courses[block.since]) for block in blocks if block.effect is not None]
         best: tuple[float, EffectSet] | None = None
         weight = sum(float(self.family.log_weight[self.family.where(block)]) for block in blocks)
         # as large as they are to first order, then about that
         for k in range(_REFITS + 1):
             try:
-                about, run = joined.about(changes)
-                base = Changed.of(self.family, run)
+                about, run = rows.about(changes)
+                base = type(self.base).of(self.family, run)
             except (SherkitError, np.linalg.LinAlgError):
                 # as far as that the robot does not reach its own poses
                 break
@@ -239,7 +257,7 @@ class ChangeSets(Sets):
                 best = base.rss, EffectSet(blocks, run, base, bf, value, plausible)
             if k < _REFITS:
                 try:
-                    joined = joined.at(about)
+                    rows = rows.at(about)
                 except SherkitError:
                     break
         return None if best is None else best[1]

@@ -31,10 +31,10 @@ from ..evidence.sets import ONE_MORE, described, likeliest
 from ..evidence.thresholds import ALARM, SURE, TIED
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
-from .comparison import QUIET
-from .courses import Courses
+from .change_model import About
+from .courses import Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, unchanged_advice
-from .pooled_fit import About, Joined
+from .pooled_fit import Joined
 from .vouching import error_in_another
 
 STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"
@@ -259,8 +259,10 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     )
     if count > 2 and np.isfinite(temperatures).all() and np.ptp(temperatures) > 0.5:
         courses.append((SEASON, 0, temperatures - temperatures[0]))
-    base: Base = Courses.of(joined, [factors for _, _, factors in courses], waves=False).base
-    verdict, found = _found(base)
+    made = Courses.of(joined, [factors for _, _, factors in courses], waves=False)
+    base = made.base
+    found, left = ([], base) if made.quiet else _found(base)
+    verdict = made.quiet or change_verdict(found, explains=left.evidence < ALARM)
     tied: list[tuple[str, ...]] = []
     for k, block in enumerate(found):
         called = {(one.name, courses[one.since][0]): None for one in _instead(base, found, k)}
@@ -298,42 +300,43 @@ def _is_gone(verdict: str, changes: Sequence[Course]) -> bool:
     return verdict == "changed" and all(one.kind == ONCE for one in changes)
 
 
-def _found(base: Base) -> tuple[str, list[Block]]:
-    """The verdict, and the changes in the order in which they were found.
+def _found(base: Base) -> tuple[list[Block], Base]:
+    """The changes in the order in which they were found, and what is left.
 
-    One after another, from several beginnings: an effect of many numbers imitates two of one each. Of those that
-    explain all, and no worse than shapes do, the likeliest; else each as long as it says clearly more than a shape.
+    From several beginnings: an effect of many numbers imitates two of one each. Of those that explain all, and no worse
+    than shapes do, the likeliest; else each as long as it says clearly more than a shape.
     """
-    if base.evidence < ALARM:
-        return "unchanged" if base.evidence < QUIET else "undecided", []
-    every = [_from(base, block) for block in likeliest(base.family, base.each, _STARTS)]
-    whole = [one for one in every if one[1]]
-    value, found = max(whole, key=lambda one: one[0], default=(-np.inf, []))
-    if value > described(base).evidence - SURE:
-        return "changed", found
-    found = []
-    while len(found) < _MOST and base.evidence >= ALARM:
-        lead = int(np.argmax(base.effects))
-        if base.effects[lead] < base.shapes.max(initial=-np.inf) + SURE:
-            return "partly explained" if found else "unexplained", found
-        found.append(base.family.blocks[lead])
-        base = base.beside(found[-1])
-    return "changed", found
+    every = [_added(base, block) for block in likeliest(base.family, base.each, _STARTS)]
+    whole = [one for one in every if one[2].evidence < ALARM]
+    value, found, _ = max(whole, key=lambda one: one[0], default=(-np.inf, [], base))
+    if value <= described(base).evidence - SURE:
+        found = _added(base)[1]
+    # a change with which others began may say nothing beside them, and a part of it may be enough
+    for block in found if len(found) > 1 else ():
+        beside = base.beside(*(one for one in found if one is not block))
+        each = np.where([one.name == block.name for one in base.family.blocks], beside.effects, -np.inf)
+        best = [base.family.blocks[int(np.argmax(each))]] if each.max() > 0 else []
+        at = found.index(block)
+        found = [*found[:at], *best, *found[at + 1 :]]
+    return found, base.beside(*found)
 
 
-def _from(base: Base, first: Block) -> tuple[float, list[Block]]:
-    """What is said by changes of which this is the first, and these; none where they do not explain."""
-    found = [first]
-    value = float(base.each[base.family.where(first)])
-    base = base.beside(first)
-    while base.evidence >= ALARM:
-        lead = int(np.argmax(base.effects))
-        if len(found) == _MOST or base.effects[lead] < 0:
-            return value, []
-        found.append(base.family.blocks[lead])
-        value += float(base.effects[lead]) + ONE_MORE
-        base = base.beside(found[-1])
-    return value, found
+def _added(base: Base, first: Block | None = None) -> tuple[float, list[Block], Base]:
+    """What the readings say of changes, these, and what is left: one after another as long as something is. From a
+    ``first`` on each that the readings favour, else those alone that say clearly more than a shape."""
+    value, found = -ONE_MORE, list[Block]()
+    while base.evidence >= ALARM and len(found) < _MOST:
+        block = first if first and not found else base.family.blocks[int(np.argmax(base.effects))]
+        says = float(base.effects[base.family.where(block)])
+        if says < (0.0 if first else base.shapes.max(initial=-np.inf) + SURE):
+            break
+        found.append(block)
+        value += says + ONE_MORE
+        base = base.beside(block)
+    # what two parts of an effect did alike, all of it did
+    at = [(one.name, one.since) for one in found]
+    whole = {key: (at.count(key) > 1 and base.all_or_part(one)) or one for key, one in zip(at, found, strict=True)}
+    return value, list(whole.values()), base
 
 
 def _instead(base: Base, found: Sequence[Block], k: int) -> list[Block]:
@@ -352,7 +355,7 @@ def _exceeds(about: About, number: int, months: Floats, needed: float | None, jo
     unit = joined.runs[0].data.layout
     effect = about.changes[number][0]
     by = about.values[about.of(number)] / [p.size for p in effect.parameters]
-    shown = joined.columns_of(effect.name, np.ones(len(joined.runs)))[: joined.count] @ by
+    shown = joined.columns_of(effect, np.ones(len(joined.runs)))[: joined.count] @ by
     noise = joined.by_row([joined.sigma(run) for run in joined.runs])[: joined.count, None]
     per_month = unit.per_unit * float(np.sqrt(np.square(shown * noise).sum() / joined.count))
     if needed is None or unit.unit != "µm" or per_month <= 0:

@@ -196,23 +196,23 @@ def _by_rows(
     silent: dict[str, Silent] = {}
     kept: list[int] = []
     for k, one in enumerate(data):
-        axes = axes_of(one)
+        axes, drawn = axes_of(one), np.zeros(len(model.parameters))
         same = next((j for j in range(k) if data[j].digest == one.digest), None)
         # what is to be told: all of the robot from the first, where the sensor stands from another
         unknown = 2 * len(axes) if kept else len(model.parameters)
         if same is not None:
             silent[names[k]] = Silent(f"{_COPY} {names[same]}: nothing was measured in between", "measure once more")
-        elif axes and (why := silence(one, axes, unknown, _predicted(model, one))) is not None:
+        elif axes and (why := silence(one, axes, unknown, predicted(model, one, drawn))) is not None:
             silent[names[k]] = why
         else:
             kept.append(k)
     return silent, kept
 
 
-def _predicted(model: Any, data: Measurements) -> Floats | None:
-    """What the drawing says of a run; None where it does not reach all of it."""
+def predicted(model: Any, data: Measurements, values: Floats) -> Floats | None:
+    """What a model says of a run; None where it does not reach all of it."""
     try:
-        return np.asarray(model.predict(data, np.zeros(len(model.parameters))))
+        return np.asarray(model.predict(data, values))
     except SherkitError:
         return None
 

@@ -10,129 +10,29 @@ error for all places of a run where the first run never was.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from ..base import linalg
 from ..base.types import Floats
 from ..data import Measurements
 from ..errors import FitError
 from ..evidence.linearised import Linearised
 from ..evidence.run import Run
-from ..evidence.thresholds import TIED
 from ..evidence.whitening import InCommon, Whitening, orthonormal
 from ..fit.identify import Fit
-from ..model.base import ModelWithEffects
-from ..model.effect import WITHIN, Effect, Parameter
-from .runs import OWN_NOISE, RunData, change_candidates, change_columns, growth_of, seen
+from ..model.effect import WITHIN, Effect
+from .change_model import About, Change, ChangeRows
+from .runs import OWN_NOISE, RunData, change_candidates, growth_of, seen
 
-#: Part of a column that must be left of it to be seen.
-_SEEN = 1e-5
-#: Deviations from zero of a number that moved.
-_MOVES = 2.0
 #: Deviations by which the model must miss more than repeats scatter.
 _MISSES = 3.0
 #: Part of a joint's range up to which poses are one, and by which another run may go beyond it.
 _SAME, _BEYOND = 1e-3, 0.1
 #: Part of its rows from which on a run stands at other places than the first.
 _ELSEWHERE = 0.2
-
-
-#: An effect in a course: factors (R,) of the runs.
-Change = tuple[Effect, Floats]
-
-
-@dataclass(frozen=True, eq=False)
-class About:
-    """Changes in the model of joined runs, as evidence asks a fit: their ``columns`` (N, k) by plausible sizes, what is
-    ``free`` beside them (N, p), and the ``residual`` (N,) without any of them."""
-
-    changes: tuple[Change, ...]
-    columns: Floats
-    free: Floats
-    residual: Floats
-
-    #: Of where the sensor stands, and of where targets sit, nothing is among them.
-    free_of_pose = targets_anywhere = ()
-    #: Nor does any change go with another.
-    catalogue: ClassVar[tuple[Effect, ...]] = ()
-
-    @property
-    def fit(self) -> Any:
-        """Itself, as its model is."""
-        return self
-
-    model = fit
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Those of all changes."""
-        return tuple(p for effect, _ in self.changes for p in effect.qualified())
-
-    @cached_property
-    def _found(self) -> tuple[Floats, Floats, float]:
-        return estimated(self.columns, self.free, self.residual)
-
-    @property
-    def values(self) -> Floats:
-        """Of all parameters, in their units."""
-        return self._found[0] * [p.size for p in self.parameters]
-
-    @property
-    def std_from_readings(self) -> Floats:
-        """The deviations of these."""
-        return self._found[1] * [p.size for p in self.parameters]
-
-    @property
-    def left(self) -> float:
-        """What is left over the noise (root mean square)."""
-        return self._found[2]
-
-    @cached_property
-    def told(self) -> list[list[tuple[Parameter, float, float]]]:
-        """Of each change the numbers that moved, with values and deviations: one after another those that may as well
-        be zero are taken out."""
-        k = self.columns.shape[1]
-        value, std = np.zeros(k), np.zeros(k)
-        some = np.arange(k)
-        while len(some):
-            value[:], std[:] = 0.0, 0.0
-            value[some], std[some], _ = estimated(self.columns[:, some], self.free, self.residual)
-            far = np.abs(value[some]) - _MOVES * std[some]
-            if (far > 0).all() or len(some) == 1:
-                break
-            some = np.delete(some, np.argmin(far / std[some].clip(1e-300)))
-        every = [(p, float(v * p.size), float(s * p.size)) for p, v, s in zip(self.parameters, value, std, strict=True)]
-        return [[one for one in every[self.of(k)] if one[2] > 0] for k in range(len(self.changes))]
-
-    @cached_property
-    def swaps(self) -> list[tuple[str, str]]:
-        """Numbers that moved, each with another of the same effect that explains as much in its place."""
-        moved = {one.name for some in self.told for one, _, _ in some}
-        kept = [k for k, p in enumerate(self.parameters) if p.name in moved]
-        best = estimated(self.columns[:, kept], self.free, self.residual)[2] if kept else 0.0
-        out = []
-        for number in range(len(self.changes)):
-            own = range(*self.of(number).indices(len(self.parameters)))
-            for one, other in product((k for k in kept if k in own), (k for k in own if k not in kept)):
-                some = [other if k == one else k for k in kept]
-                left = estimated(self.columns[:, some], self.free, self.residual)[2]
-                if left**2 < best**2 * (1.0 + 2.0 * TIED / len(self.residual)):
-                    out.append((self.parameters[one].name, self.parameters[other].name))
-        return out
-
-    def of(self, number: int) -> slice:
-        """Where the parameters of a change stand among them, by its number."""
-        ends = np.cumsum([0, *(len(effect.parameters) for effect, _ in self.changes)]).tolist()
-        return slice(ends[number], ends[number + 1])
-
-    def owns(self, effect: Effect) -> slice:
-        """The same by its effect."""
-        return self.of([one.name for one, _ in self.changes].index(effect.name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +64,7 @@ def rows_as_run(
     return Run(None, np.arange(len(residual)), np.ones(residual.shape[1]), view, white)
 
 
-class Joined:
+class Joined(ChangeRows):
     """Runs that were joined, and the ``candidates`` that may have changed in their course.
 
     ``fit`` is the model on the first of them, ``axes`` are the readings that are looked at; ``lasting`` (n, m, k) is
@@ -175,7 +75,8 @@ class Joined:
         self, fit: Fit, runs: Sequence[Measurements], axes: tuple[int, ...],
         moved: Sequence[tuple[Change, Floats]] = (), before: Joined | None = None, lasting: Floats | None = None,
     ) -> None:  # fmt: skip
-        self.fit, self.axes, self.model, self.moved = fit, axes, fit.model, tuple(moved)
+        self.fit, self.axes, self.moved = fit, axes, tuple(moved)
+        self.model, self.values = fit.model, fit.values
         self._data = [data.select(np.argsort(data.order, kind="stable")) for data in runs]
         self.growth: list[Effect] = growth_of(self.model, self._data) if before is None else before.growth
         self.candidates: list[Effect] = (
@@ -183,7 +84,7 @@ class Joined:
         )
         self._before, names = before, [p.name for p in self.model.parameters]
         self.runs: list[RunData] = [
-            seen(*self._now(k), data, axes, names, [*self.candidates, *self.growth],
+            seen(*self.now(k), data, axes, names, [*self.candidates, *self.growth],
                  first=k == 0, before=None if before is None else before.runs[k])
             for k, data in enumerate(self._data)
         ]  # fmt: skip
@@ -201,8 +102,7 @@ class Joined:
 
     def at(self, about: About) -> Joined:
         """The same runs about a model in which these have changed, as large as they are."""
-        moved = [(one, about.values[about.of(k)]) for k, one in enumerate(about.changes)]
-        return Joined(self.fit, self._data, self.axes, moved, self, self.lasting)
+        return Joined(self.fit, self._data, self.axes, about.sized, self, self.lasting)
 
     def lacking(self, lasting: Floats) -> Joined:
         """The same runs, of which all lack these columns (n, m, k)."""
@@ -217,22 +117,6 @@ class Joined:
     def steps(self) -> list[Floats]:
         """Steps (R,) from each run on but the first: nothing before, all of it since."""
         return list(np.triu(np.ones((len(self.runs), len(self.runs))))[1:])
-
-    def _now(self, number: int) -> tuple[ModelWithEffects, Floats]:
-        """The model of a run and its values: those of the first, but for what has moved since."""
-        model, values = self.model, dict(zip((p.name for p in self.model.parameters), self.fit.values, strict=True))
-        for (effect, factors), moved in self.moved:
-            if factors[number] == 0.0:
-                continue
-            if any(p.name not in values for p in effect.qualified()):
-                model = model.adopting(effect)
-            for p, by in zip(effect.qualified(), moved, strict=True):
-                values[p.name] = values.get(p.name, 0.0) + factors[number] * by
-        return model, np.array([values.get(p.name, 0.0) for p in model.parameters])
-
-    def candidate(self, name: str) -> Effect:
-        """The candidate of that name."""
-        return next(one for one in self.candidates if one.name == name)
 
     # -- rows of all runs --------------------------------------------------------------------------------
 
@@ -355,50 +239,17 @@ class Joined:
         residual = self.over([run.stand.residual for run in self.runs])
         return rows_as_run(residual, free, candidates, self.white, **self._around)
 
-    @property
-    def _nothing(self) -> list[Floats]:
-        return [np.zeros((*run.used.shape, 0)) for run in self.runs]
-
     def places(self, run: RunData) -> Mapping[str, Floats]:
         """Where the machine stood in the rows of a run, by name (n,)."""
         return self.model.place(run.data, self.model.predict(run.data, self.fit.values), self.fit.values)
 
     # -- changes -----------------------------------------------------------------------------------------
 
-    def columns_at(self, data: Measurements) -> dict[str, Floats]:
-        """Columns (n, m, k) of every candidate for other rows, by the model as the first run has it."""
-        return change_columns(self.model, self.fit.values, data, self.axes, self.candidates)
+    def columns_of(self, effect: Effect, factors: Floats) -> Floats:
+        """As of any rows."""
+        every = [f * run.columns[effect.name] for f, run in zip(factors, self.runs, strict=True)]
+        return self.over(every)[:, :, self.numbers(effect)]
 
-    def columns_of(self, name: str, factors: Floats) -> Floats:
-        """Columns (n, m, k) of a candidate, by plausible sizes, at factors (R,) of the runs."""
-        return self.over([f * run.columns[name] for f, run in zip(factors, self.runs, strict=True)])
-
-    def about(self, changes: Sequence[Change]) -> tuple[About, Run]:
-        """With changes, each an effect in a course (R,), in the model, beside what all runs have of them: as large as
-        they are to first order about what has moved already."""
-        courses, lasts = ([self.columns_of(e.name, f) for e, f in some]
-                          for some in (changes, [(e, np.ones(len(self.runs))) for e, _ in changes]))  # fmt: skip
-        columns = np.concatenate([self.over(self._nothing), *courses], axis=2)
-        run = self.run(np.concatenate([columns, *lasts], axis=2))
-        white = run.flat(run.view.fitted(run.view.whole))
-        mine, free = np.split(white, [columns.shape[2]], axis=1)
-        held = {e.name: v / [p.size for p in e.parameters] for (e, _), v in self.moved}
-        before = [held.get(e.name, np.zeros(len(e.parameters))) for e, _ in changes]
-        about = About(tuple(changes), mine, free, run.residual + mine @ np.concatenate([np.zeros(0), *before]))
-        return about, replace(run, of=about)
-
-
-def estimated(columns: Floats, free: Floats, residual: Floats) -> tuple[Floats, Floats, float]:
-    """Values (k,) of the coefficients of columns (N, k) beside all that is ``free`` (N, p), their deviations, zero of
-    what is not observed, and what is left of a residual over the noise (root mean square)."""
-    base = orthonormal(free)
-    rest, left = (values - base @ (base.T @ values) for values in (columns, residual))
-    length = np.linalg.norm(rest, axis=0)
-    there = length > _SEEN * np.linalg.norm(columns, axis=0)
-    over = np.where(there, 1.0 / np.where(there, length, 1.0), 0.0)
-    square, turn = linalg.eigh((rest * over).T @ (rest * over))
-    inverse = (turn * np.where(square > _SEEN**2, 1.0 / square.clip(_SEEN**2), 0.0)) @ turn.T * np.outer(over, over)
-    value = inverse @ (rest.T @ left)
-    off = left - rest @ value
-    scale = float(off @ off) / max(len(left) - base.shape[1] - int(there.sum()), 1)
-    return value, np.sqrt(scale * np.diag(inverse).clip(0.0)), float(np.sqrt(scale))
+    def lasting_of(self, changes: Sequence[Change]) -> list[Floats]:
+        """As of any rows: what all runs have of them."""
+        return [self.columns_of(effect, np.ones(len(self.runs))) for effect, _ in changes]

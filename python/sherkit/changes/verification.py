@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..adaptive.gate import Power, Silent, power_of, silence, still
+from ..adaptive.gate import Silent, power_of, silence, still
 from ..adaptive.task import Region, planned
 from ..base import linalg
 from ..base.answer import AFTER, TARGET, Answer, Bar, ToDo
@@ -26,30 +26,25 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.doubts import copied
 from ..data.reader import RunLike
-from ..errors import FitError, SherkitError
+from ..errors import FitError
 from ..evidence.base import Base
-from ..evidence.blocks import Columns, Visits
 from ..evidence.design import showing
-from ..evidence.family import Family
-from ..evidence.made import Maker
-from ..evidence.shapes import blocks_of_effects
-from ..evidence.thresholds import ALARM, SURE, TIED
-from ..evidence.whitening import MOST_IN_COMMON, InCommon, Whitening, orthonormal
+from ..evidence.names import judged_names
+from ..evidence.thresholds import ALARM, NEEDED
+from ..evidence.whitening import InCommon, orthonormal
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, required_um
 from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
-from .comparison import ParameterChange
-from .pool import told_ties
-from .pooled_fit import estimated, rows_as_run
-from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, stand_of
-from .vouching import Work, broken, mistaken, shows, sights_of, unable
+from .change_model import ParameterChange, estimated
+from .check_rows import OF_CALIBRATION, SINCE, CheckRows, Known, noise_of
+from .pool import predicted, told_ties
+from .runs import change_candidates, change_columns
+from .vouching import broken, errors_at_work, mistaken, shows, sights_of, stand_columns, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
 _REFUSED, _CHANGED = 0.005, 0.015
-#: Degrees of freedom of a noise that a calibration knows.
-_OF_CALIBRATION = 200
 _SHARE, _POWER = 0.95, 0.9
 #: What a model lacks has about so many shapes among the poses of a check.
 _SHAPES = 6
@@ -151,36 +146,6 @@ class Verification(Shown):
         }
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """A calibration as a model about which little is unknown."""
-
-    calibration: Calibration
-    model: Any
-    values: Floats
-    root: Floats
-
-    @classmethod
-    def of(cls, calibration: Calibration) -> _Known:
-        part: Any = calibration.parts_made[0]
-        model = part.model(calibration.robot)
-        count = len(part.values)
-        values = np.zeros(len(model.parameters))
-        values[:count] = part.values
-        size = np.array([p.size for p in model.parameters])
-        covariance = np.diag(size**2)
-        covariance[:count, :count] = part.covariance
-        # each in its own deviation: where an instrument stands metres away a turn of it is a shift to many digits
-        std = np.sqrt(np.diag(covariance).clip(1e-300))
-        value, vector = linalg.eigh(covariance / np.outer(std, std))
-        return cls(calibration, model, values, std[:, None] * vector * np.sqrt(value.clip(0.0)))
-
-    def corrected(self, data: Measurements, axes: tuple[int, ...]) -> Floats | None:
-        """What is deployed beside the model (n, m), as the sensor saw it; None where nothing is."""
-        by = self.calibration.corrects(data.joints)
-        return by if by is None or by.shape[1] == len(axes) else None
-
-
 @validate_arguments
 @linalg.one_thread()
 def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Verification:
@@ -191,24 +156,22 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         print(found.headline)
     """
     made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
-    known = _Known.of(made)
-    model = known.model
-    data = model.as_declared(run_for(made.robot, run))
+    known = Known.of(made)
+    data = known.model.as_declared(run_for(made.robot, run))
     data = data.select(np.argsort(data.order, kind="stable"))
     axes = axes_of(data)
     if not axes:
         raise FitError(f"{data.source}: verification needs coordinates; these rows are distances only")
-    mute = silence(data, axes, 2 * len(axes), _predicted(known, data)) or next(
+    mute = silence(data, axes, 2 * len(axes), predicted(known.model, data, known.values)) or next(
         (Silent(one.sentence, "leave the copies out") for one in copied(data)), None
     )
     if data.digest in {part.digest for part in made.parts_made}:
         mute = Silent("these are the rows that it was calibrated from: nothing was measured since", "measure once more")
     if mute is not None:
         return _unsaid(known, data, mute)
-    model = model.for_run(data)
-    used = data.used[:, list(axes)]
-    stand = stand_of(model, data, known.values, axes, used, known.corrected(data, axes))
-    noise, noise_freedom, part = _noise(known, data, axes)
+    noise, noise_freedom, part = noise_of(known, data, axes)
+    rows = CheckRows.of(known, data, axes, noise, part)
+    model, used, stand = rows.model, rows.used, rows.stand
     in_common = InCommon.part(data.groups, part) if part else None
     both = np.concatenate([stand.columns, stand.residual[:, :, None]], axis=2)
     both = (both if in_common is None else in_common(np.where(used[:, :, None], both, 0.0)))[used]
@@ -224,8 +187,10 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     if (wrong := mistaken(model, data, axes, seen * per_row)) is not None:
         return _unsaid(known, data, wrong)
     promised, lacked = _promised(known, data, axes)
-    base, unit = _evidence(known, model, data, axes, used, stand, noise, part)
-    flat = stand.columns[used.all(axis=1)].reshape(-1, stand.columns.shape[2])
+    base, unit = rows.base, rows.unit
+    flat = stand.columns[rows.rows].reshape(-1, stand.columns.shape[2])
+    off = max(1.0 if noise else 0.0, float(np.sqrt(base.rss / max(base.free, 1))))
+    sights = sights_of(rows, base.family.run, SINCE, errors_at_work(rows, data), off)
     valid, least = None, np.inf
     if promised is not None:
         found = broken(base, flat, promised / unit, _CHANGED)
@@ -236,8 +201,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(_REFUSED, freedom, noise_freedom))
         valid = bool(square <= allowed and (found.chance > _CHANGED or seen <= promised))
         if valid:
-            off = max(1.0 if noise else 0.0, float(np.sqrt(base.rss / max(base.free, 1))))
-            power = _power_at_work(known, model, data, axes, base, off, promised)
+            power = power_of(sights, _required(rows, promised), base.free, ALARM)
             if not power.speaks:
                 mute = unable(power, (noise or off * unit) * per_row, data.layout.unit, data, axes)
             elif not np.isfinite(least):
@@ -245,9 +209,16 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
             valid = None if mute is not None else valid
     # what the model lacks looks like a change as long as it is no larger than it was
     evidence = 0.0 if valid and lacked else base.evidence
-    names, ties, moved = _moved(base) if evidence >= ALARM else ((), (), ())
+    judged = judged_names(rows.sets()) if evidence >= ALARM else None
+    # of too many things, or of none of these, nothing is named; two are, where each is needed as much as if there were
+    # shapes to hold it against, which a dozen poses do not tell
+    sure = judged is not None and (len(judged.told) < 2 or min(one.needed for one in judged.told) > NEEDED)
+    told = judged if judged is not None and judged.explains and sure else None
+    names, ties = (tuple(sorted(told.named)), told.tied) if told else ((), ())
     held = [name for name, same in zip(data.layout.joints, still(data.joints), strict=True) if same]
-    shown = {one.name: _power(base, one.name) for one in change_candidates(model, [data])}
+    # all of its numbers at their plausible sizes, with either sign
+    size = {name: np.sqrt([np.trace(one.there)]) for name, one in sights.items()}
+    shown = [name for name, one in sights.items() if one.chances(size[name], base.free, ALARM)[0] >= _POWER]
     return Verification(
         valid=valid,
         error={
@@ -258,25 +229,17 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         unit=data.layout.unit,
         changed=names,
         indistinguishable=ties,
-        parameters=moved,
+        parameters=told.lead.run.of.moved(names) if told and told.lead else (),
         evidence=evidence / float(np.log(10.0)),
         stand=stand.moved,
-        would_show=tuple(name for name, power in shown.items() if power >= _POWER),
-        would_not=tuple(name for name, power in shown.items() if power < _POWER),
+        would_show=tuple(shown),
+        would_not=tuple(one.name for one in rows.candidates if one.name not in shown),
         advice=mute.measure if mute is not None else _advice(valid, names, ties, evidence, held),
         silent="" if mute is None else f"{data.source}: {mute}",
     )
 
 
-def _predicted(known: _Known, data: Measurements) -> Floats | None:
-    """What the calibrated model says of a run; None where it does not reach all of it."""
-    try:
-        return np.asarray(known.model.predict(data, known.values))
-    except SherkitError:
-        return None
-
-
-def _unsaid(known: _Known, data: Measurements, why: Silent) -> Verification:
+def _unsaid(known: Known, data: Measurements, why: Silent) -> Verification:
     """Of a run that says nothing by its rows alone."""
     candidates = change_candidates(known.model, [data])
     return Verification(
@@ -286,14 +249,9 @@ def _unsaid(known: _Known, data: Measurements, why: Silent) -> Verification:
     )  # fmt: skip
 
 
-def _power_at_work(
-    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], base: Base, noise: float, promised: float
-) -> Power:  # fmt: skip
-    """How often a change would have shown that is three times as large as needed, or as promised, where the robot
-    works."""
-    work, view = Work.of(model, data, known.values, axes), base.family.run.view
-    at = change_columns(model, known.values, work.rows, axes, [e for e, _ in view.effects])
-    columns = {name: _columns(base, name) for name in base.family.names}
+def _required(rows: CheckRows, promised: float) -> float:
+    """What an error where the robot works must not be more than: what is needed, and what is promised."""
+    known, data, axes = rows.known, rows.data, rows.axes
     needed = required_um(known.calibration.robot) if data.layout.unit == "µm" else None
     if needed is None:
         # as where runs are compared: what was left of the run that it was calibrated with
@@ -301,28 +259,10 @@ def _power_at_work(
         left = part.residual_covariance + (part.scatter if part.scatter.size else 0.0)
         same = len(left) == len(axes) and part.readings == data.layout.coordinates
         needed = float(np.sqrt(np.trace(left))) * data.layout.per_unit if same else 0.0
-    required = max(needed, promised * float(np.sqrt(len(axes))) * data.layout.per_unit)
-    return power_of(sights_of(columns, work.errors(at), base.basis, noise), required, base.free, ALARM)
+    return max(needed, promised * float(np.sqrt(len(axes))) * data.layout.per_unit)
 
 
-def _noise(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float, int, float]:
-    """The noise of a reading, with its degrees of freedom, and the part of its variance that repeats of a pose share:
-    of this run's repeats and what it declares, else as the calibration knows it; 0 where neither does."""
-    own = noise_of_repeats(data, axes)
-    if own and data.repeatability is not None:
-        names = [data.layout.readings[a] for a in axes]
-        shared = float(np.square(data.pose_sigma[:, list(axes)]).mean())
-        freedom = sum(data.repeatability.degrees_of_freedom.get(name, 0) for name in names)
-        return float(np.hypot(own, np.sqrt(shared))), freedom, min(shared / (own**2 + shared), MOST_IN_COMMON)
-    part: Any = known.calibration.parts_made[0]
-    scatter = np.diag(part.scatter) if part.scatter.size else np.zeros(1)
-    if not scatter.any():
-        scatter = np.diag(part.residual_covariance)
-    same = len(scatter) == len(axes) and part.readings == data.layout.coordinates
-    return float(np.sqrt(scatter.mean())) if same else 0.0, _OF_CALIBRATION, 0.0
-
-
-def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float | None, bool]:
+def _promised(known: Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float | None, bool]:
     """What the calibration promises of a reading at the places of these rows (root mean square, in its unit), as its
     sensor saw them: what nobody knows of the base no reading shows. And whether most of that is what its model lacked
     on the day of its run."""
@@ -337,7 +277,7 @@ def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple
     # what the model lacked, beyond what a run tells of that by chance, was as large on average; at these places, a few
     # shapes of it, it may be larger
     left = np.sqrt(np.maximum(left**2 - (_BY_CHANCE * noise) ** 2, 0.0)) if noise > 0 else np.zeros(len(left))
-    more = float(scipy.stats.f.isf(_REFUSED, _SHAPES, _OF_CALIBRATION)) - 1.0
+    more = float(scipy.stats.f.isf(_REFUSED, _SHAPES, OF_CALIBRATION)) - 1.0
     left, radius = left[np.isfinite(radius)], radius[np.isfinite(radius)]
     if not len(radius):
         return None, False
@@ -355,85 +295,14 @@ def _promised(known: _Known, data: Measurements, axes: tuple[int, ...]) -> tuple
     return per_axis * read / max(lever * np.sqrt(inputs.shape[2]), 1e-300), lacked
 
 
-def _evidence(
-    known: _Known, model: Any, data: Measurements, axes: tuple[int, ...], used: Any, stand: RunPose, noise: float,
-    part: float,
-) -> tuple[Base, float]:  # fmt: skip
-    """Of every change beside what the calibration does not know, and what readings scatter by, in its unit, without the
-    ``part`` that repeats of a pose share."""
-    rows, values = np.flatnonzero(used.all(axis=1)), known.values
-    own = model.linearised(data, values).parameters[:, list(axes)]
-    candidates = change_candidates(model, [data])
-    columns = change_columns(model, values, data, axes, candidates, own)
-    unit = noise * float(np.sqrt(1.0 - part)) or float(np.sqrt(np.square(stand.residual[rows]).mean())) or 1.0
-    count, m = len(known.root), len(axes)
-    beyond = -(-count // m)
-
-    def over(each: Floats) -> Floats:
-        return np.concatenate([each[rows] / unit, np.zeros((beyond, *each.shape[1:]))])
-
-    # what is not known of a parameter is a reading of zero, as exact as that
-    unknown, at = over(own @ known.root), np.arange(count)
-    unknown[len(rows) + at // m, at % m, at] = 1.0
-    shared = InCommon(
-        np.concatenate([data.groups[rows], data.groups.max() + 1 + np.arange(beyond)]),
-        np.repeat([np.sqrt(part / (1.0 - part)), 0.0], [len(rows), beyond]),
-    )
-    run = rows_as_run(
-        over(stand.residual), np.concatenate([unknown, over(stand.columns)], axis=2),
-        [(e, over(columns[e.name])) for e in candidates],
-        Whitening(0.0, np.ones(len(rows) + beyond, dtype=np.int64), None, shared if part else None),
-    )  # fmt: skip
-    made = Maker(run, Visits.of(run))
-    blocks_of_effects(made)
-    parts, blocks = made.done()
-    return Base.of(Family(run, made=(Columns(run, made.visits, parts), blocks)), run), unit
-
-
-def _columns(base: Base, name: str) -> Floats:
-    """Columns (N, k) of a candidate by plausible sizes."""
-    view = base.family.run.view
-    at = next(at for e, at in view.effects if e.name == name)
-    return base.family.run.flat(view.effects_in(view.whole)[:, :, at])
-
-
 def _of_lead(base: Base, stand: Floats) -> float:
     """The error that the likeliest change makes at these places (root mean square of a reading, in noises)."""
-    if not len(base.family):
+    family = base.family
+    if not len(family):
         return 0.0
-    columns = _columns(base, base.family.blocks[int(np.argmax(base.each))].name)
+    columns = family.run.flat(family.columns.raw(family.blocks[int(np.argmax(base.each))].at))
     value, _, _ = estimated(columns, base.basis, base.residual)
     return float(shows((columns @ value)[: len(stand), None], orthonormal(stand))[0])
-
-
-def _moved(base: Base) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[ParameterChange, ...]]:
-    """What has moved, what that cannot be told from, and by how much; nothing where the evidence does not say so."""
-    blocks, each = base.family.blocks, base.each
-    ordered = np.argsort(-each).tolist()
-    lead = blocks[ordered[0]]
-    if base.beside(lead).evidence > SURE or lead.effect is None:
-        # more than one thing, or none of these
-        return (), (), ()
-    ties = tuple(blocks[i].name for i in ordered if each[i] > each[ordered[0]] - TIED)
-    value, std, _ = estimated(_columns(base, lead.name), base.basis, base.residual)
-    moved = tuple(
-        ParameterChange(p.name, float(v * p.size), float(s * p.size), p.unit)
-        for p, v, s in zip(lead.effect.qualified(), value, std, strict=True) if s > 0
-    )  # fmt: skip
-    return (lead.name,), (ties,) if len(ties) > 1 else (), moved
-
-
-def _power(base: Base, name: str) -> float:
-    """The chance that a change of plausible size is seen."""
-    if name not in base.family.names:
-        return 0.0
-    number = base.family.names.index(name)
-    columns = _columns(base, name)
-    left = columns - base.basis @ (base.basis.T @ columns)
-    noise = float(np.sqrt(base.rss / max(base.free, 1))) or 1.0
-    level = float(np.exp(base.family.log_weight[number] - ALARM))
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (16, left.shape[1]))
-    return float(np.mean([base.power(number, float(np.linalg.norm(left @ one)) / noise, level) for one in signs]))
 
 
 def _advice(
@@ -466,7 +335,7 @@ def verifying_poses(
     stand of the sensor; in a random order. Raises :class:`~sherkit.errors.ExperimentError` for a robot whose file does
     not say how far it may go."""
     made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
-    known = _Known.of(made)
+    known = Known.of(made)
     layout = kind_of(made.robot).layout
     region = Region.of(known.model, layout)
     places = region.spread(_CANDIDATES, seed)
@@ -475,11 +344,8 @@ def verifying_poses(
     rows = planned(places.joints, layout, ways)
     axes = axes_of(rows)
     candidates = change_candidates(known.model, [rows])
-    own = known.model.linearised(rows, known.values).parameters[:, list(axes)]
-    columns = change_columns(known.model, known.values, rows, axes, candidates, own)
-    exact = rows.with_readings(np.zeros(rows.readings.shape) + known.model.predict(rows, known.values))
-    used = np.ones((len(rows), len(axes)), dtype=bool)
-    stand = stand_of(known.model, exact, known.values, axes, used).columns
+    columns = change_columns(known.model, known.values, rows, axes, candidates)
+    stand = stand_columns(known.model, rows, known.values, axes)
     part: Any = made.parts_made[0]
     noise = float(np.sqrt(np.diag(part.residual_covariance + part.scatter).mean())) or 1.0
     sized = [columns[one.name] / noise for one in candidates]

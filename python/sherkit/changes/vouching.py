@@ -21,8 +21,10 @@ from ..data import Measurements
 from ..errors import SherkitError
 from ..evidence.base import Base
 from ..evidence.linearised import step_gains, within
+from ..evidence.run import Run
 from ..evidence.whitening import orthonormal
 from ..fit.set_up import set_up_mistakes
+from .change_model import ChangeRows
 from .pooled_fit import Joined
 from .runs import RunData, stand_of
 
@@ -100,7 +102,9 @@ def _ways(base: Base, stand: Floats, promised: float) -> tuple[Floats, Floats, F
     of each."""
     rng = np.random.default_rng(0)
     basis, count, family = orthonormal(stand), len(stand), base.family
-    raws = [family.run.flat(family.columns.raw(block.at)) for block in family.blocks]
+    # ways of all of an effect are those of its parts, too
+    whole = [block for block in family.blocks if block.pattern is None]
+    raws = [family.run.flat(family.columns.raw(block.at)) for block in whole]
     every = np.concatenate([np.zeros((len(base.residual), 0)), *raws], axis=1)
     left = every - base.basis @ (base.basis.T @ every)
     ways, share, start = [np.zeros((every.shape[1], 0))], [], 0
@@ -146,58 +150,50 @@ _MISTAKEN = 0.01
 _FEWEST_AGAIN, _ALL_OF_IT = 8, 0.8
 
 
-@dataclass(frozen=True, eq=False)
-class Work:
-    """Where the robot works: rows there, and what the stand of the sensor takes up of their readings (n, m)."""
-
-    rows: Measurements
-    axes: tuple[int, ...]
-    basis: Floats
-
-    @classmethod
-    def of(cls, model: Any, data: Measurements, values: Floats, axes: tuple[int, ...]) -> Work:
-        """The workspace, where the robot's file says how far it may go; else where the run was."""
-        try:
-            reachable = model.reachable(data, values)
-            if reachable is not None and len(reachable.rows) > 1:
-                every = reachable.rows
-                some = np.random.default_rng(0).permutation(len(every))[:_PLACES]
-                return cls(every.select(some), axes, _stand(model, every.select(some), values, axes))
-        except SherkitError:
-            # such as a grid that a camera does not see: the run's own places are known to be read
-            pass
-        rows = data.select(np.random.default_rng(0).permutation(len(data))[:_PLACES])
-        return cls(rows, axes, _stand(model, rows, values, axes))
-
-    def errors(self, columns: Mapping[str, Floats]) -> dict[str, Floats]:
-        """By candidate the mean square of a row's error (k, k), in the unit of the readings, of its columns (n, m, k)
-        there; without those that the stand of the sensor takes up."""
-        out = {}
-        for name, each in columns.items():
-            flat = each.reshape(-1, each.shape[2])
-            left = flat - self.basis @ (self.basis.T @ flat)
-            if np.square(left).sum() > _ROUNDING**2 * np.square(flat).sum() > 0:
-                out[name] = left.T @ left / len(self.rows) * self.rows.layout.per_unit**2
-        return out
+def errors_at_work(rows: ChangeRows, data: Measurements) -> dict[str, Floats]:
+    """By candidate the mean square of a row's error (k, k), in the unit of the readings, where the robot works: in the
+    workspace, where the robot's file says how far it may go, else where the run was."""
+    try:
+        reachable = rows.model.reachable(data, rows.values)
+        if reachable is not None and len(reachable.rows) > 1:
+            return _errors(rows, reachable.rows)
+    except SherkitError:
+        # such as a grid that a camera does not see: the run's own places are known to be read
+        pass
+    return _errors(rows, data)
 
 
-def _stand(model: Any, rows: Measurements, values: Floats, axes: tuple[int, ...]) -> Floats:
+def _errors(rows: ChangeRows, every: Measurements) -> dict[str, Floats]:
+    """The same over rows, without what the stand of the sensor takes up."""
+    there = every.select(np.random.default_rng(0).permutation(len(every))[:_PLACES])
+    basis, out = orthonormal(stand_columns(rows.model, there, rows.values, rows.axes)), {}
+    for name, each in rows.columns_at(there).items():
+        flat = each.reshape(-1, each.shape[2])
+        left = flat - basis @ (basis.T @ flat)
+        if np.square(left).sum() > _ROUNDING**2 * np.square(flat).sum() > 0:
+            out[name] = left.T @ left / len(there) * there.layout.per_unit**2
+    return out
+
+
+def stand_columns(model: Any, rows: Measurements, values: Floats, axes: tuple[int, ...]) -> Floats:
+    """Columns (n, m, s) of where the sensor stands, of rows that read what a model says."""
     exact = rows.with_readings(np.zeros(rows.readings.shape) + model.predict(rows, values))
-    used = np.ones((len(rows), len(axes)), dtype=bool)
-    return orthonormal(stand_of(model, exact, values, axes, used).columns)
+    return stand_of(model, exact, values, axes, np.ones((len(rows), len(axes)), dtype=bool)).columns
 
 
 def sights_of(
-    columns: Mapping[str, Floats], there: Mapping[str, Floats], basis: Floats, noise: float, settings: int = 1
+    rows: ChangeRows, run: Run, factors: Floats, there: Mapping[str, Floats], noise: float, settings: int = 1
 ) -> dict[str, Sight]:
-    """What rows see of candidates: ``columns`` (N, k) beside the ``basis`` of what is free, over the ``noise``."""
-    # causes have half of the weight, as in the evidence
-    weight = 0.5 / max(len(columns), 1) / settings
+    """What a ``run`` of rows sees of candidates at these factors, beside what is free in it, over the ``noise``."""
     out = {}
-    for name, whole in columns.items():
-        if name in there:
-            left = (whole - basis @ (basis.T @ whole)) / max(noise, 1e-300)
-            out[name] = Sight(left, int((np.abs(whole).max(axis=1) > 0).sum()), weight, there[name])
+    for effect in rows.candidates:
+        if effect.name in there:
+            whole = run.flat(rows.columns_of(effect, factors))
+            left = (whole - run.basis @ (run.basis.T @ whole)) / max(noise, 1e-300)
+            # causes have half of the weight, as in the evidence
+            weight = 0.5 / len(rows.candidates) / settings
+            acts = int((np.abs(whole).max(axis=1) > 0).sum())
+            out[effect.name] = Sight(left, acts, weight, there[effect.name])
     return out
 
 
@@ -206,11 +202,8 @@ class Gate:
 
     def __init__(self, joined: Joined, required: float, alarm: float) -> None:
         self.joined, self.required, self.alarm = joined, required, alarm
-        values = joined.fit.values
         self._unit = joined.runs[0].data.layout
-        work = Work.of(joined.model, joined.runs[0].data, values, joined.axes)
-        at = joined.columns_at(work.rows)
-        self._there = work.errors({one.name: at[one.name] for one in joined.candidates})
+        self._there = errors_at_work(joined, joined.runs[0].data)
         self._run = run = joined.run()
         self._free = len(run.residual) - run.basis.shape[1]
         left = run.residual - run.basis @ (run.basis.T @ run.residual)
@@ -218,11 +211,8 @@ class Gate:
 
     def power(self, at: int) -> Power:
         """Of one run: a change in it alone."""
-        factors = np.eye(len(self.joined.runs))[at]
-        columns = {
-            one.name: self._run.flat(self.joined.columns_of(one.name, factors)) for one in self.joined.candidates
-        }
-        sights = sights_of(columns, self._there, self._run.basis, self._noise, len(self.joined.runs) - 1)
+        runs = len(self.joined.runs)
+        sights = sights_of(self.joined, self._run, np.eye(runs)[at], self._there, self._noise, runs - 1)
         return power_of(sights, self.required, self._free, self.alarm)
 
     def first(self) -> Silent | None:

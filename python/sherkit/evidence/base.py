@@ -15,7 +15,6 @@ import sherkit._core as _core
 from ..base import linalg
 from ..base.types import Floats, Ints
 from .blocks import Block, ReferenceRows, Sort, sorts_of
-from .design import power
 from .family import Family, log_weights
 from .run import Run
 from .thresholds import HELD_EFFECT, HELD_SHAPE, SCALES
@@ -201,6 +200,14 @@ class Base:
         """The same of shapes alone (B,), -inf for effects."""
         return np.where(self.family.is_effect, -np.inf, self.each)
 
+    def all_or_part(self, block: Block) -> Block | None:
+        """All of an effect of which a block is a part, or the likeliest part of one, in the same course; None where it
+        has none."""
+        blocks, part = self.family.blocks, block.pattern is not None
+        same = [i for i, one in enumerate(blocks) if one.name == block.name and one.since == block.since]
+        same = [i for i in same if (blocks[i].pattern is None) == part]
+        return blocks[max(same, key=lambda i: self.each[i])] if same else None
+
     @property
     def evidence(self) -> float:
         """By how much the readings favour that something is missing: the weighted mean of all Bayes factors."""
@@ -265,11 +272,6 @@ class Base:
         evidence = total(each.sum(axis=1) / self.family.run.shared) - float(np.log(len(_OWN)))
         part = float(np.sqrt(max(own.sum(), 0.0) / (noise + declared).sum()))
         return OwnErrors(evidence, np.sqrt(np.maximum(own, 0.0)), part, len(count))
-
-    def power(self, block: int, size: float, level: float) -> float:
-        """Chance that a test of this block at this ``level`` finds it where its columns, each of unit length, add up to
-        ``size`` noises beside what is in the model: by the non-central χ² of its rank."""
-        return power(size**2, max(float(self.gains[1][block]), 1.0), level)
 
     def held_out(self, folds: Sequence[Ints]) -> Floats:
         """Squared errors (repetitions, N), in squared noises, of rows that a fit to the others predicts: ``folds``

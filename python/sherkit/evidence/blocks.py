@@ -30,9 +30,10 @@ class Block:
     (smooth, periodic, step, kink, bump, hysteretic, interaction, alternating) of the variables it ``depends_on``.
 
     ``at`` (k,) are the numbers of its columns in the family. Of a shape ``axis`` is the reading it is on, None for all;
-    ``pattern`` the joint as whose error it arrives; ``order`` that of a polynomial and ``period`` that of a wave. Where
-    runs of one machine are joined, ``since`` is the number of the course in which it changes over them. ``ways`` is the
-    logarithm of how many others it was chosen from, beside those that are blocks.
+    ``pattern`` the joint as whose error it arrives, and of an effect the part that it is of alone; ``order`` that of a
+    polynomial and ``period`` that of a wave. Where runs of one machine are joined, ``since`` is the number of the
+    course in which it changes over them. ``ways`` is the logarithm of how many others it was chosen from, beside those
+    that are blocks.
     """
 
     shape: str
@@ -51,6 +52,10 @@ class Block:
     def name(self) -> str:
         """That of the effect; empty for a shape."""
         return self.effect.name if self.effect is not None else ""
+
+    def has(self, other: Block) -> bool:
+        """Whether another of the same effect is all that it is, or a part of it."""
+        return self.name == other.name and self.pattern in (None, other.pattern)
 
     @property
     def cause(self) -> tuple[object, ...]:

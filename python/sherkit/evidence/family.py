@@ -55,7 +55,7 @@ class Family:
         waves: Sequence[Waves] = (),
     ) -> None:
         self.run, self.reference, self.waves = run, reference, waves
-        self.columns, blocks = made or _everything(run, reference, waves, shapes=shapes)
+        self.columns, blocks = made or everything(run, reference, waves, shapes=shapes)
         there = self.columns.length > 0
         if reference is None:
             every = [b if there[b.at].all() else replace(b, at=b.at[there[b.at]]) for b in blocks]
@@ -147,7 +147,7 @@ class Family:
         twin |= [any(one.is_shape(block) for one in self.waves) for block in self.blocks]
         ones = []
         for block in self.blocks:
-            if block.effect is None or block.setting is not None:
+            if block.effect is None or block.setting is not None or block.pattern is not None:
                 continue
             columns = self.columns.of(block.at)
             columns -= basis @ (basis.T @ columns)
@@ -162,8 +162,8 @@ class Family:
         self.log_weight[twin & ~self.is_effect] = -np.inf
 
 
-def _everything(
-    run: Run, reference: ReferenceRows | None, waves: Sequence[Waves], *, shapes: bool
+def everything(
+    run: Run, reference: ReferenceRows | None = None, waves: Sequence[Waves] = (), *, shapes: bool = True
 ) -> tuple[Columns, Sequence[Block]]:
     """All effects and shapes of a run: their columns, and the blocks."""
     made = Maker(run, Visits.of(run), reference)

@@ -60,6 +60,20 @@ class Names:
         return tuple(one.name for one in self.told if one.name not in self.refused)
 
     @property
+    def alike(self) -> tuple[EffectSet, ...]:
+        """Sets of other names that do as well as the lead, and that first; none where not all of it is named."""
+        if self.lead is None or self.named != tuple(block.name for block in self.lead.blocks):
+            return ()
+        others = {one.names: one for one in reversed(self.ties) if one.names != self.lead.names}
+        return (self.lead, *reversed(others.values()))
+
+    @property
+    def tied(self) -> tuple[tuple[str, ...], ...]:
+        """What these readings cannot tell apart, in words, as one tie or none."""
+        told = tuple(" & ".join(one.names) for one in self.alike)
+        return (told,) if len(told) > 1 else ()
+
+    @property
     def explains(self) -> bool:
         """Whether nothing is missing beside all that are named."""
         return self.lead is not None and not self.refused and self.lead.explains and not self.shapes_say_more
@@ -135,19 +149,15 @@ def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDes
 
 
 def _columns(lead: EffectSet, k: int) -> tuple[Floats, list[str]]:
-    """Columns (N, p) of an effect of a set as the full fit has them, of unit length, and of what part each is: a
-    joint by its number, one of what an instrument reads wrong by its own name; empty where it is of none."""
+    """Columns (N, p) of an effect of a set as the full fit has them, of unit length, and of what part of it
+    each is; empty where it is of none."""
     fit, effect = lead.run.of, lead.blocks[k].effect
     assert effect is not None, "shapes are not named"
     at = fit.owns(effect)
     columns = lead.run.flat(lead.run.view.fitted(lead.run.view.whole)[:, :, at])
     length = np.linalg.norm(columns, axis=0)
-    names = [(p.name, p.name.rpartition("_")[2]) for p in fit.fit.parameters[at]]
-    return columns[:, length > 0] / length[length > 0], [
-        joint if joint.isdigit() else name if effect.link == "sensor" else ""
-        for (name, joint), some in zip(names, length > 0, strict=True)
-        if some
-    ]
+    parts = {k: part for part, numbers in effect.parts.items() for k in numbers}
+    return columns[:, length > 0] / length[length > 0], [parts.get(k, "") for k in np.flatnonzero(length > 0).tolist()]
 
 
 def _tells(base: Base, columns: Floats) -> float:

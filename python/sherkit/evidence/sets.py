@@ -92,7 +92,7 @@ _PAIR = 2
 _MIXED, _SHAPES = 5, 6
 
 
-_Key = tuple[str, Setting, int]
+_Key = tuple[str, str, Setting, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,9 +117,12 @@ class EffectSet:
     @cached_property
     def each(self) -> Floats:
         """What each other block says beside the set (B,)."""
-        names = set(self.names)
-        mine = np.array([block.name in names for block in self.base.family.blocks], dtype=bool)
-        return np.where(mine, -np.inf, self.base.each)
+        # the other parts of an effect of which one is in the set may say something
+        held = [
+            block.effect is not None and any(one.has(block) or block.has(one) for one in self.blocks)
+            for block in self.base.family.blocks
+        ]
+        return np.where(held, -np.inf, self.base.each)
 
     @cached_property
     def rest(self) -> float:
@@ -320,6 +323,10 @@ class Sets:
             behind = max(_BEHIND, _PART_BEHIND * abs(best)) if np.isfinite(best) else 0.0
             if each[self.family.where(block)] >= best - behind and (one := self.fitted([refined(self.base, block)])):
                 sets.append(one)
+                # where a part of an effect does not explain, all of it may; where all of it does, a part may as well
+                other = self.base.all_or_part(block) if (block.pattern is None) == one.explains else None
+                if other is not None and (one := self.fitted([other])):
+                    sets.append(one)
         return sets
 
     def _pairs(self, sets: Sequence[EffectSet]) -> list[EffectSet]:
@@ -331,16 +338,16 @@ class Sets:
             if names not in pairs or (again and worth > pairs[names][0]):
                 pairs[names] = (worth, one, other)
 
-        # what explains by itself is no half of a pair
-        whole = tuple(one.blocks[0].name for one in sets if one.explains)
+        # what explains by itself is no half of a pair, but a part of it may be
+        whole = [one.blocks[0] for one in sets if one.explains]
         for one in [one for one in sets if not one.explains][:_BESIDE]:
-            for block in likeliest(self.family, one.each, _SECONDS, (*one.names, *whole)):
+            for block in likeliest(self.family, one.each, _SECONDS, one.names, whole):
                 add(one.log_bf + float(one.each[self.family.where(block)]), one.blocks[0], block, again=True)
         of_effects = self._of_effects
-        for first in likeliest(of_effects.family, of_effects.each, _FIRSTS, whole):
+        for first in likeliest(of_effects.family, of_effects.each, _FIRSTS, (), whole):
             beside = of_effects.beside(first)
             alone = float(of_effects.log_bf[of_effects.family.where(first)])
-            for block in likeliest(of_effects.family, beside.each, _THIRDS, (first.name, *whole)):
+            for block in likeliest(of_effects.family, beside.each, _THIRDS, (first.name,), whole):
                 add(alone + float(beside.each[of_effects.family.where(block)]), first, block, again=False)
         out = []
         for _, a, b in sorted(pairs.values(), key=lambda pair: -pair[0])[: self.refits]:
@@ -381,15 +388,20 @@ def _at_sensor(one: EffectSet) -> bool:
 
 def _key(blocks: Sequence[Block]) -> tuple[_Key, ...]:
     # no name stands there twice, unless at two numbers
-    return tuple(sorted((block.name, block.setting or 0.0, block.since) for block in blocks))
+    return tuple(sorted((block.name, block.pattern or "", block.setting or 0.0, block.since) for block in blocks))
 
 
-def likeliest(family: Family, each: Floats, most: int, without: Collection[str] = ()) -> list[Block]:
-    """The likeliest effects of a family, given what each block says (B,), each at its likeliest setting."""
+def likeliest(
+    family: Family, each: Floats, most: int, without: Collection[str] = (), nor: Sequence[Block] = ()
+) -> list[Block]:
+    """The likeliest effects of a family, given what each block says (B,), each at its likeliest setting: ``without``
+    these names, ``nor`` all that these blocks are a part of."""
     best: dict[str, Block] = {}
     for i in np.argsort(-each).tolist():
         block = family.blocks[i]
-        if block.effect is not None and block.name not in without and np.isfinite(each[i]):
+        if block.effect is None or block.name in without or any(block.has(one) for one in nor):
+            continue
+        if np.isfinite(each[i]):
             best.setdefault(block.name, block)
             if len(best) == most:
                 break

@@ -159,6 +159,20 @@ class Effect(Shown):
             Parameter(f"{self.name}.{p.name}", p.symbol or p.name, p.unit, p.size, p.lever_mm) for p in self.parameters
         )
 
+    @property
+    def parts(self) -> dict[str, list[int]]:
+        """The numbers of its parameters by what each is of alone: a limb or a joint by its number, one of what an
+        instrument reads wrong by its own name. None where it has not several, or a number of all."""
+        out: dict[str, list[int]] = {}
+        for k, p in enumerate(self.parameters):
+            limb = p.name.rpartition("_")[2]
+            out.setdefault(limb if limb.isdigit() else p.name if self.link == "sensor" else "", []).append(k)
+        return out if len(out) > 1 and "" not in out else {}
+
+    def of(self, numbers: Sequence[int]) -> Effect:
+        """These numbers of it alone."""
+        return replace(self, parameters=tuple(self.parameters[k] for k in numbers))
+
     def evaluate(self, rows: Any, values: Floats, axes: int) -> Floats:
         """What a NumPy effect adds at its link (n, axes), see :data:`USER_LINKS`.
 

@@ -1,0 +1,168 @@
+"""The rows of an interim check, in which something may have changed since a calibration of which little is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..base import linalg
+from ..base.types import Bools, Floats
+from ..data import Measurements
+from ..evidence.base import Base
+from ..evidence.family import Family, everything
+from ..evidence.run import Run
+from ..evidence.whitening import MOST_IN_COMMON, InCommon, Whitening
+from ..model.base import ModelWithEffects
+from ..model.effect import Effect
+from ..robots.calibrated import Calibration
+from .change_model import About, Change, ChangeRows
+from .courses import ChangeSets, in_parts
+from .pooled_fit import rows_as_run
+from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, stand_of
+
+#: Degrees of freedom of a noise that a calibration knows.
+OF_CALIBRATION = 200
+#: Nothing has changed at the calibration, all of it since.
+SINCE = np.array([0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A calibration as a model about which little is unknown."""
+
+    calibration: Calibration
+    model: Any
+    values: Floats
+    root: Floats
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Known:
+        part: Any = calibration.parts_made[0]
+        model = part.model(calibration.robot)
+        count = len(part.values)
+        values = np.zeros(len(model.parameters))
+        values[:count] = part.values
+        size = np.array([p.size for p in model.parameters])
+        covariance = np.diag(size**2)
+        covariance[:count, :count] = part.covariance
+        # each in its own deviation: where an instrument stands metres away a turn of it is a shift to many digits
+        std = np.sqrt(np.diag(covariance).clip(1e-300))
+        value, vector = linalg.eigh(covariance / np.outer(std, std))
+        return cls(calibration, model, values, std[:, None] * vector * np.sqrt(value.clip(0.0)))
+
+    def corrected(self, data: Measurements, axes: tuple[int, ...]) -> Floats | None:
+        """What is deployed beside the model (n, m), as the sensor saw it; None where nothing is."""
+        by = self.calibration.corrects(data.joints)
+        return by if by is None or by.shape[1] == len(axes) else None
+
+
+@dataclass(frozen=True, eq=False)
+class CheckRows(ChangeRows):
+    """Rows of which all readings are ``used`` (n, m), over what readings scatter by, ``unit``, without the ``part`` of
+    their variance that repeats of a pose share."""
+
+    known: Known
+    data: Measurements
+    axes: tuple[int, ...]
+    part: float
+    unit: float
+    model: ModelWithEffects
+    values: Floats
+    candidates: Sequence[Effect]
+    moved: Sequence[tuple[Change, Floats]] = ()
+
+    @classmethod
+    def of(cls, known: Known, data: Measurements, axes: tuple[int, ...], noise: float, part: float) -> CheckRows:
+        """As the calibration has them, with the ``noise`` of a reading; where nobody knows it, what is left."""
+        model = known.model.for_run(data)
+        made = cls(known, data, axes, part, 1.0, model, known.values, change_candidates(model, [data]))
+        left = float(np.sqrt(np.square(made.stand.residual[made.rows]).mean()))
+        return replace(made, unit=noise * float(np.sqrt(1.0 - part)) or left or 1.0)
+
+    @property
+    def used(self) -> Bools:
+        """Which readings are."""
+        return np.asarray(self.data.used[:, list(self.axes)])
+
+    @property
+    def rows(self) -> Any:
+        """The rows of which all are."""
+        return np.flatnonzero(self.used.all(axis=1))
+
+    @cached_property
+    def stand(self) -> RunPose:
+        """Where the sensor stands, with what has moved in the model."""
+        model, values = self.now(1)
+        return stand_of(model, self.data, values, self.axes, self.used, self.known.corrected(self.data, self.axes))
+
+    def at(self, about: About) -> CheckRows:
+        """As of any rows."""
+        return replace(self, moved=about.sized)
+
+    def over(self, each: Floats) -> Floats:
+        """Values (n, m, …) over the noise; none of what is known of parameters, which stands in rows of its own."""
+        beyond = -(-len(self.known.root) // len(self.axes))
+        return np.concatenate([each[self.rows] / self.unit, np.zeros((beyond, *each.shape[1:]))])
+
+    @cached_property
+    def _columns(self) -> tuple[Floats, dict[str, Floats]]:
+        model, values = self.now(1)
+        every = model.linearised(self.data, values).parameters[:, list(self.axes)]
+        columns = change_columns(model, values, self.data, self.axes, self.candidates, every)
+        places = {p.name: k for k, p in enumerate(model.parameters)}
+        return every[:, :, [places[p.name] for p in self.model.parameters]], columns
+
+    def columns_of(self, effect: Effect, factors: Floats) -> Floats:
+        """As of any rows."""
+        return self.over(factors[1] * self._columns[1][effect.name][:, :, self.numbers(effect)])
+
+    def run(self, changed: Floats | None = None) -> Run:
+        """As of any rows."""
+        own, columns = self._columns
+        count, m, n = len(self.known.root), len(self.axes), len(self.rows)
+        # what is not known of a parameter is a reading of zero, as exact as that
+        unknown, at = self.over(own @ self.known.root), np.arange(count)
+        unknown[n + at // m, at % m, at] = 1.0
+        beyond = len(unknown) - n
+        shared = InCommon(
+            np.concatenate([self.data.groups[self.rows], self.data.groups.max() + 1 + np.arange(beyond)]),
+            np.repeat([np.sqrt(self.part / (1.0 - self.part)), 0.0], [n, beyond]),
+        )
+        free = [unknown, self.over(self.stand.columns)]
+        return rows_as_run(
+            self.over(self.stand.residual), np.concatenate(free if changed is None else [changed, *free], axis=2),
+            [(e, self.over(columns[e.name])) for e in self.candidates],
+            Whitening(0.0, np.ones(n + beyond, dtype=np.int64), None, shared if self.part else None),
+        )  # fmt: skip
+
+    @cached_property
+    def base(self) -> Base:
+        """What is not known, and every change since the calibration."""
+        run = self.run()
+        columns, blocks = everything(run, shapes=False)
+        return Base.of(Family(run, made=(columns, in_parts(blocks))), run)
+
+    def sets(self) -> ChangeSets:
+        """Sets of changes."""
+        return ChangeSets(self, SINCE[None], self.base)
+
+
+def noise_of(known: Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float, int, float]:
+    """The noise of a reading, with its degrees of freedom, and the part of its variance that repeats of a pose share:
+    of this run's repeats and what it declares, else as the calibration knows it; 0 where neither does."""
+    own = noise_of_repeats(data, axes)
+    if own and data.repeatability is not None:
+        names = [data.layout.readings[a] for a in axes]
+        shared = float(np.square(data.pose_sigma[:, list(axes)]).mean())
+        freedom = sum(data.repeatability.degrees_of_freedom.get(name, 0) for name in names)
+        return float(np.hypot(own, np.sqrt(shared))), freedom, min(shared / (own**2 + shared), MOST_IN_COMMON)
+    part: Any = known.calibration.parts_made[0]
+    scatter = np.diag(part.scatter) if part.scatter.size else np.zeros(1)
+    if not scatter.any():
+        scatter = np.diag(part.residual_covariance)
+    same = len(scatter) == len(axes) and part.readings == data.layout.coordinates
+    return float(np.sqrt(scatter.mean())) if same else 0.0, OF_CALIBRATION, 0.0
