@@ -70,15 +70,16 @@ class Run:
     def basis(self) -> Floats:
         """Orthonormal columns (N, rank) of all that is fitted, where the sensor stands among it.
 
-        What no plausible parameters move by a noise of all rows together is none of it: a squareness about an axis that
-        nobody reads would take, at a thousand radians, what a screw does.
+        Where the drawing counts, what no plausible parameters move by a noise of all rows together is none of it: a
+        squareness about an axis that nobody reads would take, at a thousand radians, what a screw does.
         """
         columns = self.flat(self.view.fitted(self.view.whole))
         q = independent(columns)
+        if not self.of.fit.priors:
+            return q
         by_size = (q.T @ columns) * np.array([p.size for p in self.of.fit.parameters])
         turn, moved, _ = linalg.svd(by_size, full_matrices=False)
-        seen = moved * PLAUSIBLE > 1.0
-        return q if seen.all() else q @ turn[:, seen]
+        return q @ turn[:, moved * PLAUSIBLE > 1.0]
 
     @cached_property
     def poses(self) -> Ints:
