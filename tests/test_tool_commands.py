@@ -122,6 +122,22 @@ def test_rows_that_are_missing_are_said(bench_and_run: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_story_says_what_does_not_hold(bench_and_run: Path) -> None:
+    """Catches checks that fail on the page and are silent in the terminal."""
+    wrong, made = bench_and_run / "swapped.csv", bench_and_run / "story.toml"
+    names = {"robot_x_mm": "robot_y_mm", "robot_y_mm": "robot_x_mm"}
+    pl.read_csv(bench_and_run / "run.csv").rename(names).write_csv(wrong)
+    story = ("tool", bench_and_run / "bench.csv", bench_and_run / "free.csv", wrong, "-o", made)
+    said = " ".join(sherkit(*story).output.split())
+    told = json.loads(sherkit(*story, "--json").stdout)
+    failed = [one["tested"] for one in told["diagnosis"]["checks"] if one["holds"] is False]
+    assert failed
+    assert all(f"{one}: no," in said for one in failed)
+    assert told["trust"]["verdict"] != "trusted"
+    assert all(" ".join(one.split()) in said for one in told["trust"]["noticed"])
+
+
+@pytest.mark.slow
 def test_three_tables_make_a_tool(tmp_path: Path) -> None:
     """Catches a step of the story that is left out: clock and creep that no file says; second simulator."""
     world = replace(CONDITIONS["exact_rod"], camera_delay_s=0.02)

@@ -71,6 +71,13 @@ def test_gratings_off_their_zero_feign_no_touch(name: str) -> None:
     assert max(j.ratios) < 1.05, j
 
 
+def test_what_play_leaves_in_section_iii_is_no_fault() -> None:
+    """Catches a sound grating of section III that is left out for good since the hole passed over glue with play."""
+    j = judged("lags 4 %", 24001, "phantom")
+    assert j.lost < 0.01, j
+    assert j.ours.depth_covered > 0.85, j
+
+
 def test_a_fibre_that_fails_is_not_taken_for_section_iii() -> None:
     """Catches the section named whose three gratings stand beside one that is bad."""
     assert faulty(21000, "phantom", "fibre").right

@@ -166,7 +166,7 @@ def run_truth(seed: int) -> NDArray[np.float64]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HONEST)
 def test_every_row_of_the_table_is_covered(name: str) -> None:
-    """Catches a condition in which the 95 % interval of the depth holds 93 % or fewer, or is far too wide: 24 runs.
+    """Catches a condition in which the 95 % interval of depth or tip holds 93 % or fewer, or is far too wide: 24 runs.
 
     These worlds have no friction, no tissue that hardens, nothing at the tip and fibres that never lag; for all of it
     the filter allows: it is too careful here (twice the error), and is not where there are (`wide_honesty.py`).

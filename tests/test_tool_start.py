@@ -50,7 +50,8 @@ def test_a_run_that_begins_inside(seed: int, felt: bool) -> None:
     assert off.max() < 4.0
     assert np.mean(off < 1.96) > 0.95
     if felt:
-        assert e.depth_std_mm[0] < 5.0
+        # the first reading does not tell which gratings live
+        assert e.depth_std_mm[1] < 5.0
     told = trust(e, known(e))
     assert not any("began" in s for s in told.noticed)
 

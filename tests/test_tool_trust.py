@@ -75,9 +75,21 @@ def other_way(run: ToolRun) -> ToolRun:
     return replace(run, position_mm=run.position_mm * np.array([1.0, 1.0, -1.0]))
 
 
+def swapped(run: ToolRun) -> ToolRun:
+    """Its robot's x and y exchanged."""
+    return replace(run, position_mm=np.ascontiguousarray(run.position_mm[:, [1, 0, 2]]))
+
+
+def inverse(run: ToolRun) -> ToolRun:
+    """Its turns base to tool."""
+    return replace(run, turn_rad=-run.turn_rad)
+
+
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
+        (swapped, "robot_x_mm and robot_y_mm are exchanged: with that undone the hole strays by"),
+        (inverse, "are those of the inverse turn"),
         (metres, "are robot_x_mm, robot_y_mm, robot_z_mm in m?"),
         (still, "the same in all rows, to the last digit, while the tool turned"),
         (held, "either its source froze, or it held still"),
@@ -93,6 +105,14 @@ def test_places_that_the_gratings_contradict_are_never_trusted(
     assert said.verdict in ("unknown", "overconfident")
     assert says in said.noticed[0]
     assert said.to_do not in ("", "use the estimate with its deviation")
+
+
+def test_forces_of_the_bench_with_the_other_sign_are_said(sound: Made) -> None:
+    """Catches a tool that bends to the other side than its file says, by both signs of a bench: a tip 7 mm off."""
+    tool, run = sound
+    said = told(replace(tool, gains=(-np.array(tool.gains)).tolist()), blind(run))
+    assert said.verdict != "trusted"
+    assert "or both forces of the bench have the other sign" in said.noticed[0]
 
 
 def test_a_camera_that_contradicts_is_never_trusted(sound: Made) -> None:

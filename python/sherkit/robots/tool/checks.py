@@ -18,7 +18,7 @@ from ...base.figures import listed
 from ...base.types import Floats
 from .alignment import at_times
 from .consistency import NeesConsistency, knowledge, known_of
-from .filters import Estimate
+from .filters import Estimate, tracked
 from .runs import ELSEWHERE_MM, ToolRun
 from .tool import FIBRES, POSITION, TURN
 
@@ -78,8 +78,8 @@ def _robot(e: Estimate) -> RunCheck:
 
 #: Asked is where the depth by the gratings goes by so many of its deviations, and by so much, mm.
 _GOES, _GOES_MM, _FINEST_MM = 4.0, 1.0, 0.05
-#: The robot's motion along the shaft must leave less than this of it.
-_LEAVES = 0.75
+#: The robot's motion along the shaft must leave less than this of it, or than as many deviations.
+_LEAVES = 0.4
 #: A robot that goes by less than this of the depth hardly moved; how many times less it is in metres, and how surely.
 _HARDLY, _METRES, _ALIKE = 0.02, (500.0, 2000.0), 0.7
 _LEAST_ROWS = 50
@@ -102,9 +102,10 @@ def _motion(e: Estimate) -> RunCheck:
     fibres = spread(e.fibre_depth_mm[told] + (e.together.value[:, 0] - e.arc_mm)[told])
     robot = spread(along[told])
     goes, moved, left = (float(np.sqrt(weight @ v**2)) for v in (fibres, robot, fibres - robot))
-    if goes < max(_GOES_MM, _GOES * float(np.sqrt(weight @ std[told] ** 2))):
+    known = _GOES * float(np.sqrt(weight @ std[told] ** 2))
+    if goes < max(_GOES_MM, known):
         return RunCheck(what, None)
-    if left < _LEAVES * goes:
+    if left < max(_LEAVES * goes, known):
         return RunCheck(what)
     alike = float(weight @ (fibres * robot)) / (goes * moved)
     if alike > _ALIKE and _METRES[0] < goes / moved < _METRES[1]:
@@ -211,12 +212,19 @@ _NEARER, _NEAR, _SQUARES = 0.5, 4.0, 0.2
 
 
 def _columns(e: Estimate, truths: list[NeesConsistency]) -> RunCheck:
-    return _check(f"{POSITION[0]} … {TURN[-1]} mean what they are called", exchanged(e, truths))
+    what = f"{POSITION[0]} … {TURN[-1]} mean what they are called"
+    return _check(what, exchanged(e, truths) or across(e))
 
 
 def _of_angles(order: str, run: ToolRun) -> ToolRun:
     """With turns that are three angles about the axes, in an order as scipy names it."""
     return replace(run, turn_rad=scipy.spatial.transform.Rotation.from_euler(order, run.turn_rad).as_rotvec())
+
+
+def _turned_round(run: ToolRun) -> ToolRun:
+    """With the gratings turned by half a turn about the shaft."""
+    of, half = scipy.spatial.transform.Rotation, [0.0, 0.0, np.pi]
+    return replace(run, turn_rad=(of.from_rotvec(run.turn_rad) * of.from_rotvec(half)).as_rotvec())
 
 
 _ANGLES = "robot_rx_rad, robot_ry_rad and robot_rz_rad are roll, pitch and yaw about axes that"
@@ -227,6 +235,8 @@ _UNDONE: dict[str, Callable[[ToolRun], ToolRun]] = {
     ),
     f"{_ANGLES} stand still, and no rotation vector": partial(_of_angles, "xyz"),
     f"{_ANGLES} turn with the tool, and no rotation vector": partial(_of_angles, "XYZ"),
+    "the tool was mounted half a turn about its shaft from how it stood on the bench, or both forces of the bench have "
+    "the other sign": _turned_round,
 }
 
 
@@ -241,16 +251,13 @@ def exchanged(e: Estimate, truths: list[NeesConsistency]) -> list[str]:
     if not (far or tip.verdict == "overconfident" or tip.largest > _ONE_OFF):
         return []
     rows = np.searchsorted(run.time_s, moments, side="right") - 1
-    there, waves = np.asarray(np.isfinite(run.wavelengths_nm).any(axis=1)), np.ascontiguousarray(run.wavelengths_nm)
 
     def squares(tip_mm: Floats) -> Floats:
         return np.asarray(((at_times(run.time_s, tip_mm, moments) - seen) ** 2).sum(axis=1))
 
     own, told = float(squares(e.together.value[:, 1:]).mean()), []
     for what, undone in _UNDONE.items():
-        again = undone(run)
-        tracker = tool.tracker(float(run.time_s[0]), again.poses[0])
-        made = tracker.run(run.time_s, again.poses, run.fibre_times_s, waves, there)
+        made = tracked(tool, undone(run))
         place, spread = made["state"][:, 1:], made["covariance"][rows][:, 1:, 1:]
         after = _off(e, place, moments, seen)
         off = at_times(run.time_s, place, moments) - seen
@@ -262,6 +269,32 @@ def exchanged(e: Estimate, truths: list[NeesConsistency]) -> list[str]:
                 f"{before:.2f} mm"
             )
     return told
+
+
+#: Asked is where the hole strays faster across the shaft, mm/s; with a mistake undone by less than this part of it.
+_STRAYS_MM_S, _STILL = 0.3, 0.4
+
+
+def across(e: Estimate) -> list[str]:
+    """A sentence where the hole stands still across the shaft with such a mistake undone, and else goes with the robot:
+    what the gratings feel of it has a way, which no camera need see."""
+    before = _strays(e.strays_mm_s)
+    if before < _STRAYS_MM_S:
+        return []
+    told = {}
+    for what, undone in _UNDONE.items():
+        told[what] = _strays(np.sqrt(tracked(e.tool, undone(e.run))["inner"][:, 1]))
+    what = min(told, key=lambda one: told[one])
+    if told[what] > _STILL * before:
+        return []
+    return [
+        f"{e.run.source}: {what}: with that undone the hole strays by {told[what]:.2g} mm/s across the shaft, now by "
+        f"{before:.2g} mm/s"
+    ]
+
+
+def _strays(pace_mm_s: Floats) -> float:
+    return float(np.median(pace_mm_s[len(pace_mm_s) // 5 :]))
 
 
 # -- Where a run began, by its first forces, beside where the tool file says that it begins ---------------------------

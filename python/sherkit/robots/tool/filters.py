@@ -156,7 +156,8 @@ class Estimate(Shown):
     the shaft was seen to take the hole along, zero where that may be chance; what is seen grows with the run: its last
     row counts. ``lags`` (n,) is by how much fibres were
     seen to lag behind their bends, over the bend. ``late_s`` (n,) is by how much the robot's rows were seen to be later
-    than the gratings, mostly to a third; where it is positive the tip has been led on by it.
+    than the gratings, mostly to a third; where it is positive the tip has been led on by it. ``strays_mm_s`` (n,) is
+    how fast the edge of the hole was seen to stray from where the motion of the tool has it.
     """
 
     drawn_by: ClassVar[str] = "sherkit.robots.tool.pictures:pictures_of_estimate"
@@ -175,6 +176,7 @@ class Estimate(Shown):
     goes_along: Floats
     lags: Floats
     late_s: Floats
+    strays_mm_s: Floats
 
     def __repr__(self) -> str:
         depth = self.depth.value[:, 0]
@@ -280,15 +282,13 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     Raises :class:`~sherkit.errors.MeasurementError` for a run in which no
     row has wavelengths, or whose wavelengths are in another unit or of another tool.
     """
-    waves = np.where(run.lost_fibres[:, None], np.nan, run.wavelengths_nm)
-    reading = run.new_readings(np.asarray(np.isfinite(run.wavelengths_nm).any(axis=1)))
+    waves, stamps, reading = _readings(tool, run)
     if not reading.any():
         raise MeasurementError(f"{run.source}: no row has wavelengths; there is nothing to estimate from")
     check_wavelengths(waves, np.array(tool.reference_nm), run.source)
-    stamps = np.ascontiguousarray(run.fibre_times_s - tool.fibre_delay_s)
     measured = tool.sensor.measure_batch(stamps, tool.as_if_cold(waves))[0]
     start, pose = float(run.time_s[0]), run.poses[0]
-    told = tool.tracker(start, pose).run(run.time_s, run.poses, stamps, waves, reading)
+    told = tracked(tool, run)
     slides, goes = strayed_mm2(run.position_mm, run.rotations[:, :, 2], run.lost_pose)
     told["covariance"][:, 0, 0] += slides
     told["covariance"][:, [1, 2, 3], [1, 2, 3]] += goes[:, None]
@@ -300,7 +300,23 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     return Estimate(
         tool, run, measured, told["misfit"], chosen.part(DEPTH_PART), chosen.part(TIP_PART), together, told["faulty"],
         told["arc_mm"], paper, inner[:, 2:6], inner[:, 10], inner[:, 11], inner[:, 12],
+        np.sqrt(inner[:, 1]),
     )  # fmt: skip
+
+
+def _readings(tool: FlexibleTool, run: ToolRun) -> tuple[Floats, Floats, Bools]:
+    """Wavelengths (n, 9) without those that froze, when they were taken (n,), s, and rows (n,) that bring new ones."""
+    waves = np.where(run.lost_fibres[:, None], np.nan, run.wavelengths_nm)
+    stamps = np.ascontiguousarray(run.fibre_times_s - tool.fibre_delay_s)
+    return waves, stamps, run.new_readings(np.asarray(np.isfinite(run.wavelengths_nm).any(axis=1)))
+
+
+def tracked(tool: FlexibleTool, run: ToolRun) -> dict[str, Any]:
+    """What a loop would say over the run, as the core gives it."""
+    waves, stamps, reading = _readings(tool, run)
+    start = tool.tracker(float(run.time_s[0]), run.poses[0])
+    told: dict[str, Any] = start.run(run.time_s, run.poses, stamps, waves, reading)
+    return told
 
 
 def _track(told: dict[str, Any]) -> Track:

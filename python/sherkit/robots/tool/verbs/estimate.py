@@ -143,7 +143,6 @@ def _knowledge_cells(truths: list[NeesConsistency]) -> Iterator[tuple[str, ...]]
 
 
 def _json(e: Estimate, judged: list[ErrorStatistics], truths: list[NeesConsistency]) -> dict[str, object]:
-    told = trust(e, truths)
     return {
         "noise": e.tool.noise,
         "run": {k: finite(float(v)) for k, v in summary(e.run).items()},
@@ -157,12 +156,20 @@ def _json(e: Estimate, judged: list[ErrorStatistics], truths: list[NeesConsisten
             }
             for j in judged
         },
-        "trust": {"verdict": told.verdict, "of": told.of, "sentence": told.sentence, "to_do": told.to_do,
-                  "noticed": list(told.noticed), "checks": [asdict(one) for one in told.checks]},
+        "trust": trust_json(e, truths),
         "innovations": finite(e.depth.consistency.ratio),
         "knowledge": knowledge_json(truths),
         "status": status_in_words(e.depth),
         "faults": [{**asdict(f), "sentence": str(f)} for f in e.faults],
+    }  # fmt: skip
+
+
+def trust_json(e: Estimate, truths: list[NeesConsistency]) -> dict[str, object]:
+    """What a run says of itself, for programs."""
+    told = trust(e, truths)
+    return {
+        "verdict": told.verdict, "of": told.of, "sentence": told.sentence, "to_do": told.to_do,
+        "noticed": list(told.noticed), "checks": [asdict(one) for one in told.checks],
     }  # fmt: skip
 
 

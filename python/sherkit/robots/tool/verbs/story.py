@@ -28,7 +28,8 @@ from ..places import TipPlaces
 from ..runs import ToolRun, read_free_motion, read_tool_run, require_camera
 from ..tare import Tare, tare
 from ..tool import FlexibleTool, load_tool
-from .estimate import knowledge_json, print_knowledge, sentences_of, write_tool_report
+from ..trust import trust
+from .estimate import knowledge_json, print_knowledge, sentences_of, trust_json, write_tool_report
 from .loads import calibration_json, print_calibration
 from .register import alignment_json, print_alignment
 
@@ -98,9 +99,12 @@ def tool_story(
     for finding in diagnosis.findings:
         if finding.about in ("tie", "note"):
             output.say(f"   {finding.answer}")
-    for sentence in sentences_of(told):
+    for sentence in (*sentences_of(told), *(str(one) for one in diagnosis.checks if one.holds is False)):
         output.say(f"   {sentence}")
     _say("5. Depth and tip", run)
+    depth = trust(after, known(after)).answer
+    for sentence in (f"{depth.verdict}: {depth.sure[0]}", *depth.sure[1:]):
+        output.say(f"   {sentence}")
     _print_errors(before, after)
     print_knowledge(known(after))
     output.say(f"\nthe tool is in {destination}; estimate the next run with\n  sherkit estimate {destination} {run}")
@@ -148,6 +152,7 @@ def _json(
         "written": list(told.written),
         "kept_out": list(told.kept_out),
         "errors_mm": errors,
+        "trust": trust_json(after, known(after)),
         "knowledge": knowledge_json(known(after)),
         "tool": told.tool.to_tables(),
     }  # fmt: skip

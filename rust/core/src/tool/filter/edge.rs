@@ -21,6 +21,8 @@ const COMPARED_S: f64 = 0.5;
 const MAY_BE_S: f64 = 0.04;
 const STRAYS_MM2: f64 = 0.04;
 const ODDS: f64 = 1.0 / 3.0;
+/// The largest part of strays that goes on as before.
+const MOST_ALIKE: f64 = 0.98;
 /// The pace is taken over this time, and remembered for the other, s.
 const OVER_S: f64 = 0.1;
 const KEPT_S: f64 = 5.0;
@@ -43,9 +45,13 @@ pub(super) struct Edge {
     pub(super) mean: f64,
     pub(super) known_s: f64,
     pub(super) since: Option<Then>,
-    /// Since when strays add up, to what, and the hole's motion aside then, mm/s; sums by which the robot's rows are late: of
-    /// strays by how that motion changed, of its squares, of squares of strays, mm, and of ones.
+    /// Since when strays add up, to what, and the hole's motion aside then, mm/s; the strays before, and how that motion
+    /// changed in them; sums of how strays go with those before, and of squares of these, mm².
     pub(super) strays: Option<(f64, Vector2<f64>, Vector2<f64>)>,
+    pub(super) before: [Vector2<f64>; 2],
+    pub(super) alike: [f64; 2],
+    /// Sums by which the robot's rows are late: of strays by how that motion changed, of its squares, of squares of strays,
+    /// mm, and of ones.
     pub(super) late: [f64; 4],
 }
 
@@ -68,6 +74,8 @@ impl Default for Edge {
             known_s: GUESSED_S,
             since: None,
             strays: None,
+            before: [Vector2::zeros(); 2],
+            alike: [0.0; 2],
             late: [0.0; 4],
         }
     }
@@ -88,11 +96,13 @@ impl Edge {
         (is * mean, is * (variance + (1.0 - is) * mean * mean))
     }
 
-    /// Strays over half a second beside how the motion of the hole aside changed in it: tremor is over by then.
+    /// Strays over half a second beside how the motion of the hole aside changed in it: tremor is over by then. An eye that
+    /// turns strays as it did just before: that part, which is learnt, is taken off both.
     #[inline]
     fn strays(&mut self, strayed: &Vector2<f64>, sideways: &Vector2<f64>, time_s: f64) {
         let Some((since_s, sum, before)) = self.strays else {
             self.strays = Some((time_s, Vector2::zeros(), *sideways));
+            self.before = [Vector2::zeros(); 2];
             return;
         };
         let sum = sum + strayed;
@@ -101,8 +111,17 @@ impl Edge {
             return;
         }
         self.strays = Some((time_s, Vector2::zeros(), *sideways));
-        let faster = sideways - before;
         let keeps = (1.0 - (time_s - since_s) / LATE_S).max(0.0);
+        let now = [sum, sideways - before];
+        let last = core::mem::replace(&mut self.before, now);
+        let [goes, all] = self.alike;
+        self.alike = [
+            keeps * goes + sum.dot(&last[0]),
+            keeps * all + last[0].norm_squared(),
+        ];
+        let alike = self.alike[0] / (self.alike[1] + STRAYS_MM2);
+        let alike = alike.clamp(0.0, MOST_ALIKE);
+        let [sum, faster] = [0, 1].map(|i| now[i] - last[i] * alike);
         let [with, own, square, n] = self.late.map(|x| x * keeps);
         let [more, squared] = [sum.dot(&faster), 0.5 * sum.norm_squared()];
         self.late = [

@@ -8,7 +8,7 @@
 
 use super::ToolFilter;
 use super::moments::{GRATINGS, Moments, Shifts, of_section, tells};
-use super::offsets::APART_NM;
+use super::offsets::{APART_NM, PLAY_NM2};
 use super::reading::{Said, say};
 use super::slips::Slips;
 use super::state::{L, OFFSETS, State, TURN};
@@ -114,7 +114,9 @@ impl ToolFilter {
             let spread = (others[0] * by_bend[0] + others[1] * by_bend[1]) / (some * some);
             told[1] = (mean - both) * (mean - both) / (2.0 * own + spread);
         }
-        let own = 3.0 * own + (mean * d.unlike) * (mean * d.unlike) + TIP_NM * TIP_NM;
+        // a hole that passed over glue with play has left a bend
+        let left = TIP_NM * TIP_NM + self.offsets.lag * PLAY_NM2;
+        let own = 3.0 * own + (mean * d.unlike) * (mean * d.unlike) + left;
         (told[2], told[3]) = (across * across * 0.5 / own, twice * twice / 6.0 / own);
         told
     }
@@ -188,6 +190,10 @@ impl ToolFilter {
             self.suspect(&shifts, silent, elapsed);
         }
         let mut said = self.say(&m);
+        if self.felt.is_none() {
+            // a first reading does not tell whether its gratings live
+            said.off = None;
+        }
         self.look.misfit = said.misfit;
         if open {
             (m, said, open) = self.doubt(&shifts, out, m, said);

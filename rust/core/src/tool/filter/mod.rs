@@ -35,7 +35,7 @@ use super::rod::Shaft;
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use state::{BENCH, CLEARANCE, DEEPER, L, N, State};
 
 /// A stamp further ahead of the present than this is a wild number and no clock, s; a step is no longer than the other.
@@ -142,7 +142,7 @@ impl ToolFilter {
                 hole: pose.translation - pose.rotation.column(2) * depth_mm,
                 beyond: 0.0,
                 speed: Vector3::zeros(),
-                speed2: 0.0,
+                speeds: Matrix3::zeros(),
                 slide: 0.0,
                 sideways: Vector2::zeros(),
                 slid: 0.0,

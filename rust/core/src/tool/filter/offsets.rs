@@ -34,7 +34,7 @@ const SHOWS: f64 = 81.0;
 const BEFORE: f64 = 4e-5;
 const BEFORE_NM4_S: f64 = 0.005;
 /// Glue with play follows the least bend by as much too late as a large one, squared, nm²: of a middle bend.
-const PLAY_NM2: f64 = 1.0;
+pub(super) const PLAY_NM2: f64 = 1.0;
 /// How much of it a bend may leave, squared; how much of it, squared, one section lags unlike the other.
 const LEFT: f64 = 1.0 / 7.0;
 const UNLIKE: f64 = 1.0 / 32.0;

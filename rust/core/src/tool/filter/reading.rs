@@ -130,12 +130,12 @@ pub(super) fn say(
     };
     let (mut misfit, mut by_depth, mut off, mut lasting) = (0.0, 0.0, None, 0.0);
     // moments of no force, and gratings that differ in warmth, push nobody
-    let (mut unsure, mut apart) = (noise + tip.unsure(), 0.0);
+    let mut unsure = noise + tip.unsure();
     for i in 0..2 {
-        let w = by_moments[i] * by_moments[i];
-        unsure += s.p[OFFSETS + 2 * i][OFFSETS + 2 * i] * w;
-        apart += APART_NM * APART_NM * g.per_nm[i] * w;
+        unsure += s.p[OFFSETS + 2 * i][OFFSETS + 2 * i] * by_moments[i] * by_moments[i];
     }
+    let per_noise = APART_NM * APART_NM / g.noise;
+    let apart = noise * per_noise;
     let over = size * size / (DETECTED * DETECTED);
     let leans = over > unsure && noise > 0.0;
     if leans && over > unsure + apart {
@@ -159,6 +159,10 @@ pub(super) fn say(
             lasting = tip.lasting() * (depth / size) * (depth / size);
             lasting += on[0].norm_squared() * o.lagging(g, 0);
             lasting += on[1].norm_squared() * o.lagging(g, 1);
+            // what is left of a section that lost a grating turns its warmth into a moment
+            if !(m.whole[0] && m.whole[1]) {
+                lasting += per_noise / told;
+            }
             by_depth = turned.dot(&way);
             let beyond = s.x[L] + s.x[DEEPER] - short - depth;
             off = Some((delta - beyond, s.see(&h, 1.0 / told + LASTS * lasting)));

@@ -11,7 +11,7 @@
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
 use crate::tool::rod::Shaft;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Numbers of the state, and their places: `l` (mm), clearance (mm), what the hole gives way (mm/mN), the gratings' turn
 /// about the shaft (rad), four moments of no force (mN·mm), how much deeper the gratings count (mm); never learnt, three of
@@ -53,9 +53,10 @@ pub(super) struct State {
     /// The hole (base frame) when it was last felt; how far beyond its clearance the shaft went since, mm.
     pub(super) hole: Vector3<f64>,
     pub(super) beyond: f64,
-    /// How fast the robot goes, mm/s, and squared, the shaft slides in, and the hole goes aside of the tool, mm/s; how far the shaft slid in since a depth was told, mm.
+    /// How fast the robot goes, mm/s, and products of that, the shaft slides in, and the hole goes aside of the tool, mm/s;
+    /// how far the shaft slid in since a depth was told, mm.
     pub(super) speed: Vector3<f64>,
-    pub(super) speed2: f64,
+    pub(super) speeds: Matrix3<f64>,
     pub(super) slide: f64,
     pub(super) sideways: Vector2<f64>,
     pub(super) slid: f64,
@@ -157,7 +158,7 @@ impl State {
             self.speed += (gone - self.speed) * share;
             self.sideways += ((there.xy() - self.aside) / elapsed - self.sideways) * share;
             let share = elapsed / (elapsed + DOUBTS_S);
-            self.speed2 += (gone.norm_squared() - self.speed2) * share;
+            self.speeds += (gone * gone.transpose() - self.speeds) * share;
             self.slide += ((-there.z - self.x[L]) / elapsed - self.slide) * share;
         }
         self.aside = there.xy();

@@ -84,9 +84,6 @@ impl ToolFilter {
         let unsure = unsure + 3.0 * late * late;
         let axes = &s.pose.rotation;
         sum[(0, 0)] += unsure * s.slide * s.slide;
-        for k in 1..4 {
-            sum[(k, k)] += 0.5 * unsure * s.speed2;
-        }
         for k in 1..3 {
             sum[(k, k)] += self.tip.unsure() * gives * gives;
         }
@@ -95,6 +92,9 @@ impl ToolFilter {
         base.fixed_view_mut::<3, 3>(1, 1).copy_from(&turn);
         let turned = base * sum * base.transpose();
         let mut covariance = (turned + turned.transpose()) * 0.5;
+        // a late robot puts the tip off along its way and nowhere else; of a tremor nobody knows the way so well
+        let mut of_tip = covariance.fixed_view_mut::<3, 3>(1, 1);
+        of_tip += s.speeds * (1.5 * unsure);
         for k in 0..4 {
             covariance[(k, k)] = covariance[(k, k)].max(0.0);
         }

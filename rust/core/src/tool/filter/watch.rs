@@ -43,7 +43,7 @@ impl Watch {
             last: [f64::NAN; GRATINGS],
             at_s: f64::NEG_INFINITY,
             places: core::array::from_fn(|k| k),
-            repeats: [0; GRATINGS],
+            repeats: [REPEATS; GRATINGS],
             jitter,
             sums: [0.0; HYPOTHESES],
             leader: 0,
@@ -95,7 +95,8 @@ impl Watch {
             } else {
                 silent |= 1 << k;
             }
-            let same = u8::from(peaks[k] == self.last[k]);
+            // one that has never moved may be dead
+            let same = u8::from(peaks[k] == self.last[k] || self.last[k].is_nan());
             self.repeats[k] = same * self.repeats[k].saturating_add(1);
             still |= Set::from(self.repeats[k] >= REPEATS) << k;
         }
