@@ -75,7 +75,7 @@ class Run:
         """
         columns = self.flat(self.view.fitted(self.view.whole))
         q = independent(columns)
-        if not self.of.fit.priors:
+        if not isinstance(self.of, FittedRun) or not self.of.fit.priors:
             return q
         by_size = (q.T @ columns) * np.array([p.size for p in self.of.fit.parameters])
         turn, moved, _ = linalg.svd(by_size, full_matrices=False)
