@@ -137,9 +137,13 @@ class Region:
     def _drawn(self, count: int, points: Any) -> PosesToDrive:
         found: list[PosesToDrive] = []
         for _ in range(_ROUNDS):
-            at = self.low + np.asarray(points(max(_AT_ONCE, count))) * (self.high - self.low)
+            part, robot = np.asarray(points(max(_AT_ONCE, count))), self.model.robot
+            at = self.low + part * (self.high - self.low)
+            if self.names == self.layout.joints and hasattr(robot, "joints_at"):
+                # those that go together are drawn together, of which a box leaves a part
+                at = robot.joints_at(part)
             places, within = self.reached(at)
-            found.append(places.pick(within))
+            found.append(places.pick(within & ((at >= self.low) & (at <= self.high)).all(axis=1)))
             if sum(map(len, found)) >= count:
                 break
         out = PosesToDrive(np.concatenate([p.joints for p in found]), np.concatenate([p.targets for p in found]))
@@ -167,6 +171,8 @@ class Region:
         joints = np.where(np.isfinite(joints), joints, 0.0)
         if (limits := getattr(robot, "joint_limits", None)) is not None:
             within &= ((joints >= limits[0]) & (joints <= limits[1])).all(axis=1)
+        if hasattr(robot, "may_stand"):
+            within &= robot.may_stand(joints, _ROUNDING)
         targets = np.full((len(at), len(self.targets)), np.nan)
         if within.any():
             rows = planned(joints[within], self.layout)

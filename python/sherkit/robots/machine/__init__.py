@@ -57,11 +57,13 @@ class Machine(MachineDescription):
     ``function(joints, p)`` gives the readings (n, m) for joint readings (n, k), p holding the parameters by name
     (``p.squareness``), all zero for the machine as drawn. ``joints`` and ``readings`` name the columns of its runs,
     with units at their ends (``x_axis_mm``, ``theta_rad``); readings share one unit. ``joints`` may map names to the
-    range over which each goes: where not, ±100 mm or ±1 rad are taken. ``parameters`` map names to unit and plausible
-    size. ``derivative(joints, p)``, if given, is that of the readings by the parameters (n, m, p); left out, complex
-    steps are taken where the function allows them, else differences. ``name`` is what the machine is called, by default
-    the file in which the function stands. ``columns`` gives the names that its runs have by those of the machine,
-    ``{"x_axis_mm": "X cmd"}``, where they are others (:func:`~sherkit.data.read_measurements`).
+    range over which each goes: where not, ±100 mm or ±1 rad are taken; ``("y_left_mm", -3.0, 3.0)`` is one that stands
+    within 3 mm of another, as two motors of one beam do, and poses that are proposed keep to that. ``parameters`` map
+    names to unit and plausible size. ``derivative(joints, p)``, if given, is that of the readings by the parameters (n,
+    m, p); left out, complex steps are taken where the function allows them, else differences. ``name`` is what the
+    machine is called, by default the file in which the function stands. ``columns`` gives the names that its runs have
+    by those of the machine, ``{"x_axis_mm": "X cmd"}``, where they are others
+    (:func:`~sherkit.data.read_measurements`).
 
     Where readings are x, y and z of one point, mm (``x_mm``, or ``ball_x_mm`` …), the instrument may stand anywhere:
     the function says where the point is in the axes of the machine, and ``sensor_pose`` is ``"free"``, found with the

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ...base import linalg
 from ...base.figures import in_small_units, listed
 from ...base.notebook import Saved, Shown
-from ...base.types import Floats
+from ...base.types import Bools, Floats
 from ...data.columns import TEMPERATURE, TIME, Layout, know_unit, unit_in
 from ...data.toml import Table
 from ...errors import FitError, NotConverged, RobotError
@@ -31,8 +31,10 @@ _RANGE = {"mm": 100.0, "um": 1e5, "m": 0.1, "rad": 1.0, "mrad": 1e3, "deg": 60.0
 _POSES = {"free": SensorPose(shift_sd_mm=FREE, turn_sd_deg=FREE), "held": OWN_AXES}
 _RESERVED = (TIME, TEMPERATURE, "pose", "repeat", "outlier")
 
-#: Names, or names with the range over which a joint goes.
-Joints = Sequence[str] | Mapping[str, tuple[float, float]]
+#: The range over which a joint goes; or another that it goes with, and how far it may be from that.
+Range = tuple[float, float] | tuple[str, float, float]
+#: Names, or names with ranges.
+Joints = Sequence[str] | Mapping[str, Range]
 #: Names with unit and plausible size.
 Parameters = Mapping[str, tuple[str, float]]
 
@@ -79,7 +81,10 @@ class MachineDescription(Saved, Shown):
         if not isinstance(self.columns, Mapping) or not all(isinstance(one, str) for one in self.columns.values()):
             raise RobotError(f"columns: expected names of the file by those of the machine, got {self.columns!r}")
         object.__setattr__(self, "sensor_pose", self._stands(self.sensor_pose))
-        if (self.box[:, 0] >= self.box[:, 1]).any() or not np.isfinite(self.box).all():
+        for name, other in self._others.items():
+            if other not in self.joint_names or other in self._others:
+                raise RobotError(f"joints: {name} goes with '{other}', which is no joint with a range of its own")
+        if (self.ends[:, 0] >= self.ends[:, 1]).any() or not np.isfinite(self.ends).all():
             raise RobotError(f"joints: expected a range with its lower end first for each, got {self.joints}")
 
     def _stands(self, told: object) -> SensorPose:
@@ -105,14 +110,45 @@ class MachineDescription(Saved, Shown):
         """Columns of the joints."""
         return tuple(self.joints)
 
+    @property
+    def _others(self) -> dict[str, str]:
+        """With which other joint one goes, by name."""
+        ranges = self.joints.items() if isinstance(self.joints, Mapping) else ()
+        return {name: str(one[0]) for name, one in ranges if len(one) == 3}
+
     @cached_property
-    def box(self) -> Floats:
-        """Where each joint may stand (k, 2), in its unit."""
+    def ends(self) -> Floats:
+        """Where each joint may stand (k, 2), in its unit: of one that goes with another, how far from that."""
         if isinstance(self.joints, Mapping):
-            ranges = [tuple(map(float, one)) for one in self.joints.values()]
+            ranges = [tuple(map(float, one[-2:])) for one in self.joints.values()]
         else:
             ranges = [(-_RANGE.get(unit_in(n), 1.0), _RANGE.get(unit_in(n), 1.0)) for n in self.joints]
         return np.array(ranges, dtype=float).reshape(-1, 2)
+
+    @cached_property
+    def box(self) -> Floats:
+        """Where each joint may stand (k, 2), in its unit, wherever the others are."""
+        return self.ends + self._of_others(self.ends)
+
+    def joints_at(self, part: Floats) -> Floats:
+        """Joints (n, k) at these parts, 0 … 1, of their ranges, those that go together together."""
+        low, high = self.ends.T
+        joints = low + part * (high - low)
+        return np.asarray(joints + self._of_others(joints.T).T)
+
+    def may_stand(self, joints: Floats, slack: float = 1e-6) -> Bools:
+        """Which joints (n, k) are within their ranges, give or take a part of these."""
+        own = joints - self._of_others(joints.T).T
+        low, high = self.ends.T
+        beyond = slack * (high - low)
+        return np.asarray(((own >= low - beyond) & (own <= high + beyond)).all(axis=1))
+
+    def _of_others(self, values: Floats) -> Floats:
+        """Of values (k, …) of joints, those of the joint that each goes with; zero for one that goes by itself."""
+        out, names = np.zeros(values.shape), self.joint_names
+        for name, other in self._others.items():
+            out[names.index(name)] = values[names.index(other)]
+        return out
 
     @cached_property
     def layout(self) -> Layout:
@@ -162,8 +198,9 @@ class MachineDescription(Saved, Shown):
     def asked(self) -> UserFunction:
         """Its function, asked with care."""
         return UserFunction(
-            self.name, self.function, self.derivative, self.joint_names, tuple(self.readings), self.own, self.box
-        )
+            self.name, self.function, self.derivative, self.joint_names, tuple(self.readings), self.own, self.box,
+            self.joints_at,
+        )  # fmt: skip
 
     # -- as a robot ------------------------------------------------------------------------------------------
 

@@ -128,7 +128,8 @@ _ROWS, _SEED = 32, 7
 class UserFunction:
     """Readings (n, m) of a machine for its joints (n, k) and values (p,) of its ``parameters``.
 
-    ``box`` (k, 2) is where the joints may stand: derivatives are tried there, once.
+    ``box`` (k, 2) is where the joints may stand, and ``joints_at`` gives those at parts (n, k) of their ranges:
+    derivatives are tried there, once.
     """
 
     name: str
@@ -138,6 +139,7 @@ class UserFunction:
     readings: tuple[str, ...]
     parameters: tuple[Parameter, ...]
     box: Floats = field(repr=False)
+    joints_at: Callable[[Floats], Floats] = field(repr=False, compare=False)
 
     def __call__(self, joints: NDArray[Any], values: NDArray[Any]) -> Floats:
         """Readings (n, m), NaN where the function has none. Raises :class:`~sherkit.errors.FitError`."""
@@ -218,8 +220,7 @@ class UserFunction:
     @cached_property
     def somewhere(self) -> Floats:
         """Joints (n, k) at random within their box."""
-        low, high = self.box.T
-        return np.asarray(low + (high - low) * np.random.default_rng(_SEED).uniform(size=(_ROWS, len(low))))
+        return self.joints_at(np.random.default_rng(_SEED).uniform(size=(_ROWS, len(self.box))))
 
     @cached_property
     def _steps(self) -> InputSteps:

@@ -97,7 +97,9 @@ class MachineModel(ChainModel):
 
     def joint_ranges(self) -> dict[str, tuple[float, float]]:
         """Each joint's own, where they were given."""
-        return dict(self.robot.joints) if isinstance(self.robot.joints, Mapping) else {}
+        if not isinstance(self.robot.joints, Mapping):
+            return {}
+        return {name: (low, high) for name, (low, high) in zip(self.robot.joints, self.robot.box.tolist(), strict=True)}
 
     # -- where a fit begins --------------------------------------------------------------------------------
 
@@ -150,11 +152,16 @@ class MachineModel(ChainModel):
         super().check_effect(effect, data, values)
 
     def reachable(self, data: Measurements, values: Floats) -> Reachable | None:
-        """Joints spread evenly over where the run was, rounded to what a person types."""
-        low, high = data.joints.min(axis=0), data.joints.max(axis=0)
-        spread = scipy.stats.qmc.Halton(len(low), scramble=False).random(_POSES + 1)[1:]
+        """Joints of the run and such as lie between two of its poses, rounded to what a person types: those that go
+        together, as the two motors of a gantry's beam, go together there, and a box of their ranges would rack it."""
+        one, other, part = scipy.stats.qmc.Halton(3, scramble=False).random(_POSES + 1)[1:].T
+        went = data.joints[~data.outlier] if not data.outlier.all() else data.joints
+        first, second = (went[(each * len(went)).astype(np.int64)] for each in (one, other))
+        # every second one is where the run was, so that its ends are among them
+        share = np.where(np.arange(_POSES) % 2, part, 0.0)[:, None]
         digits = [_DIGITS.get(unit_in(name), 4) for name in self.robot.joint_names]
-        joints = np.column_stack([np.round(c, d) for c, d in zip((low + (high - low) * spread).T, digits, strict=True)])
+        between = first + share * (second - first)
+        joints = np.column_stack([np.round(c, d) for c, d in zip(between.T, digits, strict=True)])
         rows = data.unmeasured(joints)
         shown, reached = self.core_for(rows).predict(self.full(values), self.block(rows))
         if not reached.any():
