@@ -74,6 +74,36 @@ def test_every_way_to_write_a_turn_is_the_same() -> None:
     np.testing.assert_allclose(np.linalg.norm(apart[:, 1:] - apart[:, :1], axis=2), 100.0, rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        (lambda q: np.roll(q, 1, axis=1), "they are read as a quaternion, its real part first"),
+        (lambda q: q * [-1, -1, -1, 1], "they are read as .* from the instrument's axes to the tool's"),
+    ],
+)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_quaternion_written_otherwise_is_read_as_it_is(written: Any, said: str, seed: int) -> None:
+    """Catches the scalar first under qx, qy, qz, qw taken for the turn the other way: both fit the turns between poses,
+    and one of them the places as well."""
+    frame = measured(arm(), seed, rows=20)
+    names = ("qx", "qy", "qz", "qw")
+    other = frame.with_columns(**dict(zip(names, written(frame[list(names)].to_numpy()).T, strict=True)))
+    with pytest.warns(SherkitWarning, match=said):
+        _, run = points_of_poses(arm(), sk.from_frame(other))
+    _, meant = points_of_poses(arm(), sk.from_frame(frame))
+    np.testing.assert_allclose(run.readings[:, :3], meant.readings[:, :3], atol=1e-9)
+
+
+def test_degrees_under_radians_are_degrees() -> None:
+    """Catches "are the joints those of this arm?" where rotation vectors are in degrees under names of radians."""
+    frame = measured(arm(), 1, rows=20)
+    names = {f"r{axis}_deg": f"r{axis}_rad" for axis in "xyz"}
+    with pytest.warns(SherkitWarning, match="read as a rotation vector, in deg"):
+        _, run = points_of_poses(arm(), sk.from_frame(as_vectors(frame, "deg").rename(names)))
+    _, meant = points_of_poses(arm(), sk.from_frame(frame))
+    np.testing.assert_allclose(run.readings[:, :3], meant.readings[:, :3], atol=1e-9)
+
+
 def test_the_turn_of_a_tool_tells_more_than_its_place() -> None:
     """Catches points that lie elsewhere in the hand: three tell more of the arm than a place alone, and leave the noise
     of the instrument."""
@@ -127,6 +157,8 @@ def test_declared_noise_of_places_is_left_out() -> None:
         (lambda f: f.with_columns(qw=pl.col("qw") + 0.5), "expected a quaternion of length one, found"),
         (lambda f: f.with_columns(qx=pl.lit("a")), "qx: expected a number"),
         (lambda f: f.with_columns(target=pl.lit(1.0)), "this arm has other targets already"),
+        (lambda f: f.with_columns(pl.col("x_mm", "y_mm", "z_mm") / 1e3), "look like metres: places lie .* multiply by"),
+        (lambda f: f.with_columns(pl.col("x_mm", "y_mm", "z_mm") / 25.4), "look like inches"),
     ],
 )
 def test_what_is_no_pose_is_refused(change: Any, said: str) -> None:

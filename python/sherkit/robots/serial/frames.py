@@ -108,6 +108,8 @@ _LENGTH = 1e-3
 #: Sets of poses that are compared; an arm whose zeros are off turns by other angles, but not by so many rad; by so
 #: much better must a convention fit than what the names say, where that is off by more than this.
 _PAIRS, _FITS, _BETTER, _OFF, _ALIKE = 2000, 0.06, 4.0, 0.004, 1.001
+#: By so much better must turns go with the places, where they go with the joints as well in another convention.
+_TURNS_WITH = 2.0
 
 
 def _rotation() -> Any:
@@ -123,10 +125,12 @@ class Turns:
 
 
 def turns_of(
-    numbers: Callable[[Sequence[str]], Floats], names: Sequence[str], drawn: Floats | None, source: str
-) -> Turns | None:
+    numbers: Callable[[Sequence[str]], Floats], names: Sequence[str], drawn: Floats | None, source: str,
+    stand: Floats | None = None,
+) -> Turns | None:  # fmt: skip
     """The turns that columns of a table tell, ``numbers`` giving those of some (n, ·), for an arm whose tool as drawn
-    is turned by ``drawn`` (n, 3, 3), None where no joints tell that; None where no columns do. What names leave open,
+    is turned by ``drawn`` (n, 3, 3), None where no joints tell that, before an instrument of which places tell how it
+    ``stand``s, the turn (3, 3) of the base's axes in its own; None where no columns do. What names leave open,
     and what they say and does not fit the arm, is said in a :class:`~sherkit.errors.SherkitWarning`.
 
     Raises :class:`~sherkit.errors.MeasurementError` for a quaternion that is not of length one and a matrix that does
@@ -142,10 +146,10 @@ def turns_of(
                     f"{source}: {', '.join(columns)}: expected a quaternion of length one, found "
                     f"{float(np.linalg.norm(q[off][0])):.4g} in row {int(np.argmax(off))}"
                 )
-            q = q if wanted == QUATERNION else np.roll(q, -1, axis=1)
-            return Turns(
-                _checked({"a quaternion": _rotation().from_quat(q).as_matrix()}, drawn, source, columns), columns
-            )
+            first, last = "a quaternion, its real part first", "a quaternion, its real part last"
+            orders = [(last, q), (first, np.roll(q, -1, axis=1))][:: 1 if wanted == QUATERNION else -1]
+            read = {name: np.asarray(_rotation().from_quat(one).as_matrix()) for name, one in orders}
+            return Turns(_checked(read, (drawn, stand), source, columns), columns)
     if columns := _of_matrix(names)[0]:
         m = numbers(columns).reshape(-1, 3, 3)
         apart = np.abs(m @ m.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
@@ -154,7 +158,9 @@ def turns_of(
                 f"{source}: {', '.join(columns)}: expected the matrix of a turn; that of row {int(np.argmax(off))} is "
                 "none"
             )
-        return Turns(_checked({"a matrix": _rotation().from_matrix(m).as_matrix()}, drawn, source, columns), columns)
+        return Turns(
+            _checked({"a matrix": _rotation().from_matrix(m).as_matrix()}, (drawn, stand), source, columns), columns
+        )
     for wanted in (VECTOR, *_NAMED):
         if not set(wanted) <= set(told):
             continue
@@ -162,10 +168,13 @@ def turns_of(
         units = {header_unit(name)[1] for name in columns}
         if len(units) > 1 or not units <= {*_SCALES}:
             raise MeasurementError(f"{source}: {', '.join(columns)}: expected angles, all in rad or all in deg")
-        angles, axes = _SCALES[units.pop()] * numbers(columns), _NAMED.get(wanted, "")
+        unit, axes = units.pop() or "deg", _NAMED.get(wanted, "")
         ways = {_called(axes): (axes, [0, 1, 2])} | _ways()
-        every = {name: _matrices(axes, angles[:, order]) for name, (axes, order) in ways.items()}
-        return Turns(_checked(every, drawn, source, columns), columns)
+        every: dict[str, Floats] = {}
+        for one in (unit, "deg" if unit == "rad" else "rad"):
+            angles, added = _SCALES[one] * numbers(columns), "" if one == unit else f", in {one}"
+            every |= {f"{name}{added}": _matrices(axes, angles[:, order]) for name, (axes, order) in ways.items()}
+        return Turns(_checked(every, (drawn, stand), source, columns), columns)
     return None
 
 
@@ -214,8 +223,12 @@ def _ways() -> dict[str, tuple[str, list[int]]]:
     return out
 
 
-def _checked(ways: Mapping[str, Floats], drawn: Floats | None, source: str, columns: Sequence[str]) -> Floats:
-    """The turns of the way that fits the arm: the first unless another fits far better, the other way round too."""
+def _checked(
+    ways: Mapping[str, Floats], known: tuple[Floats | None, Floats | None], source: str, columns: Sequence[str]
+) -> Floats:
+    """The turns of the way that fits the arm: the first unless another fits far better, the other way round too.
+    ``known`` are the drawing's, and how the instrument stands."""
+    drawn, stand = known
     if drawn is None:
         return next(iter(ways.values()))
     every = dict(ways) | {
@@ -225,8 +238,10 @@ def _checked(ways: Mapping[str, Floats], drawn: Floats | None, source: str, colu
     few = np.random.default_rng(0).integers(len(drawn), size=(_PAIRS, 4))
     wanted = _angles(drawn, few)
     off = {name: float(np.median(np.abs(_angles(m, few) - wanted))) for name, m in every.items()}
-    # of two that differ by how axes are called alone, the first
-    best = next(name for name in every if off[name] <= _ALIKE * min(off.values()))
+    # of two that differ by how axes are called alone, the first; of others that which turns with the places
+    alike = [name for name in every if off[name] <= _ALIKE * min(off.values())]
+    apart = {name: _apart(every[name], drawn, stand) for name in alike}
+    best = next(name for name in alike if apart[name] <= _TURNS_WITH * min(apart.values()) + _OFF)
     if off[usual] > _OFF and _BETTER * off[best] < off[usual] and off[best] < _FITS:
         chosen, further = best, f"; they are read as {best}, which fits ({np.rad2deg(off[best]):.2g}°)"
     elif off[usual] > _FITS:
@@ -244,6 +259,17 @@ def _checked(ways: Mapping[str, Floats], drawn: Floats | None, source: str, colu
         stacklevel=2,
     )
     return every[chosen]
+
+
+def _apart(m: Floats, drawn: Floats, stand: Floats | None) -> float:
+    """How far turns (n, 3, 3) are from those of the drawing, rad in the middle, but for how the tool is held; zero
+    where nobody knows how the instrument stands."""
+    if stand is None:
+        return 0.0
+    held = np.einsum("nab,nbc->nac", (stand @ drawn).transpose(0, 2, 1), m)
+    u, _, v = np.linalg.svd(held.sum(axis=0))
+    cosine = 0.5 * (np.einsum("ab,nab->n", u @ v, held) - 1.0)
+    return float(np.median(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def _angles(m: Floats, few: Ints) -> Floats:

@@ -22,9 +22,12 @@ from ...data.frames import clean, to_polars
 from ...data.reader import RunLike, checked, csv_blocks
 from ...data.tables import PARQUET, read_parquet
 from ...errors import MeasurementError, SherkitWarning
+from ...fit.set_up_hypotheses import UNITS
 from .frames import QUATERNION, of_rpy, place_in_matrix, triple, turns_of
 from .robot import POSITION, TARGET, Serial
 
+#: Pairs of places that are compared, and by what part they may differ from the drawing's and be the same.
+_PAIRS, _ALIKE = 2000, 1.3
 #: What controllers call the readings of the joints, before the number of each.
 _JOINTS = re.compile(r"(?:joint|axis|achse|j|a|q)[\s_]*([1-9])")
 
@@ -44,7 +47,8 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
     places alone tell them.
 
     Raises :class:`~sherkit.errors.MeasurementError` for columns that are none of these or not numbers, for a
-    quaternion that is not of length one, and for an arm that carries other targets already.
+    quaternion that is not of length one, for places in another unit than their columns say, and for an arm that carries
+    other targets already.
     """
     data = _read(arm, run)
     if data.layout != arm.layout:
@@ -59,8 +63,11 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
     if len(without):
         raise MeasurementError(f"{data.place(without)}: a full pose needs {', '.join(POSITION)} as well as a turn")
     frame = data.to_frame()
-    drawn = np.array([arm.tool_frame(q)[:3, :3] for q in data.joints])
-    found = turns_of(partial(_numbers, data), frame.columns, drawn, data.source)
+    drawn = np.array([arm.tool_frame(q) for q in data.joints])
+    place = data.readings[:, : data.coordinates]
+    _require_mm(data, place, drawn[:, :3, 3])
+    stand = _rigid(drawn[:, :3, 3], place)
+    found = turns_of(partial(_numbers, data), frame.columns, drawn[:, :3, :3], data.source, stand)
     if found is None:
         raise MeasurementError(
             f"{data.source}: no columns tell the turn of a pose; expected rx_rad, ry_rad, rz_rad or rx_deg, ry_deg, "
@@ -76,7 +83,6 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
             SherkitWarning,
             stacklevel=2,
         )
-    place = data.readings[:, : data.coordinates]
     points = np.stack([place, place + lever_mm * turns[:, :, 0], place + lever_mm * turns[:, :, 1]], axis=1)
     frame = frame.drop(*names, *dropped)
     frame = frame[np.repeat(np.arange(len(data)), 3)]
@@ -86,6 +92,27 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
     x, y = (np.array(arm.target_mm) + lever_mm * held[:, k] for k in range(2))
     with_three = replace(arm, more_targets_mm=(triple(x), triple(y)))
     return with_three, clean(frame, data.source, np.repeat(data.line, 3), data.counted)
+
+
+def _rigid(drawn: Floats, place: Floats) -> Floats:
+    """The turn (3, 3) that brings the places of a drawing (n, 3) to those that were read (Kabsch, "A solution for the
+    best rotation to relate two sets of vectors", Acta Cryst. A 1976)."""
+    u, _, v = np.linalg.svd((place - place.mean(axis=0)).T @ (drawn - drawn.mean(axis=0)))
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)
+
+
+def _require_mm(data: Measurements, place: Floats, drawn: Floats) -> None:
+    """Refuses places (n, 3) that lie by another unit less far apart than those of the drawing: a lever of so many mm is
+    added to them. Raises :class:`~sherkit.errors.MeasurementError`."""
+    few = np.random.default_rng(0).integers(len(drawn), size=(2, _PAIRS))
+    apart, wanted = (float(np.median(np.linalg.norm(one[few[0]] - one[few[1]], axis=1))) for one in (place, drawn))
+    for unit, factor in UNITS["mm"]:
+        if abs(np.log(max(wanted, 1e-9) / max(apart * factor, 1e-9))) < np.log(_ALIKE):
+            raise MeasurementError(
+                f"{data.source}: {', '.join(POSITION)} look like {unit}: places lie {apart:.3g} mm apart in the middle "
+                f"where the joints of this arm say {wanted:.3g}; multiply by {factor:g}, or name the columns by their "
+                "unit"
+            )
 
 
 def _read(arm: Serial, run: RunLike) -> Measurements:
