@@ -38,7 +38,15 @@ def experiment(folder, *, per_side=3, planes=(-8.0, 8.0), rails=None, lasers=Non
         "settle": {"seconds": 0.0},
         "check": {"agree_within_mm": 0.0005},
         "instrument": [
-            {"name": "rails", "kind": "galil", "counts_per_mm": 10000, "poll_s": 0.002, **(rails or {})},
+            # a machine that does other work answers late
+            {
+                "name": "rails",
+                "kind": "galil",
+                "counts_per_mm": 10000,
+                "poll_s": 0.002,
+                "poll_timeout_s": 5.0,
+                **(rails or {}),
+            },
             {"name": "lasers", "kind": "keyence", **(lasers or {})},
         ],
         **tables,

@@ -230,6 +230,17 @@ def test_joints_within_their_ranges_are_in_their_unit(times: float, unit: str) -
     assert tried == ({unit} if unit else set())
 
 
+@pytest.mark.parametrize(("name", "joint", "times"), [("scara", "elbow_rad", 1.25), ("gantry", "y_axis_mm", 0.5)])
+def test_another_gear_is_a_mistake_of_the_set_up(name: str, joint: str, times: float) -> None:
+    """Catches a joint with another pulley or pitch than the file's that is "unexplained", or an effect of 200 times its
+    usual size."""
+    run = run_of(name, 3)
+    d = sk.diagnose(MACHINE[name], run.with_columns(pl.col(joint) * times))
+    ratio, word = (max(times, 1.0 / times), "large" if times > 1 else "small")
+    assert f"{joint} looks {ratio:g} times too {word} (another pitch, gear or pulley?)" in d.headline
+    assert d.effects == ()
+
+
 def beam(q: Any, p: Any) -> Any:
     """A gantry whose beam is moved by a motor at each end."""
     x, left, right = q.T

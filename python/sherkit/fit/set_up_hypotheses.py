@@ -31,6 +31,8 @@ UNITS: dict[str, tuple[tuple[str, float], ...]] = {
 }
 #: Where angles may be counted from: reading = sign · angle + this, rad.
 _QUARTERS = ((-1.0, 0.5), (-1.0, 1.0), (1.0, 0.5), (1.0, -0.5), (1.0, 1.0))
+#: By how much a joint moves otherwise with another screw, gear, pulley or setting of its drive.
+_GEARS = (2.0, 1.25, 1.5, 1.6, 4.0)
 #: Rows by which readings may stand below their joints.
 _ROWS = (1, -1, 2, -2, 3, -3)
 #: Joints leave the ranges that a file gives them by no more than this part of each.
@@ -265,6 +267,14 @@ def _other_units(
                 names = f"{joints.named(here)}; {readings.named(there)}"
                 elsewhere = f"{advice}, or write the robot file in that unit" if unit == "mm" else advice
                 yield f"joint readings and readings ({names}) all look like {called}", elsewhere, both
+    for k in every:
+        for times in (one for ratio in _GEARS for one in (ratio, 1.0 / ratio)):
+            if may_be([k], times):
+                small = "small" if times > 1 else "large"
+                yield (
+                    f"{joints.names[k]} looks {max(times, 1.0 / times):g} times too {small} (another pitch, gear or pulley?)",
+                    f"multiply by {times:g}, or write what is built in", joints.changed([k], factor=times),
+                )  # fmt: skip
 
 
 # -- rows ----------------------------------------------------------------------------------------------------------
