@@ -304,6 +304,14 @@ def test_two_coordinates_of_three_tell_what_moves_them() -> None:
         assert (d.verdict, set(d.effects) <= {"joint_scale", "joint_coupling", "sensor_scale"}) == ("explained", True)
 
 
+@pytest.mark.parametrize("seed", [960004, *slow(960001, 960007, 960010)])
+def test_one_coupling_pays_for_no_other(seed: int) -> None:
+    """Catches a belt that runs over one shoulder and is one of six couplings of a SCARA: beside a drift it was "shapes
+    that follow no cause say as much in its place", as it paid for all six (2 of 5 pairs)."""
+    d = sk.diagnose(MACHINE["scara"], run_of("scara", seed, {"belt": 1.5e-4, "drift_mm_h": 0.1}))
+    assert (d.verdict, set(d.effects)) == ("explained", {"joint_coupling", "drift"})
+
+
 def test_a_users_effect_stands_beside_the_generic_ones() -> None:
     """Catches an own effect at a joint whose derivative is not carried by the machine's function. Seed 4."""
 

@@ -161,12 +161,17 @@ class Effect(Shown):
 
     @property
     def parts(self) -> dict[str, list[int]]:
-        """The numbers of its parameters by what each is of alone: a limb or a joint by its number, one of what an
-        instrument reads wrong by its own name. None where it has not several, or a number of all."""
+        """The numbers of its parameters by what each is of alone: a limb or a joint by its number or its name, one of
+        what an instrument reads wrong, or of how one joint moves another, by its own name. None where it has not
+        several, or a number of all."""
         out: dict[str, list[int]] = {}
         for k, p in enumerate(self.parameters):
-            limb = p.name.rpartition("_")[2]
-            out.setdefault(limb if limb.isdigit() else p.name if self.link == "sensor" else "", []).append(k)
+            part = p.name.rpartition("_")[2]
+            if not part.isdigit():
+                by_itself = self.link == "sensor" or "_by_" in p.name
+                of_joint = self.link == "joints" and self.function is None
+                part = p.name if by_itself else p.name.partition("_")[2] if of_joint else ""
+            out.setdefault(part, []).append(k)
         return out if len(out) > 1 and "" not in out else {}
 
     def of(self, numbers: Sequence[int]) -> Effect:
