@@ -22,7 +22,7 @@ from second_simulator import NOMINAL_CONFIG, Robot, draw_geometric_errors, grid,
 from second_simulator.effects import draw_effect
 from second_simulator.spherical import draw_spherical_effect, sphere_grid, spherical_plan
 from sherkit.calibration import Result
-from sherkit.fit.identify import hold_out
+from sherkit.fit.hold_out import hold_out
 from sherkit.robots.calibrated import calibration_class
 from sherkit.robots.calibration_run import CalibrationRun
 from worlds import SPHERICAL, World, real_spherical, settings_without

@@ -28,7 +28,7 @@ from second_arms import SecondArm
 from second_simulator import NOMINAL_CONFIG, Robot, draw_pose, make_plan, simulate, truth
 from sherkit.errors import CalibrationError
 from sherkit.fit.error import radius_95
-from sherkit.fit.identify import hold_out
+from sherkit.fit.hold_out import hold_out
 from sherkit.model.kinds import model_of
 from sherkit.model.robot_file import run_for
 from sherkit.model.sensor_pose import POSE, slip_of

@@ -25,7 +25,8 @@ from sherkit import Measurements, from_frame, identify, read_measurements
 from sherkit.data import MeasurementStream
 from sherkit.errors import FitError
 from sherkit.fit import identify_stream
-from sherkit.fit.identify import Fit, hold_out
+from sherkit.fit.hold_out import hold_out
+from sherkit.fit.identify import Fit
 from sherkit.model.sensor_pose import HELD, POSE, SHIFTS, TURNS, SensorPose
 from sherkit.robots.delta import VirtualDelta, grid
 from sherkit.robots.delta.model import DeltaModel

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 import sherkit as sk
-from sherkit.fit.identify import hold_out
+from sherkit.fit.hold_out import hold_out
 
 Floats = NDArray[np.float64]
 

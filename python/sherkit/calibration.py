@@ -19,7 +19,8 @@ from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .diagnosis.selection import setting_for
 from .errors import EffectError, FitError, SherkitWarning
 from .evidence.thresholds import refuse_absurd
-from .fit.identify import hold_out, identify
+from .fit.hold_out import hold_out
+from .fit.identify import identify
 from .model.base import missing_columns
 from .model.effect import Effect, named_effects
 from .model.kinds import catalogue_of, model_of

@@ -14,8 +14,9 @@ from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
 from ..evidence.thresholds import COUNTS, PLAUSIBLE, farthest_parameter, times_plausible
+from ..fit.constant_columns import frozen
 from ..fit.identify import ABSURD
-from ..fit.set_up import Mistake, frozen
+from ..fit.set_up import Mistake
 from .held_out import PRAISE, Elimination, HeldOutGain
 from .repeats import Repeats, Rounded, rounded
 from .result import (  # fmt: skip

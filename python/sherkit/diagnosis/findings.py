@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 
 from ..base.answer import FILES
 from ..base.figures import in_names, listed, number, stated
+from ..fit.constant_columns import unread
 from ..fit.regions import TO_DO
-from ..fit.set_up import unread
 from ..model.effect import Effect
 from ..model.kinds import required_um
 from ..model.sensor_pose import SLIP

@@ -16,10 +16,11 @@ from ..errors import EffectError, FitError
 from ..evidence.base import chance_of
 from ..evidence.fitted_run import FittedRun, enough_of
 from ..evidence.thresholds import implausible
+from ..fit.constant_columns import held, unread
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
-from ..fit.set_up import Mistake, held, set_up_mistakes, unread
+from ..fit.set_up import Mistake, set_up_mistakes
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike

@@ -1,6 +1,7 @@
 """Values, covariances and directions from readings; what is held out."""
 
-from .identify import Fit, HeldOut, hold_out, identify
+from .hold_out import HeldOut, hold_out
+from .identify import Fit, identify
 from .set_up import Mistake, set_up_mistakes
 from .stream import StreamFit, identify_stream
 

@@ -1,4 +1,4 @@
-"""Identification: the parameters that fit the readings, how well each is known, and what fits without a block miss.
+"""Identification: the parameters that fit the readings, and how well each is known.
 
 Source: Eqs. 9 to 11 of Xiao et al., ISMR 2022, solved column-scaled and rank-revealing and iterated to the
 nonlinear minimum. The covariance is the usual ``s² (JᵀJ)⁻¹`` (Seber and Wild, *Nonlinear Regression*, 2.1); with a
@@ -18,9 +18,9 @@ import numpy as np
 import polars as pl
 
 from ..base import linalg
-from ..base.arguments import Count, NotNegative, Seed, validate_arguments
+from ..base.arguments import NotNegative, validate_arguments
 from ..base.notebook import Shown
-from ..base.types import Floats, Ints
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.noise import ReadingNoise, noise_of
 from ..data.reader import RunLike
@@ -29,10 +29,10 @@ from ..errors import FitError
 from ..model.any import Model
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter, named_effects
-from ..model.kinds import Robot, model_of
+from ..model.kinds import model_of
 from ..model.robot_file import RobotLike, load_robot, run_for
+from .constant_columns import held
 from .error import ErrorSize, held_out_error, noise_beside, of_residuals, repeatability_of
-from .folds import blocks_of
 from .least_squares import (
     LOSSES,
     NEAR,
@@ -46,7 +46,7 @@ from .least_squares import (
     spread,
 )
 from .regions import Elsewhere, drawn_by, errors_elsewhere, in_plausible_sizes, part_of, scaled_sizes, sizes_told
-from .set_up import held, set_up_mistakes
+from .set_up import set_up_mistakes
 from .table import Direction, badly_observed, parameter_frame, parameter_table, unobserved
 
 #: A robust fit settles in a few rounds; wild rows from which the first round starts may take some more.
@@ -464,46 +464,3 @@ def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> Mod
     for effect in named_effects({**model.known_effects, **model.held}, effects):
         model = model.adopting(effect)
     return model
-
-
-# -- Blocks held out in turn, each by a fit of its own -------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """Residuals (n, m), each from a fit that did not see its block, and the block of each row."""
-
-    residuals: Floats
-    block: Ints
-
-
-@validate_arguments
-def hold_out(
-    robot: Robot | Model | ModelWithEffects,
-    data: Measurements,
-    *,
-    folds: Count = 5,
-    seed: Seed = 0,
-    loss: str = "linear",
-    priors: bool | NotNegative | None = None,
-    start: Floats | None = None,
-) -> HeldOut:
-    """Refits without each block in turn and predicts it. ``loss`` and ``priors`` are those of
-    :func:`~sherkit.fit.identify.identify`, as is what is raised.
-
-    ``start`` (p,), the fit of all rows where it is known, is so near that two looks at the rows are enough.
-    """
-    # the fits count time from the run's begin, so must what predicts by their values
-    model = model_of(robot).for_run(data)
-    drawn = model.start(data)
-    block = blocks_of(data, model.place(data, model.predict(data, drawn), drawn), folds, seed)
-    out = np.full(data.readings.shape, np.nan)
-    for fold in np.unique(block):
-        inside = block == fold
-        if inside.all():
-            # one pose alone cannot be held out: what is left is the fit's own residual
-            out[inside] = residuals(model, data, identify(model, data, loss=loss, priors=priors, start=start).values)
-            break
-        fit = identify(model, data.select(~inside), loss=loss, priors=priors, start=start)
-        out[inside] = residuals(model, data.select(inside), fit.values)
-    return HeldOut(out, block)

@@ -270,9 +270,9 @@ def _other_units(
     for k in every:
         for times in (one for ratio in _GEARS for one in (ratio, 1.0 / ratio)):
             if may_be([k], times):
-                small = "small" if times > 1 else "large"
+                looks = f"{max(times, 1.0 / times):g} times too {'small' if times > 1 else 'large'}"
                 yield (
-                    f"{joints.names[k]} looks {max(times, 1.0 / times):g} times too {small} (another pitch, gear or pulley?)",
+                    f"{joints.names[k]} looks {looks} (another pitch, gear or pulley?)",
                     f"multiply by {times:g}, or write what is built in", joints.changed([k], factor=times),
                 )  # fmt: skip
 

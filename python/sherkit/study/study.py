@@ -20,7 +20,8 @@ from ..diagnosis import Diagnosis, diagnose, gross_errors
 from ..diagnosis.selection import setting_for
 from ..errors import EffectError, MeasurementError, SherkitError
 from ..fit.error import of_residuals
-from ..fit.identify import Fit, hold_out, identify
+from ..fit.hold_out import hold_out
+from ..fit.identify import Fit, identify
 from ..fit.least_squares import LOSSES
 from ..model.base import missing_columns
 from ..model.chain import ChainModel
