@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ...base import linalg
 from ...base.types import Floats, Ints
 from ...data.columns import header_unit
 from ...errors import MeasurementError, SherkitWarning
@@ -267,7 +268,7 @@ def _apart(m: Floats, drawn: Floats, stand: Floats | None) -> float:
     if stand is None:
         return 0.0
     held = np.einsum("nab,nbc->nac", (stand @ drawn).transpose(0, 2, 1), m)
-    u, _, v = np.linalg.svd(held.sum(axis=0))
+    u, _, v = linalg.svd(held.sum(axis=0))
     cosine = 0.5 * (np.einsum("ab,nab->n", u @ v, held) - 1.0)
     return float(np.median(np.arccos(np.clip(cosine, -1.0, 1.0))))
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from ...base import linalg
 from ...base.arguments import validate_arguments
 from ...base.figures import listed
 from ...base.types import Floats, Ints
@@ -97,7 +98,7 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
 def _rigid(drawn: Floats, place: Floats) -> Floats:
     """The turn (3, 3) that brings the places of a drawing (n, 3) to those that were read (Kabsch, "A solution for the
     best rotation to relate two sets of vectors", Acta Cryst. A 1976)."""
-    u, _, v = np.linalg.svd((place - place.mean(axis=0)).T @ (drawn - drawn.mean(axis=0)))
+    u, _, v = linalg.svd((place - place.mean(axis=0)).T @ (drawn - drawn.mean(axis=0)))
     return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)
 
 
