@@ -169,7 +169,8 @@ class Effect(Shown):
             part = p.name.rpartition("_")[2]
             if not part.isdigit():
                 by_itself = self.link == "sensor" or "_by_" in p.name
-                of_joint = self.link == "joints" and self.function is None
+                # a wave of one joint is what any bend of it looks like
+                of_joint = self.link == "joints" and self.function is None and not self.is_periodic
                 part = p.name if by_itself else p.name.partition("_")[2] if of_joint else ""
             out.setdefault(part, []).append(k)
         return out if len(out) > 1 and "" not in out else {}
