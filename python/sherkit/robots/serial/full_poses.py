@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from ...base import linalg
 from ...base.arguments import validate_arguments
 from ...base.figures import listed
 from ...base.types import Floats, Ints
@@ -24,6 +23,7 @@ from ...data.reader import RunLike, checked, csv_blocks
 from ...data.tables import PARQUET, read_parquet
 from ...errors import MeasurementError, SherkitWarning
 from ...fit.set_up_hypotheses import UNITS
+from ...model.sensor_pose import registered
 from .frames import QUATERNION, of_rpy, place_in_matrix, triple, turns_of
 from .robot import POSITION, TARGET, Serial
 
@@ -67,7 +67,8 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
     drawn = np.array([arm.tool_frame(q) for q in data.joints])
     place = data.readings[:, : data.coordinates]
     _require_mm(data, place, drawn[:, :3, 3])
-    stand = _rigid(drawn[:, :3, 3], place)
+    there = registered(drawn[:, :3, 3], place)
+    stand = None if there is None else there.turn
     found = turns_of(partial(_numbers, data), frame.columns, drawn[:, :3, :3], data.source, stand)
     if found is None:
         raise MeasurementError(
@@ -93,13 +94,6 @@ def points_of_poses(arm: Serial, run: RunLike, lever_mm: float = 100.0) -> tuple
     x, y = (np.array(arm.target_mm) + lever_mm * held[:, k] for k in range(2))
     with_three = replace(arm, more_targets_mm=(triple(x), triple(y)))
     return with_three, clean(frame, data.source, np.repeat(data.line, 3), data.counted)
-
-
-def _rigid(drawn: Floats, place: Floats) -> Floats:
-    """The turn (3, 3) that brings the places of a drawing (n, 3) to those that were read (Kabsch, "A solution for the
-    best rotation to relate two sets of vectors", Acta Cryst. A 1976)."""
-    u, _, v = linalg.svd((place - place.mean(axis=0)).T @ (drawn - drawn.mean(axis=0)))
-    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v)
 
 
 def _require_mm(data: Measurements, place: Floats, drawn: Floats) -> None:
