@@ -219,7 +219,16 @@ class Joined(ChangeRows):
         found = {name: [q[:, k] for q in joints] for k, name in enumerate(names)}
         found |= {name: [one[name] for one in places] for name in place}
         every = {name: self.by_row(v, v[0][self.runs[0].rows[0]]) for name, v in found.items()}
-        inputs = [run.inputs for run in self.runs if run.inputs is not None]
+        # errors of joints act at both ends of distances between places
+        far = any(run.data.between_places[run.rows].any() for run in self.runs)
+        there = [run.data.from_other_end.joints for run in self.runs] if far else []
+        others = {name: self.by_row([q[:, k] for q in there], every[name][-1]) for k, name in enumerate(names) if far}
+        wide = (1 + far) * len(names)
+        inputs = [
+            np.pad(one, ((0, 0), (0, 0), (0, len(names))))[:, :, :wide]
+            for one in (run.inputs for run in self.runs)
+            if one is not None
+        ]
         moves = {name: values for name, values in every.items() if np.ptp(values) > 0}
         group = [run.data.standing + 1e9 * k for k, run in enumerate(self.runs)]
         pose = self.by_row(group, -1.0 - np.arange(self._more))
@@ -229,6 +238,7 @@ class Joined(ChangeRows):
             "pattern_of": {name: name for name in names if name in moves} if len(inputs) == len(self.runs) else {},
             "place": tuple(name for name in place if name in moves),
             "inputs": {name: every[name] for name in names},
+            "others": others,
             "patterns": self.over(inputs) if len(inputs) == len(self.runs) else None,
         }
 

@@ -3,8 +3,9 @@
 from .bluesky import from_bluesky
 from .frames import from_arrays, from_frame
 from .reader import read_measurements
+from .repeats import Repeatability
 from .ros import from_rosbag
-from .rows import Measurements, Repeatability
+from .rows import Measurements
 from .stream import MeasurementStream, stream_measurements
 
 __all__ = [

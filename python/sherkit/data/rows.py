@@ -19,41 +19,10 @@ from ..base.types import Bools, Floats, Ints
 from ..errors import EffectError, ShapeError, SherkitWarning
 from . import columns as c
 from .in_time import Room, begin_of, directions, order_in_time, velocities
+from .repeats import Repeatability, pure_error
 from .row_checks import check_rows
 from .set_up import JoinedSetUp, set_up_names
 from .tables import write_table
-
-
-@dataclass(frozen=True)
-class Repeatability:
-    """Spread of repeated readings of the same pose: pooled standard deviation per reading.
-
-    ``sigma`` maps a reading (``x_mm`` …) to its pure error, ``degrees_of_freedom`` to how many
-    readings it rests on beyond one per pose.
-    """
-
-    sigma: dict[str, float]
-    degrees_of_freedom: dict[str, int]
-
-
-def pure_error(names: Sequence[str], values: Floats, used: Bools, groups: Ints) -> Repeatability | None:
-    """How far ``values`` (n, m) of one group are from each other, of those that are ``used`` (n, m); None where every
-    group has one row."""
-    sigma: dict[str, float] = {}
-    freedom: dict[str, int] = {}
-    for k, name in enumerate(names):
-        rows = used[:, k]
-        if not rows.any():
-            continue
-        group = np.unique(groups[rows], return_inverse=True)[1]
-        count = np.bincount(group)
-        value = values[rows, k]
-        mean = np.bincount(group, value) / count
-        free = int((count - 1).sum())
-        if free > 0:
-            sigma[name] = float(np.sqrt(((value - mean[group]) ** 2).sum() / free))
-            freedom[name] = free
-    return Repeatability(sigma, freedom) if sigma else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +249,25 @@ class Measurements:
             return np.zeros(len(self), dtype=bool)
         return self.taken[:, -1]
 
+    @cached_property
+    def between_places(self) -> Bools:
+        """Which rows are distances whose other end is a pose, too."""
+        if not self.layout.to_joints or self.layout.from_fixed:
+            return np.zeros(len(self), dtype=bool)
+        return np.asarray(np.isfinite(self.to_joints).all(axis=1))
+
+    @cached_property
+    def from_other_end(self) -> Measurements:
+        """The same rows with the ends of distances between places exchanged: what was read is the same."""
+        far = self.between_places[:, None]
+        joints = np.ascontiguousarray(np.where(far, self.to_joints, self.joints))
+        return replace(self, joints=joints, to_joints=np.where(far, self.joints, self.to_joints))
+
+    @cached_property
+    def came_from(self) -> Floats:
+        """``direction`` (n, k), zero at distances between places: nobody knows from where their ends were reached."""
+        return np.where(self.between_places[:, None], 0.0, self.direction)
+
     def unmeasured(self, joints: Floats) -> Measurements:
         """Rows that were not measured yet: these joints (k, n), and covariates as they were on average."""
         n = len(joints)
@@ -313,7 +301,7 @@ class Measurements:
     @cached_property
     def distances_or_none(self) -> Floats | None:
         """``to_joints`` where any row is a distance, else None, as the core takes it."""
-        return self.to_joints if self.is_distance.any() else None
+        return self.to_joints if self.is_distance.any() or self.between_places.any() else None
 
     @cached_property
     def apart(self) -> tuple[Floats, ...]:

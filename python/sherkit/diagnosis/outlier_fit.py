@@ -250,7 +250,7 @@ class OutlierFit:
         if one.joint is None:
             columns = self._down(one.values)[items][:, None, None] * np.eye(self.e.shape[1])
         else:
-            columns = self._down(self.view.patterns[one.joint] * one.values[:, None])[items][:, :, None]
+            columns = self._down(self.view.arriving(one.joint, one.values[:, None])[:, :, 0])[items][:, :, None]
         return columns.reshape(-1, columns.shape[2])
 
     def _stretch(

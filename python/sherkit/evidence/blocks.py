@@ -84,7 +84,7 @@ class Visits:
         n = len(run)
         _, first, pose = np.unique(run.view.group, return_index=True, return_inverse=True)
         pose = pose.ravel()
-        stood = np.stack([np.zeros(n), *run.view.inputs.values()], axis=1)
+        stood = np.stack([np.zeros(n), *run.view.inputs.values(), *run.view.others.values()], axis=1)
         if len(first) > FEW_VISITS * n or not np.array_equal(stood[first][pose], stood):
             first = pose = np.arange(n)
         return cls(first, pose, np.bincount(pose).astype(float))

@@ -263,16 +263,21 @@ class FittedRun(Saved):
 
             return at
 
-        inputs = {name: np.ascontiguousarray(part.joints[:, k]) for k, name in enumerate(part.layout.joints)}
+        names = part.layout.joints
+        inputs = {name: np.ascontiguousarray(part.joints[:, k]) for k, name in enumerate(names)}
+        there = part.from_other_end.joints
+        others = {name: there[:, k] for k, name in enumerate(names)} if known and part.between_places.any() else {}
+        moved = [name for name in inputs if name in variables or np.ptp(np.append(inputs[name], others.get(name, ())))]
         out = Linearised(
             residual=(part.readings - self.fit.predicted[rows])[:, axes] / sigma,
             variables=variables,
             group=part.standing,
             repeated=part.groups,
             derivatives=_OverNoise(self.derivatives(rows), every.columns, axes, over, order),
-            pattern_of={name: name for name in inputs if name in variables} if known else {},
+            pattern_of=dict(zip(moved, moved, strict=True)) if known else {},
             place=place,
             inputs=inputs,
+            others=others,
             way=way_to(part, {name: variables[name] for name in place}),
             time=part.time_s,
             effects=tuple((effect, at) for effect, at in columns if effect.search != "time_s"),

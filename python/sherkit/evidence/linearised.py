@@ -62,6 +62,11 @@ class Linearised:
     ``untestable`` maps the others to the reason. ``way`` names to (n,) how the machine came to these rows: inputs
     of the row before, and the direction in which the point moved. ``inputs`` name to (n,), the readings of the inputs,
     be they constant or their patterns unknown.
+
+    A distance between two places has two ends, at each of which an error of an input does its own: ``others`` name to
+    (n,), the inputs at the other ends, and derivatives by the inputs have twice as many columns. Values of ``ends`` of
+    the rows (e n,) are those of the first ends, one after the other, and then those of the others; where every row has
+    one, they are those of the rows.
     """
 
     residual: Floats
@@ -72,6 +77,7 @@ class Linearised:
     pattern_of: Mapping[str, str] = field(default_factory=dict)
     place: tuple[str, ...] = ()
     inputs: Mapping[str, Floats] = field(default_factory=dict)
+    others: Mapping[str, Floats] = field(default_factory=dict)
     way: Mapping[str, Floats] = field(default_factory=dict)
     time: Floats | None = None
     effects: Sequence[tuple[Effect, slice]] = ()
@@ -119,14 +125,34 @@ class Linearised:
         mine = tuple(name for name in self.inputs if unit_in(name) in units)
         return mine or tuple(self.inputs)
 
+    @property
+    def ends(self) -> int:
+        """How many ends rows have."""
+        return 2 if self.others else 1
+
+    @cached_property
+    def stood(self) -> Mapping[str, Floats]:
+        """The inputs at the ends of the rows, name to (e n,)."""
+        if not self.others:
+            return self.inputs
+        return {name: np.concatenate([here, self.others[name]]) for name, here in self.inputs.items()}
+
     @cached_property
     def patterns(self) -> dict[str, Floats]:
-        """How the readings answer to an error at each input, name to (n, m); empty where that is not known."""
+        """How the readings answer to an error at each input at the ends of the rows, name to (e n, m); empty where that
+        is not known."""
         parts = [self._own(rows)[1] for rows in self.blocks]
         if any(part is None for part in parts):
             return {}
         every = np.concatenate([part for part in parts if part is not None])
+        if self.others:
+            every = np.concatenate([every[:, :, : len(self.inputs)], every[:, :, len(self.inputs) :]])
         return {name: np.ascontiguousarray(every[:, :, k]) for k, name in enumerate(self.inputs)}
+
+    def arriving(self, name: str, error: Floats) -> Floats:
+        """What errors of an input at the ends of the rows (e n, k) make of the readings (n, m, k)."""
+        made = self.patterns[name][:, :, None] * error[:, None]
+        return made if self.ends == 1 else made[: len(self)] + made[len(self) :]
 
 
 # -- What a step in time takes of residuals, wherever it stands ----------------------------------------------------

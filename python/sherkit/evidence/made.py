@@ -38,7 +38,7 @@ def waves_along(values: Floats) -> Floats:
     return np.asarray(counts[counts <= max(distinct, 2)])
 
 
-def waves_of_gear(values: Floats, axes: int) -> Floats:
+def waves_of_gear(values: Floats, axes: float) -> Floats:
     """The same of a joint by itself that is read by so many ``axes``: a gear has more waves than what all joints share,
     and slow ones are not told from what else a joint does."""
     counts = np.arange(*_GEAR, 0.5)
@@ -119,9 +119,9 @@ class Maker:
         assert self.view.time is not None, "a step has a moment"
         return (self.view.time > moment).astype(float)
 
-    def unit(self, name: str) -> Floats:
-        """A variable (n,), its range brought to -1 … 1."""
-        values, like = self.view.variables[name], self.like.variables[name]
+    def unit(self, name: str, *, at_ends: bool = False) -> Floats:
+        """A variable (n,), or an input at the ends of the rows (e n,), its range brought to -1 … 1."""
+        values, like = (view.stood[name] if at_ends else view.variables[name] for view in (self.view, self.like))
         if self.reference is not None and name == "time_s":
             # counted from the begin of each
             values, like = values - self.run.of.data.begins_s, like - like[0]
@@ -136,6 +136,15 @@ class Maker:
         if self.reference is None:
             table -= np.average(table, axis=0, weights=self.visits.count if posed else None)
         return self._part(table, carriers[rows], posed)
+
+    def waves_of(self, joint: str, angle: Floats, counts: Floats) -> int:
+        """The same of an ``angle`` (e n,) at the ends of the rows, as an error of this joint arrives."""
+        if self.view.ends == 1:
+            return self.waves(angle, counts, self.view.patterns[joint][:, :, None])
+        table = wave_table(angle, counts)
+        if self.reference is None:
+            table -= table.mean(axis=0)
+        return self.part(np.ones((len(self.view), 1)), self.view.arriving(joint, table))
 
     def function(self, values: Floats) -> Piece:
         """A function (n,) of the row on every axis alone, without its mean unless there is a reference: m columns."""
@@ -155,8 +164,8 @@ class Maker:
         return _WHOLE[posed], first + np.arange(columns.shape[2])
 
     def along(self, joint: str, values: Floats) -> Piece:
-        """The same as an error of this joint arrives at the readings."""
-        return self.whole(self.view.patterns[joint][:, :, None] * self._centred(values)[:, None, None])
+        """The same of the ends of the rows (e n,), as an error of this joint arrives at the readings."""
+        return self.whole(self.view.arriving(joint, self._centred(values)[:, None]))
 
     def _centred(self, values: Floats) -> Floats:
         return values - values.mean() if self.reference is None else values

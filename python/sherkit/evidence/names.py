@@ -199,7 +199,7 @@ def _bends(base: Base, shape: Block) -> bool:
     """Whether a shape is a bend or a bump of a joint, or a wave of it that nobody saw repeat."""
     if shape.period is None or shape.pattern is None:
         return shape.shape in ("kink", "bump")
-    return float(np.ptp(base.family.run.view.variables[shape.pattern])) < _REPEATS * shape.period
+    return float(np.ptp(base.family.run.view.stood[shape.pattern])) < _REPEATS * shape.period
 
 
 def _ties(sets: Sets, lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSet, ...]:

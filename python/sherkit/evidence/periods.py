@@ -126,7 +126,7 @@ def period_of(base: Base, effect: Effect) -> Period | None:
     view = base.family.run.view
     at = np.array([1.0 / _period(base, i) for i in waves])
     gains = base.gains[0][waves]
-    spans = [float(np.ptp(view.inputs[name])) for name in view.waving]
+    spans = [float(np.ptp(view.stood[name])) for name in view.waving]
     span, ring = max(spans), effect.search == "period_rad"
     step = float(np.median(np.diff(at))) if len(at) > 1 else 0.5 / span
 

@@ -63,8 +63,8 @@ class Ripple:
         """A block of the waves that were found, at the periods of all."""
         view, pieces = made.view, []
         for name, (frequency, _) in self.found.items():
-            angle = TURN * frequency * view.inputs[name]
-            pieces.append((made.waves(angle, np.ones(1), view.patterns[name][:, :, None]), np.arange(2)))
+            angle = TURN * frequency * view.stood[name]
+            pieces.append((made.waves_of(name, angle, np.ones(1)), np.arange(2)))
         made.add("effect", (), pieces, effect=self.effect, setting=self.likeliest, ways=self.ways)
 
     def is_shape(self, block: Block) -> bool:
@@ -89,7 +89,7 @@ def ripple_of(base: Base, effect: Effect, *, alone: bool = False) -> Ripple | No
     run, view = base.family.run, base.family.run.view
     given = {name: period for name, period in run.of.model.given_periods.items() if name in view.waving}
     families = _pairs(run, effect, given)
-    spans = {name: float(np.ptp(view.inputs[name])) for name in view.waving}
+    spans = {name: float(np.ptp(view.stood[name])) for name in view.waving}
     if not families:
         return None
     plain = base.asked(next(iter(families.values())))
@@ -162,12 +162,12 @@ def _pairs(run: Run, effect: Effect, given: Mapping[str, float]) -> Mapping[str,
 def _pairs_of(run: Run, effect: Effect, name: str, given: float | None) -> Family | None:
     """Those of one joint; None of one that stands still."""
     made, view = Maker(run, Visits.of(run)), run.view
-    values = view.inputs[name]
+    values = view.stood[name]
     reach = float(np.ptp(values))
-    counts = waves_of_gear(values, view.axes) if given is None else np.array([reach / given])
+    counts = waves_of_gear(values, view.axes / view.ends) if given is None else np.array([reach / given])
     if not reach > 0 or not len(counts):
         return None
-    part = made.waves(TURN * values / reach, counts, view.patterns[name][:, :, None])
+    part = made.waves_of(name, TURN * values / reach, counts)
     for k, count in enumerate(counts.tolist()):
         pair = np.array([k, len(counts) + k])
         made.add("effect", (), [(part, pair)], effect=effect, setting=reach / count, pattern=name)
@@ -202,9 +202,8 @@ def _beside(base: Base, found: Mapping[str, tuple[float, float]]) -> Base:
 
 def _pair(run: Run, name: str, frequency: float) -> Floats:
     """Sine and cosine (N, 2) of a joint."""
-    angle = TURN * frequency * run.view.inputs[name]
-    waves = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-    return run.flat(run.view.patterns[name][:, :, None] * waves[:, None])
+    angle = TURN * frequency * run.view.stood[name]
+    return run.flat(run.view.arriving(name, np.stack([np.sin(angle), np.cos(angle)], axis=1)))
 
 
 def _noise(base: Base, takes: float = 0.0) -> float:
@@ -222,7 +221,7 @@ def _peak(base: Base, effect: Effect, name: str, near: float, *, is_given: bool)
     takes. On a ring a whole number a turn, where one is told from the next, is taken if it does as well; one that is
     given stays."""
     run = base.family.run
-    span = float(np.ptp(run.view.inputs[name]))
+    span = float(np.ptp(run.view.stood[name]))
 
     def takes(frequency: float) -> float:
         return wave_takes(base, _pair(run, name, frequency))

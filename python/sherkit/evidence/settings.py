@@ -32,9 +32,9 @@ def columns_at(run: Run, effect: Effect, setting: Setting | None) -> Floats:
         return view.effects_in(view.whole)[:, :, at]
     if effect.is_periodic:
         each = setting if isinstance(setting, tuple) else [setting] * len(view.waving)
-        angles = {name: TURN * view.inputs[name] / one for name, one in zip(view.waving, each, strict=True)}
-        columns = [view.patterns[k] * of(angles[k])[:, None] for k in view.waving for of in (np.sin, np.cos)]
-        return np.stack(columns, axis=2)
+        angles = {name: TURN * view.stood[name] / one for name, one in zip(view.waving, each, strict=True)}
+        waves = [view.arriving(k, np.stack([np.sin(angles[k]), np.cos(angles[k])], axis=1)) for k in view.waving]
+        return np.concatenate(waves, axis=2)
     assert not isinstance(setting, tuple), "only waves have one for each joint"
     if effect.search == "time_s":
         assert view.time is not None, "a step has a moment"
@@ -80,15 +80,19 @@ def finer(base: Base, block: Block) -> Block:
     axes = range(run.axes) if block.axis is None else [block.axis]
     if block.period is None or (block.pattern is None and len(block.at) > 2 * len(axes)):
         return block
-    values = view.variables[block.depends_on[0]]
+    values = view.variables[block.depends_on[0]] if block.pattern is None else view.stood[block.pattern]
     reach = float(np.ptp(values))
 
     def takes(count: float) -> float:
         angle = TURN * (values - values.min()) * count / reach
         waves = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         waves = waves - waves.mean(axis=0)
-        on = np.eye(run.axes)[:, list(axes)] if block.pattern is None else view.patterns[block.pattern][:, :, None]
-        columns = run.flat((waves[:, None, :, None] * on[..., None, :]).reshape(*view.residual.shape, -1))
+        if block.pattern is None:
+            on = np.eye(run.axes)[:, list(axes)]
+            made = (waves[:, None, :, None] * on[..., None, :]).reshape(*view.residual.shape, -1)
+        else:
+            made = view.arriving(block.pattern, waves)
+        columns = run.flat(made)
         return base.takes(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
 
     counts = reach / block.period + _FINER
@@ -108,5 +112,5 @@ def _near(view: Linearised, block: Block) -> list[float]:
         return np.asarray(0.5 * (view.time[some - 1] + view.time[some])).tolist()
     if effect.is_lagging:
         return np.asarray(setting * _LAGS).tolist()
-    reach = max(float(np.ptp(view.inputs[name])) for name in view.waving)
+    reach = max(float(np.ptp(view.stood[name])) for name in view.waving)
     return [reach / count for count in (reach / setting + _WAVES).tolist() if count > _FEWEST]

@@ -51,13 +51,11 @@ def blocks_of_effects(made: Maker) -> None:
     if not searched:
         return
     names = view.waving
-    reach = max(float(np.ptp(made.like.inputs[name])) for name in names)
+    reach = max(float(np.ptp(made.like.stood[name])) for name in names)
     if not reach > 0:
         return
-    counts = max((waves_along(made.like.inputs[name]) for name in names), key=len)
-    parts = [
-        made.waves(2.0 * np.pi * view.inputs[name] / reach, counts, view.patterns[name][:, :, None]) for name in names
-    ]
+    counts = max((waves_along(made.like.stood[name]) for name in names), key=len)
+    parts = [made.waves_of(name, 2.0 * np.pi * view.stood[name] / reach, counts) for name in names]
     for effect in searched:
         for k, count in enumerate(counts.tolist()):
             pieces: list[Piece] = [(part, np.array([k, len(counts) + k])) for part in parts]
@@ -98,25 +96,30 @@ def blocks_of_shapes(made: Maker) -> None:
     view = made.view
     count = {name: len(np.unique(made.like.variables[name])) for name in view.variables if name in made.like.variables}
     u = {name: made.unit(name) for name in count if count[name] >= _FEWEST}
-    joints = [name for name in u if name in view.pattern_of] if view.patterns else []
+    # errors of joints are of where these stood at each end of a row
+    count |= {name: len(np.unique(made.like.stood[name])) for name in view.pattern_of}
+    joints = {
+        name: made.unit(name, at_ends=True) for name in view.pattern_of if view.patterns and count[name] >= _FEWEST
+    }
     poses = [name for name in u if name in joints or name in view.place]
-    for name, t in u.items():
-        _smooth(made, name, t, min(_ORDERS, count[name] - 1), along=name in joints)
+    for name in dict.fromkeys([*u, *joints]):
+        _smooth(made, name, u.get(name), joints.get(name), min(_ORDERS, count[name] - 1))
     if "time_s" in u:
         _in_time(made, u)
         powers = [_power(u["time_s"], order) for order in range(1, _ORDERS + 1)]
+        powers = [np.tile(power, view.ends) for power in powers]
         for name in joints if made.reference is None else ():
             # a motor that warms up moves its own joint
             made.add("smooth", ("time_s",), [made.along(name, one) for one in powers], order=_ORDERS, pattern=name)
-    for name in poses:
+    for name in dict.fromkeys([*poses, *joints]):
         if name in joints:
             if count[name] >= _FEWEST_ALONG:
-                _along(made, name, u[name])
-                _kinks_and_bumps(made, name, u[name])
+                _along(made, name, joints[name])
+                _kinks_and_bumps(made, name, joints[name])
         elif count[name] >= _FEWEST_FOR_WAVES:
             _over_place(made, name, u[name])
     _products(made, u, joints, poses)
-    for name in joints:
+    for name in joints if view.ends == 1 else ():
         _play(made, name, u[name])
     if made.reference is None:
         for name, values in view.way.items():
@@ -130,14 +133,16 @@ def blocks_of_shapes(made: Maker) -> None:
         made.on_axes("step", ("time_s",), [step], each=False, setting=moment)
 
 
-def _smooth(made: Maker, name: str, t: Floats, orders: int, *, along: bool) -> None:
-    powers = [_power(t, order) for order in range(1, orders + 1)]
-    functions = [made.function(power) for power in powers]
-    made.on_axes("smooth", (name,), functions[:1], order=1)
-    if orders > 1:
-        made.on_axes("smooth", (name,), functions, order=orders)
-        if along:
-            made.add("smooth", (name,), [made.along(name, one) for one in powers], order=orders, pattern=name)
+def _smooth(made: Maker, name: str, t: Floats | None, of_joint: Floats | None, orders: int) -> None:
+    """Of a variable on axes, and of a joint at the ends of the rows as its error arrives."""
+    if t is not None:
+        functions = [made.function(_power(t, order)) for order in range(1, orders + 1)]
+        made.on_axes("smooth", (name,), functions[:1], order=1)
+        if orders > 1:
+            made.on_axes("smooth", (name,), functions, order=orders)
+    if of_joint is not None and orders > 1:
+        pieces = [made.along(name, _power(of_joint, order)) for order in range(1, orders + 1)]
+        made.add("smooth", (name,), pieces, order=orders, pattern=name)
 
 
 def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
@@ -164,8 +169,8 @@ def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
 
 def _along(made: Maker, name: str, t: Floats) -> None:
     """Waves of a joint, as an error of it arrives at the readings."""
-    counts, reach = waves_along(made.like.variables[name]), float(np.ptp(made.like.variables[name]))
-    part = made.waves(np.pi * (t + 1), counts, made.view.patterns[name][:, :, None])
+    counts, reach = waves_along(made.like.stood[name]), float(np.ptp(made.like.stood[name]))
+    part = made.waves_of(name, np.pi * (t + 1), counts)
     for k, count in enumerate(counts.tolist()):
         at = np.array([k, len(counts) + k])
         made.add("periodic", (name,), [(part, at)], pattern=name, period=reach / count)
@@ -174,12 +179,12 @@ def _along(made: Maker, name: str, t: Floats) -> None:
 def _kinks_and_bumps(made: Maker, name: str, t: Floats) -> None:
     """Another slope of a joint's error from a place on: of scales, racks or rails in two pieces; or a bump about it: of
     a worn stretch, a dent, a rail that is not straight."""
-    values, pattern = made.view.variables[name], made.view.patterns[name][:, :, None]
+    values = made.view.stood[name]
     half = 0.5 * float(np.ptp(values))
 
     def of(error: Floats) -> list[Piece]:
         # nothing elsewhere: the zero of a joint need not be in the model
-        return [made.whole(pattern * error[:, None, None])]
+        return [made.whole(made.view.arriving(name, error[:, None]))]
 
     for place in _PLACES if made.reference is None else ():
         at = float(values.min()) + (place + 1.0) * half
@@ -202,7 +207,7 @@ def _over_place(made: Maker, name: str, t: Floats) -> None:
         made.on_axes("periodic", (name,), both, each=False, period=reach / count)
 
 
-def _products(made: Maker, u: Mapping[str, Floats], joints: list[str], poses: list[str]) -> None:
+def _products(made: Maker, u: Mapping[str, Floats], joints: Mapping[str, Floats], poses: list[str]) -> None:
     for k, a in enumerate(poses):
         for b in poses[k + 1 :]:
             if (a in joints) == (b in joints):
@@ -214,7 +219,8 @@ def _products(made: Maker, u: Mapping[str, Floats], joints: list[str], poses: li
     for a in joints:
         for b in joints:
             if a != b:
-                pieces = [made.along(a, one) for one in (u[b], u[b] ** 2, u[a] * u[b])]
+                ta, tb = joints[a], joints[b]
+                pieces = [made.along(a, one) for one in (tb, tb**2, ta * tb)]
                 made.add("interaction", (a, b), pieces, pattern=a)
 
 
@@ -240,14 +246,16 @@ def play_operator(q: Floats, width: float) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """A slope, a curve or a product of variables, as an error of a ``joint``; where that is None, on an axis alone."""
+    """A slope, a curve or a product of variables, as an error of a ``joint`` at the ends of the rows; where there is
+    none, on an axis alone."""
 
     joint: str | None
     of: Callable[[], Floats]
 
     @property
     def values(self) -> Floats:
-        """Values (n,) of zero mean and unit length: made when they are asked for, since a long run has much of them."""
+        """Values (n,), or (e n,), of zero mean and unit length: made when they are asked for, since a long run has much
+        of them."""
         off = self.of()
         off = off - off.mean()
         return np.asarray(off / max(float(np.linalg.norm(off)), 1e-300))
@@ -256,18 +264,18 @@ class Smooth:
 def smooth_shapes(view: Linearised) -> list[Smooth]:
     """Slopes, curves and products of all variables: those on an axis alone first."""
     u = {name: unit(values) for name, values in view.variables.items() if np.ptp(values) > 0}
-    joints = [name for name in u if name in view.pattern_of] if view.patterns else []
+    joints = {name: unit(view.stood[name]) for name in view.pattern_of} if view.patterns else {}
     poses = [name for name in u if name in joints or name in view.place]
     out = [Smooth(None, partial(_power, t, order)) for t in u.values() for order in range(1, _ORDERS + 1)]
     pairs = [(a, b) for k, a in enumerate(poses) for b in poses[k + 1 :] if (a in joints) == (b in joints)]
     pairs += [(a, b) for a in u if a not in poses for b in poses if b not in joints]
     out += [Smooth(None, partial(np.multiply, u[a], u[b])) for a, b in pairs]
-    out += [Smooth(a, partial(_power, u[a], order)) for a in joints for order in range(1, _ORDERS + 1)]
+    out += [Smooth(a, partial(_power, t, order)) for a, t in joints.items() for order in range(1, _ORDERS + 1)]
     for a in joints:
         for b in joints:
             if a != b:
-                out += [Smooth(a, partial(_power, u[b], 1)), Smooth(a, partial(np.square, u[b]))]
-                out.append(Smooth(a, partial(np.multiply, u[a], u[b])))
+                out += [Smooth(a, partial(_power, joints[b], 1)), Smooth(a, partial(np.square, joints[b]))]
+                out.append(Smooth(a, partial(np.multiply, joints[a], joints[b])))
     return out
 
 

@@ -22,7 +22,7 @@ from ..base.figures import finite, number
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import MIN_FREEDOM, ReadingNoise
-from ..data.rows import Repeatability, pure_error
+from ..data.repeats import Repeatability, pure_error
 from ..errors import FitError
 from .folds import Folds, blocks, blocks_of
 

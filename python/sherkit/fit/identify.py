@@ -24,7 +24,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..data.noise import ReadingNoise, noise_of
 from ..data.reader import RunLike
-from ..data.rows import Repeatability
+from ..data.repeats import Repeatability
 from ..errors import FitError
 from ..model.any import Model
 from ..model.base import ModelWithEffects

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 
 from ..base.notebook import Saved
-from ..base.types import Bools, Floats, Ints
+from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import Layout
 from ..errors import EffectError, ShapeError
@@ -26,7 +26,8 @@ _ANYWHERE = 1e3
 @dataclass(frozen=True, eq=False)
 class Derivatives:
     """Derivatives of the readings of some rows: ``parameters`` (n, m, p) by what the model identifies, ``inputs``
-    (n, m, k) by the inputs, None where they are not known."""
+    (n, m, k) by the inputs, None where they are not known; where distances between places are among the rows, by the
+    inputs at their first ends, then by those at the others (n, m, 2 k)."""
 
     parameters: Floats
     inputs: Floats | None
@@ -378,69 +379,3 @@ def missing_columns(effect: Effect, data: Measurements) -> tuple[str, ...]:
         if not known:
             out.append(need)
     return tuple(out)
-
-
-# -- Derivatives of a compiled chain for stretches of rows, those of NumPy effects carried on from their link ------
-
-
-@dataclass(frozen=True, eq=False)
-class Stretches:
-    """What gives derivatives for stretches of the rows of a run: the core of a ``model`` computes each."""
-
-    model: Any
-    data: Measurements
-    values: Floats
-
-    def of_core(self, some: slice, indices: Sequence[int]) -> tuple[Floats, Floats, Floats]:
-        """By these parameters of the core (n, m, p), by the joints and by the body."""
-        model, data = self.model, self.data
-        part = tuple(None if one is None else one[some] for one in model.plain_block(data))
-        columns, by_joints, by_body, _ = model.core_for(data).derivatives(model.full(self.values), part, indices)
-        return columns, by_joints, by_body
-
-    def carried(self, some: slice, effects: Sequence[tuple[Effect, Floats]], *by: Floats) -> list[Floats]:
-        """What the user's effects give at their links, there for all rows, carried on to these."""
-        data = self.data
-        return [carry(e, inner[some], data.is_distance[some], data.coordinates, *by) for e, inner in effects]
-
-
-@dataclass(frozen=True, eq=False)
-class ModelColumns(Stretches):
-    """By what is identified; ``own`` are the user's effects that are in the model."""
-
-    own: Sequence[tuple[Effect, Floats]]
-
-    def __call__(self, some: slice) -> Derivatives:
-        columns, *by = self.of_core(some, self.model.indices)
-        if self.own:
-            columns = np.concatenate([columns, *self.carried(some, self.own, *by)], axis=2)
-        return Derivatives(columns, by[0])
-
-
-@dataclass(frozen=True, eq=False)
-class EffectColumns(Stretches):
-    """By effects that are tried: built-in ones, which this model has beside its own, and the user's."""
-
-    built_in: Sequence[Effect]
-    tried: Sequence[tuple[Effect, Floats]]
-
-    def __call__(self, some: slice) -> Floats:
-        model = self.model
-        asked = [k for effect in self.built_in for k in model.indices[model.owns(effect)]]
-        columns, *by = self.of_core(some, asked)
-        if self.tried:
-            columns = np.concatenate([columns, *self.carried(some, self.tried, *by)], axis=2)
-        return columns
-
-
-def carry(
-    effect: Effect, inner: Floats, is_distance: Bools, coordinates: int, by_joints: Floats, by_body: Floats
-) -> Floats:
-    """Derivatives (n, axes, p) of a NumPy effect at its link, carried on to the readings (n, m, p)."""
-    if effect.link == "joints":
-        return by_joints @ inner
-    if effect.link == "body":
-        return by_body @ inner
-    out = np.zeros((len(inner), by_joints.shape[1], inner.shape[2]))
-    out[~is_distance, :coordinates] = inner[~is_distance]
-    return out

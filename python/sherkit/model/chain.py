@@ -22,8 +22,9 @@ from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
-from .base import CandidateColumns, Derivatives, EffectColumns, ModelColumns, Reachable, carry, column_slices
+from .base import CandidateColumns, Derivatives, Reachable, column_slices
 from .effect import WITHIN, Effect, Parameter, Setting, effects_of_row, freeing, parameters_of_core
+from .own_effects import EffectColumns, InnerColumns, ModelColumns, added_to, by_ends, carry
 from .rows import EffectRows
 from .seen import SeenModel
 
@@ -129,7 +130,7 @@ class ChainModel(SeenModel):
             time = empty if data.time_s is None else data.time_s
             lag = self.settings().get(STAND_LAG)
             stand = data.later(lag if isinstance(lag, float) else 0.0)
-            columns = [time, known.get(TEMPERATURE, empty), data.direction, *velocities]
+            columns = [time, known.get(TEMPERATURE, empty), data.came_from, *velocities]
             columns.append(empty if stand is None else stand)
             covariates = np.ascontiguousarray(np.column_stack(columns))
         return (data.joints if joints is None else joints, data.distances_or_none, covariates, push)
@@ -313,11 +314,14 @@ class ChainModel(SeenModel):
         """Derivatives (n, m, p) of the readings by the identified parameters. Raises as :meth:`predict`."""
         full = self.full(values)
         block, _ = self._own_block(data, full, values)
-        out, by_joints, by_body, reached = self.core_for(data).derivatives(full, block, self.indices)
-        self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
         if not self.own:
+            out, _, _, reached = self.core_for(data).derivatives(full, block, self.indices)
+            self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
             return out
-        columns = self.own_columns(data, self.rows(data, values), values, by_joints, by_body)
+        out, *by, reached = by_ends(self, data, full, block, self.indices)
+        self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
+        inner = InnerColumns(self, data, np.asarray(values)).of_model()
+        columns = [carry(e, one, data.coordinates, *by) for e, one in inner]
         return np.concatenate([out, *columns], axis=2)
 
     def covariates(self, data: Measurements) -> dict[str, Floats]:
@@ -351,7 +355,8 @@ class ChainModel(SeenModel):
 
         def position() -> Floats:
             full = self.full(values)
-            out, reached = self.core_for(data).predict(full, self.plain_block(data))
+            joints, _, *known = self.plain_block(data)
+            out, reached = self.core_for(data).predict(full, (joints, None, *known))
             self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
             return out[:, : data.coordinates]
 
@@ -363,9 +368,8 @@ class ChainModel(SeenModel):
 
     def linearised_by_blocks(self, data: Measurements, values: Floats) -> Callable[[slice], Derivatives]:
         """The core computes each stretch; the user's effects are computed once, at their link."""
-        rows, values = self.rows(data, values), np.asarray(values)
-        own = [(e, e.columns(rows, values[self.owns(e)], self.axes_of(e, data))) for e in self.own]
-        return ModelColumns(self, data, values, own)
+        values = np.asarray(values)
+        return ModelColumns(self, data, values, InnerColumns(self, data, values).of_model())
 
     def tried(self, data: Measurements, values: Floats, effects: Sequence[Effect]) -> CandidateColumns:
         """Likewise; of the core only what is tried is asked."""
@@ -375,35 +379,18 @@ class ChainModel(SeenModel):
             everything = everything.with_effect(effect, at=None if time is None else float(time.min()))
         known = dict(zip((p.name for p in self.parameters), values.tolist(), strict=True))
         start = np.array([known.get(p.name, 0.0) for p in everything.parameters])
-        rows = everything.rows(data, start)
-        tried, refused = [], {}
+        inner, tried, refused = InnerColumns(everything, data, start), [], {}
         for effect in effects:
             if effect.function is None:
                 continue
             try:
-                tried.append((effect, effect.columns_at_zero(rows, self.axes_of(effect, data))))
+                tried.append((effect, inner.at_zero(effect)))
             except EffectError as error:
                 refused[effect.name] = str(error)
         widths = [(e, len(e.parameters)) for e in (*built_in, *(effect for effect, _ in tried))]
         reads_point = int(data.taken[:, : data.coordinates].any(axis=0).sum()) == 3
         columns = EffectColumns(everything, data, start, built_in, tried)
         return CandidateColumns(columns, column_slices(widths), refused, reads_point)
-
-    def own_columns(
-        self, data: Measurements, rows: EffectRows, values: Floats, by_joints: Floats, by_body: Floats
-    ) -> list[Floats]:
-        """Derivatives (n, m, p) by the parameters of each of the user's effects."""
-        return [
-            carry(
-                effect,
-                effect.columns(rows, np.asarray(values)[self.owns(effect)], self.axes_of(effect, data)),
-                data.is_distance,
-                data.coordinates,
-                by_joints,
-                by_body,
-            )
-            for effect in self.own
-        ]
 
     def plain_block(self, data: Measurements) -> tuple[Any, ...]:
         """The rows as they are, as the core takes them; those asked for last are remembered."""
@@ -416,17 +403,14 @@ class ChainModel(SeenModel):
         """The rows with the user's effects at joints and body put in, and what those at the sensor add."""
         if not self.own:
             return self.plain_block(data), None
-        rows = self.rows(data, values)
-        sums: dict[str, Any] = {
-            "joints": np.zeros_like(data.joints),
-            "body": np.zeros((len(data), 3)),
-            "sensor": np.zeros((len(data), data.coordinates)),
-        }
-        for effect in self.own:
-            own = np.asarray(values)[self.owns(effect)]
-            sums[effect.link] += effect.evaluate(rows, own, self.axes_of(effect, data))
-        added = np.where(data.is_distance[:, None], 0.0, sums["sensor"])
-        return self.block(data, data.joints + sums["joints"], sums["body"]), added
+        moved, push, read = added_to(self, data, values)
+        block = self.block(data, data.joints + moved, push)
+        added = np.where(data.is_distance[:, None], 0.0, read)
+        far = data.between_places[:, None]
+        if not far.any():
+            return block, added
+        there, other, _ = added_to(self, data.from_other_end, values)
+        return (block[0], data.to_joints + there, block[2], push - np.where(far, other, 0.0)), added
 
     # -- the fast path -------------------------------------------------------------------------------------
 

@@ -219,9 +219,13 @@ class Effect(Shown):
         Raises :class:`EffectError` also where none of its parameters moves anything in these rows.
         """
         out = self.columns(rows, np.zeros(len(self.parameters)), axes)
-        if not out.any():
-            raise EffectError("its parameters move nothing in these rows")
+        self.require_moving(out)
         return out
+
+    def require_moving(self, columns: Floats) -> None:
+        """Raises :class:`EffectError` where these derivatives are all zero."""
+        if not columns.any():
+            raise EffectError("its parameters move nothing in these rows")
 
     def columns(self, rows: Any, values: Floats, axes: int) -> Floats:
         """Derivatives (n, axes, p) of a NumPy effect: the user's own, or central differences of fourth order."""

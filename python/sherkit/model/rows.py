@@ -18,14 +18,15 @@ class EffectRows:
     ``joints`` (n, k), mm or rad; ``time`` (n,) s; ``direction`` (n, k) sign of the last motion; ``position`` (n, m),
     the coordinates that the model gives; every covariate of the file under its column name, with or without its unit
     (``rows.humidity_pct`` or ``rows.humidity``). Inputs and covariates are also found by ``rows["name"]``. ``position``
-    is computed when it is asked for.
+    is computed when it is asked for. Of a distance between two places an effect is asked at each end by itself:
+    ``joints`` and ``position`` are those there, ``direction`` is zero, since nobody knows it.
     """
 
     def __init__(self, data: Measurements, position: Callable[[], Floats]) -> None:
         self._data = data
         self._position = position
         self.joints = data.joints
-        self.direction = data.direction
+        self.direction = data.came_from
 
     def __len__(self) -> int:
         return len(self._data)

@@ -88,8 +88,12 @@ class LinearFit:
         return at_rows, there[1]
 
     def wave(self, frequency: float) -> tuple[Floats, Floats]:
-        """The same of sine and cosine of each joint that has waves; of a distance as its first end alone has it."""
-        here = waves(self._by_joints, self.joints, 1.0 / frequency, self._waving)
+        """The same of sine and cosine of each joint that has waves, at each end of a distance."""
+        k, data = self.joints.shape[1], self.fit.data
+        here = waves(self._by_joints[:, :, :k], self.joints, 1.0 / frequency, self._waving)
+        if self._by_joints.shape[2] > k:
+            there = data.from_other_end.joints[self.rows]
+            here = here + waves(self._by_joints[:, :, k:], there, 1.0 / frequency, self._waving)
         return here, waves(self._there[1], self.asked.joints, 1.0 / frequency, self._waving)
 
     @cached_property
@@ -230,7 +234,7 @@ class LinearFit:
                 kept = (left * self._weights[self._full, :d, None]).reshape(-1, k)
                 cells, used = self._cells[self._full, :d].ravel(), basis.shape[1] + functions.shape[1] * d
                 moment, _ = self._known(kept, self._corrected[0], cells, used, size)
-        by_joints = self._by_joints[self._full][:, : left.shape[1]]
+        by_joints = self._by_joints[self._full][:, : left.shape[1], : self.joints.shape[1]]
         shown = self.asked.carry(self.joints[self._full], by_joints, left)
         seen = np.tensordot(shown @ moment, shown, ([0, 2], [0, 2])) / max(len(shown), 1)
         return BiasBound(

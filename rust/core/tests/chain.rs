@@ -22,6 +22,7 @@ const fn of(name: &str) -> Range<usize> {
 }
 
 const BACKLASH: Range<usize> = of("backlash");
+const BAR_ZERO: Range<usize> = of("bar_zero");
 const BEAM_ALIGNMENT: Range<usize> = of("beam_alignment");
 const DRIVE_COMPLIANCE: Range<usize> = of("drive_compliance");
 const DRIFT: Range<usize> = of("drift");
@@ -104,15 +105,45 @@ proptest! {
                 let differences = derivative(|h| {
                     let mut r = row;
                     r.joints[axis] += h;
-                    if let Some(to) = &mut r.to {
-                        to[axis] += h;
-                    }
                     chain.row_value(&r).unwrap()
                 }, 0.02);
                 let column = predicted.by_joints.column(axis);
                 let difference = (column - differences).norm() / column.norm().max(1.0);
                 prop_assert!(difference < 1e-7, "{:?} joint {axis}: {difference}", row.to);
             }
+        }
+    }
+
+    /// A distance that an instrument's beams bend, or that is not that of its places; a bar's zero with the wrong sign; a
+    /// derivative by the other end that is not the first's with the ends exchanged.
+    #[test]
+    fn a_distance_is_that_of_its_places(
+        robot in robots(),
+        values in effects(),
+        moves in prop::array::uniform3(3.0..8.0_f64),
+    ) {
+        let mut values = values;
+        let chain = model_of(&robot).with(&values).unwrap();
+        let joints = [robot.joints.x, robot.joints.y, robot.joints.z];
+        let to: [f64; LIMBS] = std::array::from_fn(|i| joints[i] + moves[i]);
+        let row = |joints, to| Row { joints, to, aim: Aim::default(), covariates: some_covariates(), push: Vector3::zeros() };
+        let (there, here) = (row(to, Some(joints)), row(joints, Some(to)));
+        let apart = chain.row_point(&row(to, None)).unwrap() - chain.row_point(&row(joints, None)).unwrap();
+        let found = chain.row_value(&here).unwrap().x;
+        prop_assert!((found - apart.norm() - values[BAR_ZERO.start]).abs() < 1e-9);
+        values[SENSOR_POSE].fill(0.0);
+        values[SENSOR_SLIP].fill(0.0);
+        values[BEAM_ALIGNMENT].fill(0.0);
+        values[SENSOR_LINEARITY].fill(0.0);
+        prop_assert_eq!(model_of(&robot).with(&values).unwrap().row_value(&here).unwrap().x, found);
+        let by_joints = chain.row_predict(&there, Wanted::ALL).unwrap().by_joints;
+        for axis in 0..3 {
+            let differences = derivative(|h| {
+                let mut to = to;
+                to[axis] += h;
+                chain.row_value(&row(joints, Some(to))).unwrap()
+            }, 0.02);
+            prop_assert!((by_joints.column(axis) - differences).norm() < 1e-6, "{axis}");
         }
     }
 
@@ -377,7 +408,10 @@ fn a_distance_of_zero_has_a_finite_derivative() {
     let chain = model_of(&robot).with(&[0.0; PARAMETERS]).unwrap();
     let predicted = chain.row_predict(&row, Wanted::ALL).unwrap();
     assert_eq!(predicted.value, Vector3::zeros());
-    assert_eq!(predicted.by_parameters.amax(), 0.0);
+    let mut columns = predicted.by_parameters;
+    assert_eq!(columns[(0, BAR_ZERO.start)], 1.0);
+    columns.column_mut(BAR_ZERO.start).fill(0.0);
+    assert_eq!(columns.amax(), 0.0);
 }
 
 /// An effect whose covariate is missing and that is quietly left out, or one at zero that spoils the reading.

@@ -84,8 +84,8 @@ impl Parts {
     }
 }
 
-/// Numbers of the second wave of a delta's encoders.
-const SECOND_OF_DELTA: usize = 2 * delta::LIMBS;
+/// Numbers at the end of a delta's parameters that rows from before lack: those of its bar; of its encoders' second wave as well.
+const LATER_OF_DELTA: [usize; 2] = [1, 1 + 2 * delta::LIMBS];
 
 /// Where the values of a delta's first branch end in its row: behind its head, its geometry, its target and sensor, its
 /// rods, its joints, its moments.
@@ -116,12 +116,13 @@ proptest! {
         }
     }
 
-    /// A row from before encoders had a second wave that is refused, or read from the wrong places: all but the last
-    /// parameters of each branch, and as if those were zero.
+    /// A row from before encoders had a second wave, or bars a zero, that is refused, or read from the wrong places: all but
+    /// the last parameters of each branch, and as if those were zero.
     #[test]
     fn a_delta_from_before_is_read(robot in robots(), values in effects(), seed in any::<u64>()) {
+        let later = LATER_OF_DELTA[usize::from(seed % 2 == 0)];
         let mut parts = Parts::new(&robot, &values, seed);
-        for own in parts.values.iter_mut().flat_map(|all| &mut all[delta::PARAMETERS - SECOND_OF_DELTA..]) {
+        for own in parts.values.iter_mut().flat_map(|all| &mut all[delta::PARAMETERS - later..]) {
             *own = 0.0;
         }
         let mut old = parts.written();
@@ -130,10 +131,10 @@ proptest! {
             // behind the first branch's correction: that there is a region, the region, the other branch
             let correction = if parts.corrected { 1 + 3 + 7 + 3 * parts.coefficients.len() } else { 1 };
             let other = end + correction + 1 + 7 + end - 3;
-            old.drain(other - SECOND_OF_DELTA..other);
+            old.drain(other - later..other);
         }
-        old.drain(end - SECOND_OF_DELTA..end);
-        old[2] -= SECOND_OF_DELTA as f64;
+        old.drain(end - later..end);
+        old[2] -= later as f64;
         let (read, made, now) = (read_delta(&old).expect("one from before"), parts.made(), some_covariates());
         prop_assert_eq!(read.forward(&parts.robot.joints, &now), made.forward(&parts.robot.joints, &now));
         prop_assert_eq!(read.local.is_some(), made.local.is_some());

@@ -6,6 +6,7 @@ The table of the effects is `rust/core/src/delta/effects.rs`; here are the sente
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import ClassVar
@@ -90,6 +91,13 @@ _OWN = {
         residuals="A step over time: all readings before it agree, all after it agree.",
         remedy="Tighten clamp and cube; measure again from the moment on.",
     ),
+    "bar_zero": Sentences(
+        physics="Every distance between two places is read too long or too short by the same length: the bar's own "
+        "length, the radius of its balls, the zero of callipers.",
+        residuals="The same in every distance, whatever its length and direction.",
+        remedy="Calibrate the bar on a gauge of known length; close the callipers and set them to zero.",
+        sizes={"length": "every distance reads {size} too long/short"},
+    ),
     "beam_alignment": Sentences(
         physics="The laser beams are not square to the faces of the cube, or a "
         "sensor's scale is off: each reading shows a little of the other coordinates.",
@@ -108,6 +116,13 @@ CATALOGUE: dict[str, Effect] = catalogue_of(_core.DeltaModel.CATALOGUE, _OWN)
 _WORKSPACE_MM = 20.0
 #: Poses along each axis from which the next ones are chosen.
 _GRID = (7, 7, 5)
+#: What acts on distances between places alone; and why these tell nothing of what acts on both of their ends alike, or
+#: on neither, nor of play.
+BAR = "bar_zero"
+_NO_BEAM = "these rows are distances between places, which it changes none of"
+_NO_SIDE = "these rows are distances between places: nobody knows from which side their ends were reached"
+#: What moves the measured point alike wherever it is.
+_ALIKE = ("drift", "slip")
 #: Effects that grow from where the base has its origin.
 _ABOUT_THE_ORIGIN = ("thermal_growth", "link_growth")
 
@@ -164,6 +179,21 @@ class DeltaModel(ChainModel):
         if warms and np.isinf(self.pose_sd).all() and parameter.name.startswith(("base_", "joint_offset_")):
             return replace(super().as_known(parameter), known=True)
         return super().as_known(parameter)
+
+    def is_testable(self, effects: Sequence[Effect], data: Measurements) -> tuple[list[Effect], dict[str, str]]:
+        """As of any model, by what distances between places can tell. Where there are none, nobody asks for a bar."""
+        far = data.between_places
+        tried, untestable = super().is_testable([e for e in effects if e.name != BAR or far.any()], data)
+        if not far.all():
+            return tried, untestable
+        of_both = {e.name for e in tried if e.function is None and (e.link == "sensor" or e.name in _ALIKE)} - {BAR}
+        untestable |= dict.fromkeys(of_both, _NO_BEAM) | {e.name: _NO_SIDE for e in tried if "direction" in e.needs}
+        return [e for e in tried if e.name not in untestable], untestable
+
+    @property
+    def may_be_off(self) -> Mapping[str, Effect]:
+        """As of any model; a bar moves no place."""
+        return {name: one for name, one in self.known_effects.items() if name != BAR}
 
     def settings(self) -> dict[str, Setting | None]:
         """Period of the encoders, moments of the slips, lag of the stands, origin of time."""

@@ -20,7 +20,7 @@ from ..calibrated import Note
 from ..calibration_run import CalibrationRun
 from ..delta.calibration import DeltaCalibration, DeltaPart
 from .klipper import SAVED, STEPPERS, KlipperConfig, text_of
-from .model import PrinterModel, distances
+from .model import PrinterModel
 from .robot import ANGLES, FIRMWARES, PLATE, PROBED, PROBING, Printer, Towers
 
 
@@ -33,7 +33,7 @@ class PrinterPart(DeltaPart):
         """The part that a run gives: heights say how far off it is, the same on every axis."""
         fit = run.fit
         left, scatter = run.left_alike(np.isfinite(run.held_out), run.held_out)
-        tips = fit.model.tips(fit.data)[~distances(fit.data) & ~fit.data.outlier]
+        tips = fit.model.tips(fit.data)[~fit.data.between_places & ~fit.data.outlier]
         # the printer carries its probe: what it reads is of the base's own axes
         made = cls.identified(fit, 3, uncorrected_covariance=left, correction=None, sensor_turn=np.eye(3),
                               sensor_origin_mm=np.zeros(3))  # fmt: skip

@@ -18,7 +18,7 @@ from ...data import Measurements
 from ...errors import FitError, SherkitError
 from ...fit.identify import Fit, identify
 from ...model.effect import Effect
-from .model import PrinterModel, bed_shape, distances
+from .model import PrinterModel, bed_shape
 from .robot import PLATE, Printer
 
 #: So many usual sizes are still plausible.
@@ -133,7 +133,7 @@ def _fair(one: Suspect) -> float:
 def plain_fit(robot: Printer, data: Measurements) -> Fit:
     """The printer with what its firmware can hold. Raises :class:`~sherkit.errors.FitError` where too little was
     measured for that, in words."""
-    heights = int((~distances(data)).sum())
+    heights = int((~data.between_places).sum())
     numbers = len(PrinterModel(robot).parameters) - 3  # where the middle is and what it faces is no error
     if len(data) <= numbers:
         raise FitError(

@@ -178,7 +178,7 @@ class Touches(EffectRows):
 
     def __init__(self, data: Measurements, position: Callable[[], Floats]) -> None:
         super().__init__(data, position)
-        self.is_distance = distances(data)
+        self.is_distance = data.between_places
 
 
 @dataclass(frozen=True)
@@ -224,11 +224,6 @@ class PrinterModel(DeltaModel):
         del data
         return Probed(self.core)
 
-    def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
-        """The rows as the core takes them."""
-        block = super().block(data, joints, push)
-        return (block[0], data.to_joints if distances(data).any() else None, *block[2:])
-
     def require_own(self, data: Measurements) -> None:
         """Raises :class:`~sherkit.errors.FitError` for a run of something else, half a distance, or a probing that
         the robot file does not name."""
@@ -264,8 +259,3 @@ class PrinterModel(DeltaModel):
         del predicted
         at = self.tips(data)
         return dict(zip(POSITION[:2], at[:, :2].T, strict=True))
-
-
-def distances(data: Measurements) -> Bools:
-    """Which rows (n,) are distances between two places."""
-    return np.asarray(np.isfinite(data.to_joints).all(axis=1))

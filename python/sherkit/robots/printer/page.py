@@ -11,7 +11,6 @@ import numpy as np
 from ...base.types import Floats
 from ...fit.forms import known
 from ...report.page import Made, Section, html_sentences, html_table, write_page
-from .model import distances
 from .printer_diagnosis import Examined
 
 _SIZE, _GAP, _TOP = 300, 40, 40
@@ -37,7 +36,7 @@ def write_printer(path: Path, examined: Examined, made: Made) -> None:
 def drawing(examined: Examined) -> str:
     """An SVG: the plate as it reads and as it would with the best numbers, the towers from above and from the front."""
     plain = examined.plain
-    rows = ~distances(plain.data) & ~plain.data.outlier
+    rows = ~plain.data.between_places & ~plain.data.outlier
     at = plain.model.tips(plain.data)[rows, :2]
     before, after = -plain.nominal_residuals[rows, 0], -plain.residuals[rows, 0]
     before = before - before.mean()

@@ -24,7 +24,7 @@ from .calibration import FirmwareFit, commands, held
 from .gcode import words
 from .hypotheses import Suspect, plain_fit, suspects, turns
 from .klipper import text_of
-from .model import bed_shape, distances
+from .model import bed_shape
 from .robot import ImportedPrinter
 
 #: By how much a plate is best turned: shapes of up to five lobes lie elsewhere then. A third of a turn would leave one
@@ -82,7 +82,7 @@ class Examined:
 
     def _rms(self, left: Any) -> float:
         data = self.plain.data
-        rows = ~distances(data) & ~data.outlier
+        rows = ~data.between_places & ~data.outlier
         probing = data.covariates["probing"][rows]
         values = left[rows, 0]
         means = {k: values[probing == k].mean() for k in np.unique(probing).tolist()}
@@ -170,7 +170,7 @@ class Examined:
 
     def _measured(self) -> str:
         data, robot = self.plain.data, self.found.robot
-        count = int(distances(data).sum())
+        count = int(data.between_places.sum())
         lengths = f" and {count} distances" if count else ""
         turned = [f"{t:g}°" for t in turns(data) if t]
         plate = f", the plate turned by {' and '.join(turned)} in part of them" if turned else ""
@@ -182,7 +182,7 @@ class Examined:
 
     def _left_out(self) -> str:
         """Heights that nothing explains, and where."""
-        data, rows = self.plain.data, np.flatnonzero(self.plain.data.outlier & ~distances(self.plain.data))
+        data, rows = self.plain.data, np.flatnonzero(self.plain.data.outlier & ~self.plain.data.between_places)
         if not len(rows):
             return ""
         at, off = self.plain.model.tips(data)[rows], self.plain.residuals[rows, 0]

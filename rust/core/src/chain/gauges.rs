@@ -1,7 +1,7 @@
-//! What stands fixed in the base frame and says how far the measured point is from it: centres and planes.
+//! What reads distances: from what stands fixed in the base frame, centres and planes, or between two places.
 
 use super::bar::{Bar, Bars, CENTRES};
-use super::effects::Wanted;
+use super::effects::{Wanted, values_of};
 use super::plane::{Flat, PLANES, Plane, Planes};
 use super::row::Fixed;
 use super::sensor::{Look, Sensor};
@@ -14,11 +14,42 @@ use nalgebra::{SMatrix, SVector, Vector3};
 pub trait Around: Copy + Debug {
     /// What reads the distance from one of them.
     fn gauge(&self, from: Fixed) -> Option<Gauge>;
+
+    /// What a distance between two places reads beyond itself, mm.
+    #[inline]
+    fn zero(&self) -> f64 {
+        0.0
+    }
 }
 
 impl Around for () {
     fn gauge(&self, _: Fixed) -> Option<Gauge> {
         None
+    }
+}
+
+/// A bar that is held between two places: nothing stands fixed.
+#[derive(Clone, Copy, Debug)]
+pub struct Between {
+    zero: f64,
+}
+
+impl Between {
+    /// That of a robot, with its error.
+    pub(crate) fn new<T: Table, const P: usize>(values: &[f64; P]) -> Self {
+        let [zero] = values_of(T::AT.bar.bar_zero, values);
+        Self { zero }
+    }
+}
+
+impl Around for Between {
+    fn gauge(&self, _: Fixed) -> Option<Gauge> {
+        None
+    }
+
+    #[inline]
+    fn zero(&self) -> f64 {
+        self.zero
     }
 }
 

@@ -43,7 +43,7 @@ pub use camera::Eye;
 pub use cartesian::{Cartesian, LINEARITY_SPAN_MM};
 pub use columns::Columns;
 pub use frame::Frame;
-pub use gauges::{Around, Gauge, Gauges};
+pub use gauges::{Around, Between, Gauge, Gauges};
 pub(crate) use inverse::inverse;
 pub use joints::{Joints, Turned};
 pub use mechanism::Mechanism;

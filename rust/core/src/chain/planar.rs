@@ -321,9 +321,6 @@ fn has_exact_derivatives(arm: &Arm, values: &Values, row: &Row<2>) {
         let moved = |h: f64| {
             let mut row = *row;
             row.joints[k] += h;
-            if let Some(to) = &mut row.to {
-                to[k] += h;
-            }
             chain.row_value(&row).unwrap()
         };
         let column = found.by_joints.column(k).into_owned();

@@ -5,7 +5,7 @@ use super::gauges::{self, Around, Gauge};
 use super::mechanism::Mechanism;
 use super::robot::{Chain, Robot};
 use super::row::{Aim, Prediction, Row};
-use super::sensor::first;
+use super::sensor::{Itself, first};
 use crate::Result;
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -40,18 +40,17 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
     /// # Errors
     /// As [`Chain::value`].
     pub fn row_value(&self, row: &Row<J>) -> Result<SVector<f64, M>> {
-        let at = |q: &[f64; J]| {
-            let (joints, known) = (SVector::from(*q), &row.covariates);
-            let target = row.aim.target;
-            match self.gauge(row.aim) {
-                None => self.value_by(&self.sensor, &joints, known, &row.push, target),
-                Some(gauge) => self.value_by(&gauge, &joints, known, &row.push, target),
-            }
-        };
-        let value = at(&row.joints)?;
-        match &row.to {
-            None => Ok(value),
-            Some(to) => Ok(first((at(to)? - value).norm())),
+        let (known, target) = (&row.covariates, row.aim.target);
+        let joints = SVector::from(row.joints);
+        if let Some(to) = &row.to {
+            let there = SVector::from(*to);
+            let a = self.value_by(&Itself, &joints, known, &row.push, target)?;
+            let b = self.value_by(&Itself, &there, known, &Vector3::zeros(), target)?;
+            return Ok(first((b - a).norm() + self.around.zero()));
+        }
+        match self.gauge(row.aim) {
+            None => self.value_by(&self.sensor, &joints, known, &row.push, target),
+            Some(gauge) => self.value_by(&gauge, &joints, known, &row.push, target),
         }
     }
 
@@ -68,21 +67,20 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         out: &mut Prediction<J, M, P>,
     ) -> Result<()> {
         if !row.is_distance() {
-            return self.predict_aimed(&row.joints, row, wanted, out);
+            return self.predict_aimed(row, wanted, out);
         }
         *out = self.row_predict(row, wanted)?;
         Ok(())
     }
 
-    /// What is read with the joints of a row, or with others.
+    /// What is read at one place.
     fn predict_aimed(
         &self,
-        joints: &[f64; J],
         row: &Row<J>,
         wanted: Wanted,
         out: &mut Prediction<J, M, P>,
     ) -> Result<()> {
-        let (joints, known) = (SVector::from(*joints), &row.covariates);
+        let (joints, known) = (SVector::from(row.joints), &row.covariates);
         let target = row.aim.target;
         match self.gauge(row.aim) {
             None => {
@@ -100,20 +98,24 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         aim.from.and_then(|from| self.around.gauge(from))
     }
 
-    /// [`Self::row_predict_into`] as a value of its own.
+    /// [`Self::row_predict_into`] as a value of its own. Of a distance between two places the derivatives by joints and body
+    /// are those of its first end; those of the other are the first's where the ends are exchanged.
     ///
     /// # Errors
     /// As [`Chain::predict`].
     pub fn row_predict(&self, row: &Row<J>, wanted: Wanted) -> Result<Prediction<J, M, P>> {
-        let at = |q: &[f64; J]| {
+        let Some(to) = &row.to else {
             let mut out = Prediction::new();
-            self.predict_aimed(q, row, wanted, &mut out)?;
+            self.predict_aimed(row, wanted, &mut out)?;
+            return Ok(out);
+        };
+        let at = |q: &[f64; J], push| {
+            let (mut out, joints) = (Prediction::new(), SVector::from(*q));
+            let (known, target) = (&row.covariates, row.aim.target);
+            self.predict_by(&Itself, &joints, known, push, target, wanted, &mut out)?;
             Ok(out)
         };
-        let Some(to) = &row.to else {
-            return at(&row.joints);
-        };
-        let (a, b) = (at(&row.joints)?, at(to)?);
+        let (a, b) = (at(&row.joints, &row.push)?, at(to, &Vector3::zeros())?);
         let between = b.value - a.value;
         let distance = between.norm();
         // two equal places have no direction; their distance is stationary at zero
@@ -122,12 +124,16 @@ impl<R: Robot<J, M, P>, const J: usize, const M: usize, const P: usize> Chain<R,
         } else {
             SVector::zeros()
         };
-        Ok(Prediction {
-            value: first(distance),
-            by_joints: first_row(&along, &(b.by_joints - a.by_joints)),
-            by_body: first_row(&along, &(b.by_body - a.by_body)),
+        let mut out = Prediction {
+            value: first(distance + self.around.zero()),
+            by_joints: first_row(&-along, &a.by_joints),
+            by_body: first_row(&-along, &a.by_body),
             by_parameters: first_row(&along, &(b.by_parameters - a.by_parameters)),
-        })
+        };
+        if let Some(place) = wanted.wants(R::AT.bar.bar_zero) {
+            out.by_parameters[(0, place.start)] = 1.0;
+        }
+        Ok(out)
     }
 }
 

@@ -62,7 +62,8 @@ pub struct Row<const J: usize> {
     pub aim: Aim,
     /// Time, temperature, directions, velocities.
     pub covariates: Covariates<J>,
-    /// Added to the measured point before the sensor sees it, mm: a user's own effect.
+    /// Added to the measured point before the sensor sees it, mm: a user's own effect. Of a distance between two places, by
+    /// how much more its first end is displaced than the other.
     pub push: Vector3<f64>,
 }
 
@@ -71,9 +72,9 @@ pub struct Row<const J: usize> {
 pub struct Prediction<const J: usize, const M: usize, const P: usize> {
     /// What the sensor would show.
     pub value: SVector<f64, M>,
-    /// By the joint readings.
+    /// By the joint readings; of a distance between two places by those of its first end.
     pub by_joints: SMatrix<f64, M, J>,
-    /// By a displacement of the measured point, mm.
+    /// By a displacement of the measured point, mm; of the first end alone as above.
     pub by_body: SMatrix<f64, M, 3>,
     /// By the parameters, one column each.
     pub by_parameters: SMatrix<f64, M, P>,

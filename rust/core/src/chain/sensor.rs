@@ -51,6 +51,26 @@ pub trait Sensor<const M: usize>: Copy + Debug {
     }
 }
 
+/// The point itself, base frame: ends of a distance are seen by no instrument, whose beams or axes could be bent.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Itself;
+
+impl<const M: usize> Sensor<M> for Itself {
+    fn value(&self, point: &Vector3<f64>, _: Look) -> Result<SVector<f64, M>> {
+        Ok(SVector::from_fn(|k, _| if k < 3 { point[k] } else { 0.0 }))
+    }
+
+    fn predict<T: Table, const P: usize>(
+        &self,
+        point: &Vector3<f64>,
+        look: Look,
+        _: Wanted,
+        _: &mut SMatrix<f64, M, P>,
+    ) -> Result<(SVector<f64, M>, SMatrix<f64, M, 3>)> {
+        Ok((self.value(point, look)?, SMatrix::identity()))
+    }
+}
+
 /// A distance as a reading: the first component, the others zero.
 pub(super) fn first<const M: usize>(distance: f64) -> SVector<f64, M> {
     SVector::from_fn(|axis, _| if axis == 0 { distance } else { 0.0 })

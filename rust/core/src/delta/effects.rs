@@ -122,8 +122,12 @@ effects! { At;
         turn_x, turn_y, turn_z: "rad", 2e-3, 20.0;
         shift_x, shift_y, shift_z: "mm", 0.1, 1.0;
     }
-    // the cyclic error's second wave in each period; the last, as rows of numbers from before it hold all but these
+    // the cyclic error's second wave in each period; behind what rows of numbers from before it hold
     encoder_second: Joints by joints {
         sine_1, cosine_1, sine_2, cosine_2, sine_3, cosine_3: "mm", 0.002, 1.0;
+    }
+    // what a bar or callipers add to every distance; the last for the same reason
+    bar_zero: Sensor by bar {
+        length: "mm", 0.1, 1.0;
     }
 }

@@ -6,7 +6,7 @@ use super::nominal::Model;
 use super::structure::Structure;
 use crate::chain::effects::Effect;
 use crate::chain::places::Places;
-use crate::chain::{self, Cartesian, Distances, Robot, Settings, Table};
+use crate::chain::{self, Between, Cartesian, Distances, Robot, Settings, Table};
 use crate::{Error, Result};
 use core::f64::consts::TAU;
 
@@ -31,7 +31,7 @@ impl Table for Model {
 impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     type Structure = Structure;
     type Sensor = Cartesian;
-    type Around = ();
+    type Around = Between;
     const DISTANCES: Distances = Distances::BetweenPlaces;
 
     fn settings(&self) -> Settings<LIMBS> {
@@ -84,5 +84,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
         ))
     }
 
-    fn around(&self, _: &Values) {}
+    fn around(&self, values: &Values) -> Between {
+        Between::new::<Self, PARAMETERS>(values)
+    }
 }

@@ -36,6 +36,12 @@ const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
 const SERIAL: f64 = 3.0;
 
+/// Numbers at the end of each kind's parameters that rows from before do not hold: a delta's bar, and two of each joint for
+/// the second wave of its encoder.
+const LATER_OF_DELTA: &[usize] = &[1, 1 + 2 * delta::LIMBS];
+const LATER_OF_SPHERICAL: &[usize] = &[2 * spherical::LIMBS];
+const LATER_OF_SERIAL: &[usize] = &[2 * serial::JOINTS];
+
 /// What a branch of a calibrated delta is made from.
 #[derive(Clone, Copy, Debug)]
 pub struct BranchParts<'a> {
@@ -56,15 +62,15 @@ trait Row {
     /// Any number; it is put there, or taken from there.
     fn any(&mut self, value: &mut f64) -> Result<()>;
 
-    /// How many of its `parameters` the row holds; a row from before encoders had a second wave lacks the last, two of
-    /// each of its `joints`.
-    fn head(&mut self, kind: f64, parameters: usize, joints: usize) -> Result<usize> {
+    /// How many of its `parameters` the row holds; rows from before there were the last of them lack as many as is `later`.
+    fn head(&mut self, kind: f64, parameters: usize, later: &[usize]) -> Result<usize> {
         let [mut version, mut found, mut count] = [VERSION, kind, parameters as f64];
         for number in [&mut version, &mut found, &mut count] {
             self.any(number)?;
         }
-        let known = [parameters, parameters - 2 * joints]
-            .into_iter()
+        let known = core::iter::once(0)
+            .chain(later.iter().copied())
+            .map(|lacked| parameters - lacked)
             .find(|known| *known as f64 == count);
         let Some(known) = known.filter(|_| version == VERSION) else {
             return refuse("calibration: written by another version");

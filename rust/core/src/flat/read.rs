@@ -1,6 +1,8 @@
 //! A calibrated robot from its numbers; what is no calibration is refused.
 
-use super::{DELTA, Row, SERIAL, SPHERICAL, refuse};
+use super::{
+    DELTA, LATER_OF_DELTA, LATER_OF_SERIAL, LATER_OF_SPHERICAL, Row, SERIAL, SPHERICAL, refuse,
+};
 use crate::camera::{self, Description, Face};
 use crate::chain::{CENTRES, Flat, Frame, PLANES, Robot};
 use crate::delta::correction::{Correction, Domain, MAX_ORDER, coefficients_len};
@@ -97,7 +99,7 @@ impl<'a> Reader<'a> {
 /// [`Error::Invalid`] says what the row lacks; otherwise as [`Robot::with`].
 pub fn read_delta(numbers: &[f64]) -> Result<Calibrated<'_>> {
     let (mut row, mut there, mut region) = (Reader(numbers), false, ANYWHERE);
-    let known = row.head(DELTA, delta::PARAMETERS, delta::LIMBS)?;
+    let known = row.head(DELTA, delta::PARAMETERS, LATER_OF_DELTA)?;
     let whole = row.branch(known)?;
     row.flag(&mut there)?;
     let local = if there {
@@ -135,7 +137,7 @@ pub fn read_spherical(numbers: &[f64]) -> Result<spherical::Calibrated> {
         encoder_period: [1.0; spherical::LIMBS],
         sensor_slip_time_s: 0.0,
     };
-    let known = row.head(SPHERICAL, spherical::PARAMETERS, spherical::LIMBS)?;
+    let known = row.head(SPHERICAL, spherical::PARAMETERS, LATER_OF_SPHERICAL)?;
     row.spherical(&mut model, &mut elbows, &mut values, known)?;
     row.end()?;
     spherical::Calibrated::new(&model, &values, elbows)
@@ -166,7 +168,7 @@ pub fn read_serial(numbers: &[f64]) -> Result<serial::Calibrated> {
         joint_slip_time_s: 0.0,
         sensor_slip_time_s: 0.0,
     };
-    let known = row.head(SERIAL, serial::PARAMETERS, serial::JOINTS)?;
+    let known = row.head(SERIAL, serial::PARAMETERS, LATER_OF_SERIAL)?;
     row.serial(&mut model, &mut limits, &mut values, known)?;
     row.end()?;
     serial::Calibrated::new(&model, &values, &limits)

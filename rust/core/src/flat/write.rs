@@ -1,6 +1,8 @@
 //! A calibrated robot's numbers, handed on one after the other.
 
-use super::{BranchParts, DELTA, Row, SERIAL, SPHERICAL};
+use super::{
+    BranchParts, DELTA, LATER_OF_DELTA, LATER_OF_SERIAL, LATER_OF_SPHERICAL, Row, SERIAL, SPHERICAL,
+};
 use crate::Result;
 use crate::delta;
 use crate::delta::correction::Domain;
@@ -49,7 +51,7 @@ pub fn write_delta(
 ) {
     let mut row = Writer(put);
     let mut write = || -> Result<()> {
-        row.head(DELTA, delta::PARAMETERS, delta::LIMBS)?;
+        row.head(DELTA, delta::PARAMETERS, LATER_OF_DELTA)?;
         row.branch(whole)?;
         row.flag(&mut local.is_some())?;
         let Some((branch, region)) = local else {
@@ -70,7 +72,7 @@ pub fn write_spherical(
     put: impl FnMut(f64),
 ) {
     let (mut row, mut model, mut values) = (Writer(put), *model, *values);
-    let known = row.head(SPHERICAL, spherical::PARAMETERS, spherical::LIMBS);
+    let known = row.head(SPHERICAL, spherical::PARAMETERS, LATER_OF_SPHERICAL);
     let _ = known.and_then(|known| row.spherical(&mut model, &mut elbows, &mut values, known));
 }
 
@@ -83,6 +85,6 @@ pub fn write_serial(
 ) {
     let (mut row, mut model, mut values) = (Writer(put), *model, *values);
     let mut limits = *limits;
-    let known = row.head(SERIAL, serial::PARAMETERS, serial::JOINTS);
+    let known = row.head(SERIAL, serial::PARAMETERS, LATER_OF_SERIAL);
     let _ = known.and_then(|known| row.serial(&mut model, &mut limits, &mut values, known));
 }
