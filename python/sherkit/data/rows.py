@@ -260,6 +260,8 @@ class Measurements:
     def from_other_end(self) -> Measurements:
         """The same rows with the ends of distances between places exchanged: what was read is the same."""
         far = self.between_places[:, None]
+        if not far.any():
+            return replace(self)
         joints = np.ascontiguousarray(np.where(far, self.to_joints, self.joints))
         return replace(self, joints=joints, to_joints=np.where(far, self.joints, self.to_joints))
 

@@ -46,7 +46,7 @@ def signature_of(names: Names, named: Sequence[str]) -> dict[str, Any] | None:
     excess = max(base.rss - noise * base.free, gain, 1e-300)
     run = base.family.run
     axes = [run.of.names[a] for a in run.of.axes]
-    values = {**run.view.way, **run.view.variables}
+    values = {**run.view.way, **run.view.variables, **({} if first.pattern is None else run.view.stood)}
     told = {
         **_told(run, first, _axes_of(base, with_it, noise, len(first.at), axes)),
         "share_explained": float(np.clip(gain / excess, 0.0, 1.0)),

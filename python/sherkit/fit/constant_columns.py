@@ -57,7 +57,8 @@ def unread(data: Measurements) -> tuple[str, ...]:
 
 def frozen(data: Measurements) -> str:
     """Behind a sentence on what nothing explains, that joints never changed; empty where all did."""
-    still = np.flatnonzero(np.ptp(data.joints[~data.outlier], axis=0) == 0.0)
+    both = np.concatenate([one.joints[~data.outlier] for one in (data, data.from_other_end)])
+    still = np.flatnonzero(np.ptp(both, axis=0) == 0.0)
     names = listed(data.layout.joints[k] for k in still)
     return f"; {names} never changed: where it moved, what writes it froze" if len(still) else ""
 
