@@ -131,11 +131,18 @@ _ARMS = replace(
     remedy="Lay the two rods of each arm side by side on two pins and match their lengths.",
 )
 
+_CALLIPERS = replace(
+    DELTA["bar_zero"],
+    physics="Callipers read every distance too long or too short by the same length: they are not at zero when closed, "
+    "or their jaws do not touch the edges that are meant.",
+    remedy="Close the callipers, set them to zero, and measure from edge to like edge.",
+)
+
 _PLATE = replace(bed_shape, residuals="A smooth shape over the plate that turns with it.")
 _ZERO = replace(probing_zero, residuals="Constant over each probing.")
 
 #: What is tried of a printer.
-CATALOGUE: dict[str, Effect] = {one.name: one for one in (_BELTS, _LOOSE, _LEAN, _ARMS, _PLATE, _ZERO)}
+CATALOGUE: dict[str, Effect] = {one.name: one for one in (_BELTS, _LOOSE, _LEAN, _ARMS, _PLATE, _ZERO, _CALLIPERS)}
 
 
 # -- The compiled chain of a delta, asked for the one number that a printer's row holds -----------------------------

@@ -41,6 +41,7 @@ _CALLED = {
     "joint_scale": "a belt that moves its carriage too far or not far enough",
     "rod_mismatch": "an effector that tilts, since the two rods of an arm differ",
     "bed_shape": "a plate that is not flat",
+    "bar_zero": "callipers that read every distance too long or too short",
 }
 
 
