@@ -244,6 +244,27 @@ def test_heights_and_distances_count_alike(tmp_path: Path) -> None:
         examine(import_klipper(path))
 
 
+@pytest.mark.parametrize("zero_mm", [0.0, 0.4])
+def test_callipers_that_are_not_at_zero_are_named(zero_mm: float, tmp_path: Path) -> None:
+    """Catches a length that all distances have too much as towers that lean, and a doubt of callipers that are right."""
+    rng = np.random.default_rng(3)
+    turn = np.deg2rad(60.0 * np.arange(6))
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    pairs = []
+    for k in range(6):
+        for a, b in ((5.0 * ring[k], 70.0 * ring[k]), (70.0 * ring[k], 70.0 * ring[(k + 1) % 6])):
+            both = BELIEVED.down(np.column_stack([np.vstack([a, b]), np.zeros(2)]))
+            where = REAL.tip(both, np.zeros(3))
+            length = float(np.linalg.norm(where[1] - where[0])) + zero_mm + 0.02 * rng.normal()
+            pairs.append((length, both[0], both[1]))
+    mesh = {"default": probed(REAL, BELIEVED, noise=0.005)}
+    path = tmp_path / "printer.cfg"
+    path.write_text(klipper_file(BELIEVED, mesh, offset=OFFSET, distances=pairs))
+    e = examine(import_klipper(path))
+    assert [one.names for one in e.suspects[:1]] == ([("bar_zero",)] if zero_mm else [])
+    assert ("callipers" in e.answer.verdict) == (zero_mm > 0)
+
+
 # -- what its owner is told --------------------------------------------------------------------------------------------
 
 
