@@ -244,6 +244,7 @@ class PrinterModel(DeltaModel):
 
     def as_declared(self, data: Measurements) -> Measurements:
         """As of any model, with distances in the noise of heights (:mod:`.callipers`)."""
+        # how much the two differ is asked of fits of this model
         from .callipers import weighed
 
         return weighed(self, super().as_declared(data))
