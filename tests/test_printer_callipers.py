@@ -51,7 +51,9 @@ class Case:
         off = [size * rng.normal(size=3) for size in FAULTS[fault]]
         top = self.firmware.top + off[3]
         self.plate = plate or Plate.flat()
-        probe = Probe((float(rng.uniform(-20, 20)), float(rng.uniform(-20, 20)), 1.5), noise=rng.uniform(0.004, 0.01))
+        # a bowl that is taken for numbers is that of where the tip is: a nozzle beside it is tilted over the plate
+        beside = (0.0, 0.0) if plate else rng.uniform(-20, 20, 2).tolist()
+        probe = Probe((*beside, 1.5), noise=rng.uniform(0.004, 0.01))
         self.reach = 0.7 * radius
         at = np.deg2rad(60.0 * np.arange(6) + rng.uniform(0, 60))
         around = rng.uniform(40, 65) * np.column_stack([np.cos(at), np.sin(at)])
