@@ -15,9 +15,8 @@ from sherkit import identify
 from sherkit.cli import main
 from sherkit.robots.printer import PrinterModel, Towers, import_klipper
 from sherkit.robots.printer.callipers import weighed
-from sherkit.robots.printer.model import distances
 from sherkit.robots.printer.printer_diagnosis import Examined, examine
-from sherkit.robots.printer.robot import WEIGHT
+from sherkit.robots.printer.robot import WEIGHT, distances
 
 Floats = NDArray[np.float64]
 

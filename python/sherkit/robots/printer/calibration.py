@@ -22,8 +22,8 @@ from ..calibrated import Note
 from ..calibration_run import CalibrationRun
 from ..delta.calibration import DeltaCalibration, DeltaPart
 from .klipper import SAVED, STEPPERS, KlipperConfig, text_of
-from .model import PrinterModel, distances
-from .robot import ANGLES, FIRMWARES, PLATE, PROBED, PROBING, Printer, Towers
+from .model import PrinterModel
+from .robot import ANGLES, FIRMWARES, PLATE, PROBED, PROBING, Printer, Towers, distances
 
 
 @dataclass(frozen=True, eq=False)

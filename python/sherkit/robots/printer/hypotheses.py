@@ -18,8 +18,8 @@ from ...data import Measurements
 from ...errors import FitError, SherkitError
 from ...fit.identify import Fit, identify
 from ...model.effect import Effect
-from .model import PrinterModel, bed_shape, distances
-from .robot import PLATE, Printer
+from .model import PrinterModel, bed_shape
+from .robot import PLATE, Printer, distances
 
 #: So many usual sizes are still plausible.
 _PLAUSIBLE = 5.0

@@ -25,7 +25,8 @@ from ...model.sensor_pose import HELD, POSE
 from ..delta.model import CATALOGUE as DELTA
 from ..delta.model import DeltaModel
 from ..delta.robot import POSITION
-from .robot import PLATE, PROBED, PROBING, WEIGHT, Printer
+from .callipers import weighed
+from .robot import PLATE, PROBED, PROBING, WEIGHT, Printer, distances
 
 # -- The bed: its own shape, which turns with the plate, and the zero of each probing -----------------------------
 
@@ -244,9 +245,6 @@ class PrinterModel(DeltaModel):
 
     def as_declared(self, data: Measurements) -> Measurements:
         """As of any model, with distances in the noise of heights (:mod:`.callipers`)."""
-        # how much the two differ is asked of fits of this model
-        from .callipers import weighed
-
         return weighed(self, super().as_declared(data))
 
     def covariates(self, data: Measurements) -> dict[str, Floats]:
@@ -288,8 +286,3 @@ class PrinterModel(DeltaModel):
         del predicted
         at = self.tips(data)
         return dict(zip(POSITION[:2], at[:, :2].T, strict=True))
-
-
-def distances(data: Measurements) -> Bools:
-    """Which rows (n,) are distances between two places."""
-    return np.asarray(np.isfinite(data.to_joints).all(axis=1))

@@ -11,8 +11,8 @@ import numpy as np
 from ...base.types import Floats
 from ...fit.forms import known
 from ...report.page import Made, Section, html_sentences, html_table, write_page
-from .model import distances
 from .printer_diagnosis import Examined
+from .robot import distances
 
 _SIZE, _GAP, _TOP = 300, 40, 40
 #: Blue and orange, which colour-blind people tell apart too.

@@ -22,12 +22,12 @@ from ...fit.forms import known
 from ...fit.identify import Fit, residuals
 from . import import_duet, import_klipper, import_marlin
 from .calibration import FirmwareFit, commands, held, told
-from .callipers import BOWL_MM, lengths_of, size_by_bowl, size_of
 from .gcode import words
 from .hypotheses import Suspect, plain_fit, suspects, turns
 from .klipper import text_of
-from .model import bed_shape, distances
-from .robot import ImportedPrinter
+from .lengths import BOWL_MM, lengths_of, size_by_bowl, size_of
+from .model import bed_shape
+from .robot import ImportedPrinter, distances
 
 #: By how much a plate is best turned: shapes of up to five lobes lie elsewhere then. A third of a turn would leave one
 #: of three lobes as it was, and that is what a twisted frame looks like.
@@ -36,6 +36,8 @@ TURN_DEG = 60.0
 _WORTH, _WORTH_MM = 0.2, 0.005
 #: Of lengths, mm.
 _WORTH_LENGTH_MM = 0.02
+#: A part of the size that nobody measures.
+_WORTH_SIZE = 0.0005
 #: Less than this, mm RMS, no probe resolves and nobody feels.
 _FELT_MM = 0.003
 _TOWERS = {1: "A (front left)", 2: "B (front right)", 3: "C (back)"}
@@ -344,8 +346,7 @@ class Examined:
         if size is not None:
             off, within = (100 * one for one in size)
             out.append(f"Sizes of parts: {off:+.2f} % by these distances, ± {max(within, 0.01):.2f} %.")
-        else:
-            bowl = size_by_bowl(self.plain)
+        elif (bowl := size_by_bowl(self.plain)) > _WORTH_SIZE:
             out.append(
                 f"Sizes of parts heights do not tell: a plate bowed by {BOWL_MM:g} mm passes for other numbers, and "
                 f"parts are {100 * bowl:.1f} % too large or too small for it. Distances by callipers tell."

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ...base import linalg
-from ...base.types import Floats
+from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...data.columns import Layout
 from ...data.declared import key
@@ -76,6 +76,12 @@ PROBED = Layout(JOINTS, ("measured_mm",), "µm", 1e3, None, TO_JOINTS, follows=F
 PLATE, PROBING = "plate_deg", "probing"
 #: What the reading of a row is multiplied by, so that distances have the noise of heights (:mod:`.callipers`).
 WEIGHT = "weight"
+
+
+def distances(data: Measurements) -> Bools:
+    """Which rows (n,) are distances between two places."""
+    return np.asarray(np.isfinite(data.to_joints).all(axis=1))
+
 
 # -- The printer -----------------------------------------------------------------------------------------------------
 
