@@ -195,6 +195,12 @@ def test_save_config_as_klipper_does_it(tmp_path: Path) -> None:
     new = Towers(151.0, (210.0, 330.0, 90.0), (341.0, 342.0, 343.0), (401.0, 402.0, 403.0))
     path.write_text(klipper_config(path, new))
     assert "#arm_length: 333 # by hand" in path.read_text()
+    # the mesh was probed with the old numbers: loaded with the new ones it would bring their errors back
+    with pytest.raises(SherkitError, match="holds no probing"):
+        import_klipper(path)
+    above, block = path.read_text().split("#*#", 1)
+    mesh = text[text.index("#*# [bed_mesh default]") :]
+    path.write_text(f"{above}#*#{block}{mesh}")
     back = import_klipper(path)
     assert back.robot.towers == new
     assert len(back.measurements) == 29
@@ -246,7 +252,7 @@ def test_heights_and_distances_count_alike(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("zero_mm", [0.0, 0.4])
 def test_callipers_that_are_not_at_zero_are_named(zero_mm: float, tmp_path: Path) -> None:
-    """Catches a length that all distances have too much as towers that lean, and a doubt of callipers that are right."""
+    """Catches a length that all distances have too much as towers that lean, or doubts of callipers that are right."""
     rng = np.random.default_rng(3)
     turn = np.deg2rad(60.0 * np.arange(6))
     ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -332,7 +338,10 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     titles = ("What is wrong", "How sure", "What to do", "What accuracy remains", "What to measure next")
     assert all(title in said for title in titles)
     assert "either" in said
-    assert import_klipper(new).robot.towers.radius_mm != pytest.approx(150.0, abs=0.01)
+    assert "meshes are left out of the new file" in " ".join(said.split())
+    assert "[bed_mesh default]" not in new.read_text()
+    told = float(new.read_text().split("delta_radius = ")[1].split()[0])
+    assert told != pytest.approx(150.0, abs=0.01)
     assert "<svg" in (tmp_path / "page.html").read_text()
     assert command("printer", str(cfg), "--json") == 0
     assert json.loads(capsys.readouterr().out)["suspects"]

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import ClassVar, cast
 
 import numpy as np
+import scipy
 
+from ...base import linalg
 from ...base.types import Floats
 from ...data import Measurements
 from ...errors import RobotError
@@ -96,6 +98,10 @@ class PrinterCalibration(DeltaCalibration):
 
 #: Rings and places on each from which a firmware's numbers are chosen, over the printed area.
 _RINGS, _AROUND = 6, 18
+#: A combination of numbers is told where chance leaves it within its deviations so often: three of them.
+_SURE = 0.99865
+#: Numbers of a firmware that differ by less are the same: its file has six decimals.
+_SAME = 2e-6
 _BEGINS = "<---------------------- SAVE_CONFIG ---------------------->"
 _WARNING = "DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated."
 
@@ -107,6 +113,8 @@ class FirmwareFit:
     towers: Towers
     rms_mm: float
     largest_mm: float
+    #: The towers as errors of the geometry by name, of the printer as its firmware has it now.
+    errors: Mapping[str, float]
 
 
 def held(robot: Printer, errors: Mapping[str, float]) -> FirmwareFit:
@@ -118,7 +126,7 @@ def held(robot: Printer, errors: Mapping[str, float]) -> FirmwareFit:
     full = reduce(lambda model, effect: model.with_effect(effect), known, plain)
     values, start = (np.array([errors.get(p.name, 0.0) for p in one.parameters]) for one in (full, plain))
     if not known:
-        return FirmwareFit(towers_of(robot, errors), 0.0, 0.0)
+        return FirmwareFit(towers_of(robot, errors), 0.0, 0.0, errors)
     # what the machine does where it is sent over the bed, heights alone: that is what a probe would see
     radius = robot.workspace_radius_mm or 0.8 * robot.towers.radius_mm
     rings = np.linspace(0.0, radius, _RINGS)[1:]
@@ -130,7 +138,27 @@ def held(robot: Printer, errors: Mapping[str, float]) -> FirmwareFit:
     plan = plan.with_readings(full.predict(plan, values))
     fit = identify(plain, plan, start=start)
     left = fit.residuals
-    return FirmwareFit(towers_of(robot, fit.by_name), float(np.sqrt(np.mean(left**2))), float(np.abs(left).max()))
+    return FirmwareFit(
+        towers_of(robot, fit.by_name), float(np.sqrt(np.mean(left**2))), float(np.abs(left).max()), fit.by_name
+    )
+
+
+def told(fit: Fit) -> dict[str, float]:
+    """Values by name, those of the geometry zero along each combination that the readings do not tell from none: a
+    dozen rough distances beside a plate that may be bent leave millimetres of an arm open, and numbers that are no
+    better than those there are stay as they are.
+
+    Combinations are those that the readings tell independently of each other, in plausible sizes.
+    """
+    own = [k for k, p in enumerate(fit.parameters) if "." not in p.name]
+    size = np.array([fit.parameters[k].size for k in own])
+    squares, axes = linalg.eigh(fit.covariance[np.ix_(own, own)] / np.outer(size, size))
+    along = axes.T @ (fit.values[own] / size)
+    free = max(int(fit.data.used.sum()) - fit.rank, 1)
+    sure = np.abs(along) > scipy.special.stdtrit(free, _SURE) * np.sqrt(squares.clip(0.0))
+    values = fit.values.copy()
+    values[own] = size * (axes @ np.where(sure, along, 0.0))
+    return dict(zip(fit.by_name, values.tolist(), strict=True))
 
 
 def towers_of(robot: Printer, errors: Mapping[str, float]) -> Towers:
@@ -159,13 +187,16 @@ def klipper_block(towers: Towers) -> dict[tuple[str, str], str]:
 
 def klipper_config(path: Path, towers: Towers) -> str:
     """The text of a ``printer.cfg`` with these numbers in its SAVE_CONFIG block. As SAVE_CONFIG does, the same options
-    above the block become comments.
+    above the block become comments. Where the numbers change, saved meshes go, as ``BED_MESH_PROFILE REMOVE`` takes
+    them out: they hold what was wrong with the old ones, and would bring it back with the other sign.
 
     Raises :class:`~sherkit.errors.RobotError` where one of them stands in an included file, which SAVE_CONFIG refuses.
     """
-    KlipperConfig(path)
+    config = KlipperConfig(path)
     lines = text_of(path, "a Klipper printer.cfg").splitlines()
     options = klipper_block(towers)
+    if any(_differs(config.get(*where), new) for where, new in options.items()):
+        lines = _without_meshes(lines)
     above = [line for line in lines if not line.startswith(SAVED)]
     saved = [line[len(SAVED) :].removeprefix(" ") for line in lines if line.startswith(SAVED)]
     above, _ = _set(above, options, comment=True)
@@ -180,6 +211,25 @@ def klipper_config(path: Path, towers: Towers) -> str:
         else:
             body += ["", f"[{section}]", *own]
     return "\n".join([*above, "", *(f"{SAVED} {line}".rstrip() for line in body)]) + "\n"
+
+
+def _differs(old: str | None, new: str) -> bool:
+    try:
+        return old is None or abs(float(old) - float(new)) > _SAME
+    except ValueError:
+        return True
+
+
+def _without_meshes(lines: list[str]) -> list[str]:
+    """Lines without the sections of saved meshes."""
+    out, inside = [], False
+    for line in lines:
+        body = line.removeprefix(SAVED).strip()
+        if body.startswith("[") or not line.startswith(SAVED):
+            inside = line.startswith(SAVED) and body.startswith("[bed_mesh ")
+        if not inside:
+            out.append(line)
+    return out
 
 
 def _set(

@@ -25,7 +25,8 @@ from ...model.sensor_pose import HELD, POSE
 from ..delta.model import CATALOGUE as DELTA
 from ..delta.model import DeltaModel
 from ..delta.robot import POSITION
-from .robot import PLATE, PROBED, PROBING, Printer
+from .callipers import weighed
+from .robot import PLATE, PROBED, PROBING, WEIGHT, Printer
 
 # -- The bed: its own shape, which turns with the plate, and the zero of each probing -----------------------------
 
@@ -156,17 +157,29 @@ class Probed(NumpyChain):
     """The compiled chain of a delta with readings (n, 1)."""
 
     core: _core.DeltaModel
+    #: Whether the last covariate of a block is what its readings are multiplied by.
+    weighed: bool = False
 
     def predict(self, values: Floats, block: Block) -> tuple[Floats, Bools]:
         """Predicted readings (n, 1), and which rows have one."""
+        block, weight = self._split(block)
         out, reached = self.core.predict(values, block)
-        return _picked(out, block), reached
+        return _picked(out, block) * weight[:, None], reached
 
     def derivatives(self, values: Floats, block: Block, free: Sequence[int]) -> tuple[Floats, Floats, Floats, Bools]:
         """By parameters (n, 1, p), joints (n, 1, 3) and a displacement of the measured point (n, 1, 3)."""
+        block, weight = self._split(block)
         *found, reached = self.core.derivatives(values, block, list(free))
-        by_parameters, by_joints, by_body = (_picked(one, block) for one in found)
+        by_parameters, by_joints, by_body = (_picked(one, block) * weight[:, None, None] for one in found)
         return by_parameters, by_joints, by_body, reached
+
+    def _split(self, block: Block) -> tuple[Block, Floats]:
+        """A block as the core takes it, and what its readings (n,) are multiplied by."""
+        joints, ends, known, push = block
+        if not self.weighed or known is None:
+            return block, np.ones(len(joints))
+        own = np.ascontiguousarray(known[:, :-1]) if known.shape[1] > 1 else None
+        return (joints, ends, own, push), known[:, -1]
 
 
 def _picked(values: Floats, block: Block) -> Floats:
@@ -228,8 +241,22 @@ class PrinterModel(DeltaModel):
 
     def core_for(self, data: Measurements) -> Any:
         """The compiled chain, asked for heights and distances."""
-        del data
-        return Probed(self.core)
+        return Probed(self.core, WEIGHT in data.covariates)
+
+    def block(self, data: Measurements, joints: Floats | None = None, push: Floats | None = None) -> Block:
+        """The rows as the core takes them."""
+        at, ends, known, by = super().block(data, joints, push)
+        if (weight := data.covariates.get(WEIGHT)) is not None:
+            known = np.column_stack([weight] if known is None else [known, weight])
+        return at, ends, known, by
+
+    def as_declared(self, data: Measurements) -> Measurements:
+        """As of any model, with distances in the noise of heights (:mod:`.callipers`)."""
+        return weighed(self, super().as_declared(data))
+
+    def covariates(self, data: Measurements) -> dict[str, Floats]:
+        """As of any model; what a distance is multiplied by follows from its being one."""
+        return {name: one for name, one in super().covariates(data).items() if name != WEIGHT}
 
     def require_own(self, data: Measurements) -> None:
         """Raises :class:`~sherkit.errors.FitError` for a run of something else, half a distance, or a probing that

@@ -38,8 +38,8 @@ def drawing(examined: Examined) -> str:
     plain = examined.plain
     rows = ~plain.data.between_places & ~plain.data.outlier
     at = plain.model.tips(plain.data)[rows, :2]
-    before, after = -plain.nominal_residuals[rows, 0], -plain.residuals[rows, 0]
-    before = before - before.mean()
+    before, after = -plain.nominal_residuals[rows, 0], -examined.left_by_new[rows, 0]
+    before, after = before - before.mean(), after - after.mean()
     most = max(float(np.abs(before).max(initial=0.0)), 1e-6)
     lean = _lean(examined)
     panels = [

@@ -5,8 +5,8 @@ For somebody who has a probe and a screwdriver. What the sentences rest on is a 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,14 +16,16 @@ import scipy
 
 from ...base.answer import AFTER, BEFORE, FILES, Answer, Bar, ToDo
 from ...base.figures import listed
+from ...base.types import Floats
 from ...diagnosis import Diagnosis, diagnose
 from ...fit.forms import known
-from ...fit.identify import Fit
+from ...fit.identify import Fit, residuals
 from . import import_duet, import_klipper, import_marlin
-from .calibration import FirmwareFit, commands, held
+from .calibration import FirmwareFit, commands, held, told
 from .gcode import words
 from .hypotheses import Suspect, plain_fit, suspects, turns
 from .klipper import text_of
+from .lengths import BOWL_MM, lengths_of, size_by_bowl, size_of
 from .model import bed_shape
 from .robot import ImportedPrinter
 
@@ -32,6 +34,10 @@ from .robot import ImportedPrinter
 TURN_DEG = 60.0
 #: New numbers are worth entering where they take this part of the error, and so much, mm.
 _WORTH, _WORTH_MM = 0.2, 0.005
+#: Of lengths, mm.
+_WORTH_LENGTH_MM = 0.02
+#: A part of the size that nobody measures.
+_WORTH_SIZE = 0.0005
 #: Less than this, mm RMS, no probe resolves and nobody feels.
 _FELT_MM = 0.003
 _TOWERS = {1: "A (front left)", 2: "B (front right)", 3: "C (back)"}
@@ -61,15 +67,59 @@ class Examined:
         """Whether several could be behind it."""
         return len(self.suspects) > 1
 
+    @cached_property
+    def numbers_told(self) -> FirmwareFit:
+        """The best numbers that the firmware can hold: by the suspect that leads, where it leads alone, else by all
+        that was measured as it is, as the firmware's own calibration would; as far as they are told from those there
+        are."""
+        fit = self.suspects[0].fit if len(self.suspects) == 1 else self.plain
+        return held(self.found.robot, told(fit))
+
+    @cached_property
+    def new(self) -> FirmwareFit:
+        """The numbers for the firmware: the best where they are worth entering, else those that it has."""
+        best = self.numbers_told
+        return best if self.better_numbers else replace(best, towers=self.found.robot.towers, errors={})
+
     @property
     def before_mm(self) -> float:
         """Height errors over the plate as the firmware has it, RMS, each probing about its own zero."""
-        return self._rms(self.plain.nominal_residuals)
+        return self._heights(self.plain.nominal_residuals)
 
     @property
+    def left_mm(self) -> float:
+        """The least that any numbers of the firmware leave of them."""
+        return self._heights(self.plain.residuals)
+
+    @cached_property
     def after_mm(self) -> float:
-        """The same with the best numbers that the firmware can hold."""
-        return self._rms(self.plain.residuals)
+        """What :attr:`new` leaves of them, where they are probed again: what is fitted follows the scatter of the
+        probe, which is another then."""
+        return self._promised(self.new.errors) if self.better_numbers else self.before_mm
+
+    def _promised(self, errors: Mapping[str, float]) -> float:
+        plain = self.plain
+        rows = ~plain.data.between_places & plain.data.used[:, 0]
+        columns = plain.model.derivatives(plain.data, plain.values)[rows, 0]
+        spread = float(np.einsum("ij,jk,ik->i", columns, plain.covariance, columns).mean())
+        return float(np.sqrt(self._heights(self._left(errors)) ** 2 + 2.0 * spread))
+
+    @cached_property
+    def left_by_new(self) -> Floats:
+        """What the numbers that are advised leave of each measurement (n, 1), the plate taken as flat."""
+        return self._left(self.new.errors)
+
+    def _left(self, errors: Mapping[str, float]) -> Floats:
+        """What a geometry with these errors leaves (n, 1) of a plate that is flat."""
+        plain = self.plain
+        return residuals(plain.model, plain.data, np.array([errors.get(p.name, 0.0) for p in plain.parameters]))
+
+    @cached_property
+    def lengths_mm(self) -> tuple[float, float]:
+        """Errors of the distances by callipers, RMS, by the numbers of the firmware and by the best."""
+        now, best = self.plain.nominal_residuals, self._left(self.numbers_told.errors)
+        data = self.plain.data
+        return lengths_of(data, now), lengths_of(data, best)
 
     @property
     def chance(self) -> float:
@@ -81,7 +131,7 @@ class Examined:
             p = min(p, float(scipy.special.chdtrc(one.numbers, nothing.alone - one.alone)))
         return max(p, 1e-6)
 
-    def _rms(self, left: Any) -> float:
+    def _heights(self, left: Floats) -> float:
         data = self.plain.data
         rows = ~data.between_places & ~data.outlier
         probing = data.covariates["probing"][rows]
@@ -90,23 +140,22 @@ class Examined:
         return float(np.sqrt(np.mean([(v - means[k]) ** 2 for v, k in zip(values, probing.tolist(), strict=True)])))
 
     @cached_property
-    def new(self) -> FirmwareFit:
-        """The numbers for the firmware: by the suspect that leads, where it leads alone, else by all heights as they
-        are, as the firmware's own calibration would."""
-        fit = self.suspects[0].fit if len(self.suspects) == 1 else self.plain
-        return held(self.found.robot, fit.by_name)
-
-    @property
     def better_numbers(self) -> bool:
-        """Whether new numbers are worth entering."""
-        gain = self.before_mm - self.after_mm
-        return gain > _WORTH * self.before_mm and gain > _WORTH_MM
+        """Whether new numbers are worth entering: for the height over the plate, or for lengths."""
+        heights = self.before_mm, self._promised(self.numbers_told.errors)
+        return heights[0] - heights[1] > max(_WORTH * heights[0], _WORTH_MM) or self.better_lengths
+
+    @cached_property
+    def better_lengths(self) -> bool:
+        """Whether the best numbers make lengths truer by more than callipers are off."""
+        before, after = self.lengths_mm
+        return before - after > max(_WORTH * before, _WORTH_LENGTH_MM)
 
     @property
     def unknown(self) -> bool:
         """Whether there is a pattern of which nobody is suspected."""
         told = self.diagnosis
-        return not self.suspects and told.p_missing <= told.level and self.after_mm >= _FELT_MM
+        return not self.suspects and told.p_missing <= told.level and self.left_mm >= _FELT_MM
 
     # -- words ---------------------------------------------------------------------------------------------
 
@@ -140,12 +189,27 @@ class Examined:
             yield ToDo("Write the better numbers into printer.cfg", f"sherkit printer {FILES} -o new.cfg")
         elif self.better_numbers:
             yield ToDo("Send these to the printer:", "\n".join(commands(self.found.robot, self.new.towers)))
+        if self.better_numbers:
+            yield ToDo(self._mesh())
+        elif self.suspects:
+            yield ToDo("Leave the numbers in the firmware as they are: none are clearly better.")
         if self.tied:
             yield ToDo("Turn no screw yet: see below what tells them apart.")
         for one in self.suspects if not self.tied else ():
             yield from (ToDo(e.remedy) for e in one.effects)
         if any(bed_shape.name in one.names for one in self.suspects):
             yield ToDo("For printing meanwhile, let the firmware's mesh follow the plate.")
+
+    def _mesh(self) -> str:
+        """What is to be done about meshes that were probed with the numbers of now."""
+        firmware = self.found.robot.firmware
+        why = "a mesh that was probed with the old numbers would bring their errors back"
+        if firmware == "klipper":
+            return (
+                "Then BED_MESH_CALIBRATE and SAVE_CONFIG before the next print: meshes are left out of the new file, "
+                f"as {why}, and until then a macro that loads one stops."
+            )
+        return f"Then G29, saved, before the next print: {why}."
 
     @property
     def numbers(self) -> list[tuple[str, str, str]]:
@@ -182,14 +246,20 @@ class Examined:
         return f"{len(data) - count} heights{lengths} ({names}){plate}.{self._left_out()}{still}"
 
     def _left_out(self) -> str:
-        """Heights that nothing explains, and where."""
-        data, rows = self.plain.data, np.flatnonzero(self.plain.data.outlier & ~self.plain.data.between_places)
+        """Heights that nothing explains, and where; and distances."""
+        data, left = self.plain.data, self.plain.residuals[:, 0]
+        far = data.outlier & data.between_places
+        out = f" {int(far.sum())} of the distances left out as wrong: measure again." if far.any() else ""
+        rows = np.flatnonzero(data.outlier & ~far)
         if not len(rows):
-            return ""
-        at, off = self.plain.model.tips(data)[rows], self.plain.residuals[rows, 0]
+            return out
+        at, off = self.plain.model.tips(data)[rows], left[rows]
         each = listed([f"({round(x)}, {round(y)}) by {_mm(abs(z))}" for (x, y, *_), z in zip(at, off, strict=True)], 6)
         those, them = ("are", "them") if len(rows) > 1 else ("is", "it")
-        return f" {len(rows)} of them {those} off at {each} and left out: look what lies there, and probe {them} again."
+        return (
+            f" {len(rows)} of them {those} off at {each} and left out: look what lies there, and probe {them} again."
+            + out
+        )
 
     def _wrong(self) -> list[str]:
         out = []
@@ -198,8 +268,11 @@ class Examined:
                 f"The numbers in the firmware: with them the nozzle is {_mm(self.before_mm)} too high or too low over "
                 f"the plate (RMS), and with better ones {_mm(self.after_mm)}."
             )
+            if self.better_lengths:
+                now, then = self.lengths_mm
+                out.append(f"With them lengths are {_mm(now)} off (RMS), and with better ones {_mm(then)}.")
         begins = (
-            f"{'Besides, what' if out else 'What'} the firmware's numbers cannot take away, {_mm(self.after_mm)}, has"
+            f"{'Besides, what' if out else 'What'} the firmware's numbers cannot take away, {_mm(self.left_mm)}, has"
         )
         if self.unknown:
             out.append(f"{begins} a pattern that neither this plate nor a known fault of the machine makes.")
@@ -209,7 +282,7 @@ class Examined:
             if named and not self.unknown:
                 # who asks diagnose about the same file hears these names
                 called = ", or ".join(_CALLED.get(one, one) for one in named)
-                out.append(f"What is left, {_mm(self.after_mm)}, may be {called}: too little of it to act on.")
+                out.append(f"What is left, {_mm(self.left_mm)}, may be {called}: too little of it to act on.")
             if not out:
                 out.append("Nothing that this probing could show: what is left looks like the scatter of the probe.")
             return out
@@ -263,10 +336,21 @@ class Examined:
 
     def _remains(self) -> list[str]:
         out = [f"{_mm(self.after_mm)} RMS over the plate, the scatter of the probe included."]
+        if any(bed_shape.name in one.names for one in self.suspects):
+            out[0] = f"{_mm(self.after_mm)} RMS over the plate as it lies there, the scatter of the probe included."
         if self.new.rms_mm > 0.0005:
             out.append(
                 f"The firmware has no number for what is wrong: {_mm(self.new.rms_mm)} RMS, {_mm(self.new.largest_mm)} "
                 "at worst, stay until the machine is put right, and a mesh hides them on the first layer only."
+            )
+        size = size_of(self.suspects[0].fit if self.suspects else self.plain, self.left_by_new)
+        if size is not None:
+            off, within = (100 * one for one in size)
+            out.append(f"Sizes of parts: {off:+.2f} % by these distances, ± {max(within, 0.01):.2f} %.")
+        elif (bowl := size_by_bowl(self.plain)) > _WORTH_SIZE:
+            out.append(
+                f"Sizes of parts heights do not tell: a plate bowed by {BOWL_MM:g} mm passes for other numbers, and "
+                f"parts are {100 * bowl:.1f} % too large or too small for it. Distances by callipers tell."
             )
         return out
 
@@ -329,7 +413,7 @@ def examine(found: ImportedPrinter, *, seed: int = 0, step: Callable[[str], None
         plain = plain_fit(found.robot, found.measurements.mark_outliers(told.outliers))
     step("asking who could be behind it")
     asked = Examined(found, plain, told, ())
-    if asked.after_mm < _FELT_MM:
+    if asked.left_mm < _FELT_MM:
         return asked
     # a diagnosis names nothing that rows held out do not confirm, and at a plate's edge they are too few for its shape
     return Examined(found, plain, told, suspects(plain, significant=told.p_missing <= told.level))

@@ -74,6 +74,9 @@ def triple(values: Sequence[float] | Floats) -> Triple:
 PROBED = Layout(JOINTS, ("measured_mm",), "µm", 1e3, None, TO_JOINTS, follows=False)
 #: How far the plate was turned, degrees anticlockwise seen from above, and which of the probings a row is from.
 PLATE, PROBING = "plate_deg", "probing"
+#: What the reading of a row is multiplied by, so that distances have the noise of heights (:mod:`.callipers`).
+WEIGHT = "weight"
+
 
 # -- The printer -----------------------------------------------------------------------------------------------------
 

@@ -79,6 +79,7 @@ def export_klipper(calibration: Path, config: Path, destination: Path) -> None:
     made, found = _held(calibration)
     write_whole(destination, klipper_config(config, found.towers))
     _say(destination, "klipper", made, found)
+    output.say("saved meshes are left out where the numbers change: BED_MESH_CALIBRATE and SAVE_CONFIG before printing")
 
 
 @click.command("reprapfirmware")

@@ -44,11 +44,11 @@ def printer(
     if written is not None:
         if found.robot.firmware != "klipper":
             raise SherkitError("--output: is for Klipper's printer.cfg; the commands of other firmwares are printed")
-        if examined.better_numbers or examined.suspects:
+        if examined.better_numbers:
             write_whole(written, klipper_config(config, examined.new.towers))
             examined = replace(examined, written=str(written))
         else:
-            output.say(f"{written} is not written: no numbers are better than those of {config}")
+            output.say(f"{written} is not written: no numbers are clearly better than those of {config}")
             written = None
     if report is not None:
         from ..page import write_printer
