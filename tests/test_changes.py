@@ -394,6 +394,18 @@ def test_the_smallest_error_that_would_have_been_found() -> None:
     assert promised < sharper < least < 4.0 * promised
 
 
+@pytest.mark.slow
+def test_an_error_in_no_catalogue_is_not_valid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a check that looks at changes of the catalogue alone: a saddle of two promises was valid in 16 of 16, by
+    rows that said that they could tell one and a half. 6 worlds, as they are none is refused."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
+    from changes import verified
+
+    off = [verified((2.0, 2.0), {"unknown": "saddle", "repeats": 6}, 7300 + seed) for seed in range(6)]
+    as_it_is = [verified((0.0, 0.0), {}, 7300 + seed) for seed in range(6)]
+    assert [one.right for one in [*off, *as_it_is] if one is not None] == [True] * 12
+
+
 def _refused(capsys: pytest.CaptureFixture[str], *typed: str) -> str:
     with pytest.raises(SystemExit) as ended:
         main(list(typed))

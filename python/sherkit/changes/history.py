@@ -287,6 +287,11 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
         advice = f"look for what was different {days}: it is gone since, and the calibration of the other runs holds"
     else:
         advice = _ADVICE[verdict]
+    if sum(one.kind in (STEP, ONCE) for one in changes) > 1 and np.isnan(temperatures).any():
+        advice += (
+            "; not all of these runs recorded temperature_c: what goes with the season looks like steps, too, so "
+            "record it before something is taken for several accidents"
+        )
     return History(
         verdict=verdict, changes=tuple(changes), runs=(), unit=pool.unit, values=values, stood_still=tuple(still),
         known=joined.known,

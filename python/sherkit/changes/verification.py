@@ -41,7 +41,7 @@ from .change_model import ParameterChange, estimated
 from .check_rows import OF_CALIBRATION, SINCE, CheckRows, Known, noise_of
 from .pool import predicted, told_ties
 from .runs import change_candidates, change_columns
-from .vouching import broken, errors_at_work, mistaken, shows, sights_of, stand_columns, unable
+from .vouching import broken, errors_at_work, mistaken, shows, sights_of, smooth_fields, stand_columns, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
 _REFUSED, _CHANGED = 0.005, 0.015
@@ -193,7 +193,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     sights = sights_of(rows, base.family.run, SINCE, errors_at_work(rows, data), off)
     valid, least = None, np.inf
     if promised is not None:
-        found = broken(base, flat, promised / unit, _CHANGED)
+        fields = [] if lacked else smooth_fields(model, data.select(rows.rows), rows.values, axes)
+        found = broken(base, flat, promised / unit, _CHANGED, fields)
         least = promised * found.least
         if found.chance <= _CHANGED:
             # repeats may have what has changed in them, and then pass it off as noise

@@ -21,8 +21,9 @@ from ..data import Measurements
 from ..errors import SherkitError
 from ..evidence.base import Base
 from ..evidence.linearised import step_gains, within
-from ..evidence.run import Run
+from ..evidence.run import Run, unit
 from ..evidence.whitening import orthonormal
+from ..fit.folds import blocks
 from ..fit.set_up import set_up_mistakes
 from .change_model import ChangeRows
 from .pooled_fit import Joined
@@ -31,16 +32,18 @@ from .runs import RunData, stand_of
 # -- Whether a promise is broken ---------------------------------------------------------------------------------------
 # Whether a promise is broken: a test of the changes that would break it.
 #
-# Every candidate is taken in sizes that leave an error of so many times what was promised, both ways, and the
-# likelihood ratios of these against "nothing has changed" are averaged: of all tests of a level the one that finds
-# most of them (Neyman and Pearson, 1933). Noise is unknown (Jeffreys' prior); what the calibration does not know is
-# free, as large as it is unknown. The level is counted on draws of noise at the very poses of the run, so that no
-# candidates and no correlations between them are approximated.
+# Every candidate, and every smooth error that none of them makes, is taken in sizes that leave an error of so many
+# times what was promised, both ways, and the likelihood ratios of these against "nothing has changed" are averaged: of
+# all tests of a level the one that finds most of them (Neyman and Pearson, 1933). Noise is unknown (Jeffreys' prior);
+# what the calibration does not know is free, as large as it is unknown. The level is counted on draws of noise at the
+# very poses of the run, so that no candidates and no correlations between them are approximated.
 
 #: Sizes of the error, in promises, that are looked for.
 _SIZES = (1.2, 1.5, 2.0, 3.0, 6.0)
 #: Combinations of an effect's parameters, drawn at random, and draws of noise.
 _WAYS, _DRAWS = 24, 800
+#: The weight of all smooth fields beside that of all candidates.
+_FIELDS = 0.5
 #: A part of a column that is rounding.
 _ROUNDING = 1e-5
 #: Errors, in promises, of which it is told whether they would have been found, and how often they must be.
@@ -56,22 +59,23 @@ class Broken:
     least: float
 
 
-def broken(base: Base, stand: Floats, promised: float, level: float) -> Broken:
+def broken(base: Base, stand: Floats, promised: float, level: float, fields: Sequence[Floats]) -> Broken:
     """Tests a promise of a reading (root mean square, in noises) with the blocks of ``base``, whose first rows are the
-    readings; ``stand`` (n, s) are the columns of where the sensor stands."""
-    columns, ways, share = _ways(base, stand, promised)
+    readings, and with ``fields`` (n, k) of these; ``stand`` (n, s) are the columns of where the sensor stands."""
+    columns, ways, share = _ways(base, stand, promised, fields)
     residual, free = base.residual, base.free
     if not len(share) or free < 2 or not residual.any():
         return Broken(1.0, np.inf)
-    # noise is drawn along the columns (normal) and by the square of the rest (χ²): no draw has as many numbers as rows
-    value, vector = linalg.eigh(columns.T @ columns)
-    kept = np.flatnonzero(value > _ROUNDING**2 * value.max())[-free:]
-    along = ways.T @ (vector[:, kept] * np.sqrt(value[kept]))
-    gram = along @ along.T
+    gram = ways.T @ (columns.T @ columns) @ ways
+    answers, held, left = (np.zeros((k, _DRAWS)) for k in (columns.shape[1], base.basis.shape[1], 1))
     rng = np.random.default_rng(0)
-    drawn = rng.normal(size=(len(kept), _DRAWS))
-    rest = rng.chisquare(free - len(kept), _DRAWS) if free > len(kept) else np.zeros(_DRAWS)
-    answers, left = along @ drawn, np.square(drawn).sum(axis=0) + rest
+    for some in blocks(len(residual)):
+        # as many numbers as there are readings: what the base holds of them depends on no choice of its columns
+        drawn = rng.normal(size=(some.stop - some.start, _DRAWS))
+        answers += columns[some].T @ drawn
+        held += base.basis[some].T @ drawn
+        left += np.square(drawn).sum(axis=0)
+    answers, left = ways.T @ answers, (left - np.square(held).sum(axis=0))[0]
     squares = np.diag(gram)[:, None]
     whole = float(residual @ residual)
     seen = ways.T @ (columns.T @ residual)
@@ -89,15 +93,29 @@ def broken(base: Base, stand: Floats, promised: float, level: float) -> Broken:
     which = rng.choice(len(share), _DRAWS, p=share / share.sum())
     signs = rng.choice([-1.0, 1.0], _DRAWS)
     own = answers[which, np.arange(_DRAWS)]
+    before, less = _TOLD[0], 0.0
     for size in _TOLD:
         moved = left + 2.0 * size * signs * own + size**2 * squares[which, 0]
         found = _ratio(squares, share, answers + size * signs * gram[:, which], moved, free)
-        if float(np.mean(found > limit)) >= _FOUND:
-            return Broken(chance, size)
+        share_found = float(np.mean(found > limit))
+        if share_found >= _FOUND:
+            return Broken(chance, before + (size - before) * (_FOUND - less) / (share_found - less))
+        before, less = size, share_found
     return Broken(chance, np.inf)
 
 
-def _ways(base: Base, stand: Floats, promised: float) -> tuple[Floats, Floats, Floats]:
+def smooth_fields(model: Any, rows: Measurements, values: Floats, axes: Sequence[int]) -> list[Floats]:
+    """Columns (n·m, m) of errors along each axis of the robot that go with the places of rows or with a product of two
+    of them: what a change does that is in no catalogue, wherever the sensor stands."""
+    places = model.place(rows, np.asarray(model.predict(rows, values)), values).values()
+    turn, m = model.axes_of_readings(rows, values), len(axes)
+    along = np.eye(m) if turn is None or len(turn) != m else np.asarray(turn, dtype=float)
+    u = [unit(one) for one in places if np.ptp(one) > 0]
+    functions = [*u, *(a * b for k, a in enumerate(u) for b in u[k:])]
+    return [(one[:, None, None] * along).reshape(-1, m) for one in functions]
+
+
+def _ways(base: Base, stand: Floats, promised: float, fields: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
     """All columns (N, k) beside the base, coefficients (k, v) of them, each way an error of one promise, and the share
     of each."""
     rng = np.random.default_rng(0)
@@ -105,10 +123,12 @@ def _ways(base: Base, stand: Floats, promised: float) -> tuple[Floats, Floats, F
     # ways of all of an effect are those of its parts, too
     whole = [block for block in family.blocks if block.pattern is None]
     raws = [family.run.flat(family.columns.raw(block.at)) for block in whole]
+    weight = [1.0 / len(raws)] * len(raws) + [_FIELDS / max(len(fields), 1)] * len(fields)
+    raws += [np.concatenate([one, np.zeros((len(base.residual) - len(one), one.shape[1]))]) for one in fields]
     every = np.concatenate([np.zeros((len(base.residual), 0)), *raws], axis=1)
     left = every - base.basis @ (base.basis.T @ every)
     ways, share, start = [np.zeros((every.shape[1], 0))], [], 0
-    for raw in raws:
+    for raw, part in zip(raws, weight, strict=True):
         at = slice(start, start := start + raw.shape[1])
         mine = np.ones((1, 1)) if raw.shape[1] == 1 else rng.normal(size=(raw.shape[1], _WAYS))
         size, whole = shows(raw[:count] @ mine, basis), np.sqrt(np.square(raw @ mine).mean(axis=0))
@@ -117,7 +137,7 @@ def _ways(base: Base, stand: Floats, promised: float) -> tuple[Floats, Floats, F
         some = np.zeros((every.shape[1], int(known.sum())))
         some[at] = mine[:, known] * (promised / size[known])
         ways.append(some)
-        share += [1.0 / max(known.sum(), 1)] * int(known.sum())
+        share += [part / max(known.sum(), 1)] * int(known.sum())
     # each of unit length: what an instrument does metres away is a million times what a joint does
     length = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
     return left / length, np.concatenate(ways, axis=1) * length[:, None], np.array(share)
