@@ -66,6 +66,7 @@ def scara(q: Floats, came: Floats, time_h: float, warm: float, h: Hidden) -> Flo
     """Two arms and a quill."""
     first, second, quill = q + 0.5 * np.array([h.play_rad, h.play_rad, 0.0]) * came
     first = first + h.ring_rad * np.sin(first + 0.7) + h.ripple_rad * np.sin(50 * first + 0.3)
+    quill = quill + h.quill_screw_mm * np.sin(2 * np.pi * quill / 12.0 + 0.9)
     # play that is more at one end, and a bump of the other joint
     first = first + 0.5 * h.worn_rad * came[0] * (q[0] + 1.5) / 3.0
     second = second + h.bump_rad * np.exp(-0.5 * ((q[1] - h.sizes.get("bump_at_rad", 1.3)) / 0.3) ** 2)
@@ -148,7 +149,9 @@ def run_of(
     pose = np.concatenate([rng.permutation(poses) for _ in range(repeats)])
     q = places[pose]
     time_s = 10.0 * np.arange(len(q))
-    came = np.sign(np.diff(q, axis=0, prepend=low[None, :]))
+    came = np.sign(np.diff(q, axis=0, prepend=q[:1]))
+    # from where a machine came to its first row nobody is told
+    came[0] = np.where(np.floor(1e4 * q[0]) % 2 == 0, 1.0, -1.0)
     room = np.random.default_rng([seed, 5])
     waves = room.uniform(0.4, 1.6)
     warmth = room.uniform(15, 28) + room.uniform(0.5, 3.0) * np.sin(

@@ -29,6 +29,8 @@ pytestmark = pytest.mark.slow
 
 #: Chance with which a correct program fails one of the counts below.
 RARE = 1e-3
+#: What is no more than noise, in noises: the error of a run varies by a few percent.
+ROUNDED = 1.05
 
 
 def honest(answer: Answer) -> sk.diagnosis.Diagnosis:
@@ -278,8 +280,8 @@ def test_what_is_common_to_all_limbs_is_said_as_one_number() -> None:
 
 
 def test_next_poses_come_as_joints_and_as_targets() -> None:
-    """Catches poses that nobody can drive to: a turn of both joints is tied with a camera that turned."""
-    world = worlds.spherical_world(0, effects={"joint_offset": [0.002, 0.002]}, per_side=12, repeats=3)
+    """Catches poses that nobody can drive to: a turn of the second joint is tied with an axis off its place."""
+    world = worlds.spherical_world(0, effects={"joint_offset": [0.0, 0.004]}, per_side=12, repeats=3)
     d = honest(world.ask())
     assert d.indistinguishable
     if d.next_poses:  # none is an answer as well: these instruments cannot tell
@@ -334,7 +336,8 @@ def test_key_words_are_not_in_a_clean_answer() -> None:
 
 @pytest.mark.parametrize("kind", mistakes.MISTAKES)
 def test_mistakes_are_named_on_random_robots(kind: str) -> None:
-    """Catches what works on the example only: every mistake on five random robots, at least 95 % named; none praised.
+    """Catches what works on the example only: every mistake on five random robots, at least 95 % named; none praised,
+    unless the model then leaves no more than its noise: limbs that are alike, counted from another, are a turn.
 
     Prints what is said of each.
     """
@@ -346,7 +349,8 @@ def test_mistakes_are_named_on_random_robots(kind: str) -> None:
         for one in made:
             answer = mistakes.file_of(one.change(world)).ask()
             right = answer.says(*one.words)
-            if answer.verdict in PRAISED:
+            d = answer.diagnosis
+            if answer.verdict in PRAISED and d.error.rms > ROUNDED * (noise_of(d) or 0.0):
                 praised.append((one.name, seed))
             outcomes.append((one.name, ("named, " if right else "") + answer.verdict))
     table(f"mistakes on {mistakes.ROBOTS} robots: {kind}", outcomes)
@@ -444,7 +448,8 @@ def period_right(world: World) -> str:
     period = getattr(d.fit.model, "period_mm", None)
     if period is None:
         return "no period"
-    if abs(period / world.planted["period_mm"] - 1) < 0.01:
+    # one of all joints, or one for each
+    if (np.abs(np.array(period) / world.planted["period_mm"] - 1) < 0.01).all():
         return "right"
     return "alias said" if answer.says(("alias",)) else "wrong period"
 

@@ -63,6 +63,8 @@ HIDDEN: dict[str, list[tuple[dict[str, float], set[str]]]] = {
     "scara": [
         ({"ring_rad": 2e-4}, {"encoder_eccentricity"}), ({"belt": 3e-4}, {"joint_coupling"}),
         ({"oval_rad": 1.5e-4}, {"encoder_two_per_turn"}), ({"ripple_rad": 2e-4}, {"encoder_cyclic"}),
+        # the screw of the quill is alone in its unit
+        ({"quill_screw_mm": 0.015}, {"encoder_cyclic_mm"}),
         ({"droop": 3e-7}, {"droop"}), ({"play_rad": 2e-4}, {"backlash"}),
         ({"growth": 5e-5}, {"thermal_growth"}), ({"drift_mm_h": 0.1}, {"drift"}),
         # a quill that leans about the forearm turns the elbow in proportion to its travel

@@ -177,6 +177,11 @@ def number(value: float) -> str:
     return f"{value:.0f}" if size >= 100 else f"{value:.1f}" if size >= 10 else f"{value:.2f}"
 
 
+def in_column(value: float) -> str:
+    """A size as it stands below others, eight wide: with two decimals, where that leaves two figures."""
+    return f"{value:8.2f}" if value >= _SMALL else f"{number(value):>8}"
+
+
 def finite(value: float) -> float | None:
     """A figure as JSON holds it: none where it is not finite, or so large that nothing was meant by it."""
     return value if abs(value) < _MEANT else None

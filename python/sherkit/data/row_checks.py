@@ -19,6 +19,8 @@ _FEW_POSES = 0.1
 _ENOUGH = 20_000
 #: Joint and position readings whose spreads differ by more than this are in different units.
 _UNIT_RATIO = 100.0
+#: Columns of one unit are as large as one another, but for so much.
+_AS_LARGE = 10.0
 
 
 def check_rows(data: Any) -> None:
@@ -111,9 +113,13 @@ def _warn_of_units(data: Any) -> None:
     if position.sum() < 3:
         return
     # robust spreads: one wild row must not look like a wrong unit
-    spread = _spread(data.joints[position])
-    moved = _spread(data.readings[position, : data.coordinates])
-    if spread <= 0 or moved <= 0:
+    inputs, read = data.joints[position], data.readings[position, : data.coordinates]
+    if not inputs.size or not read.size:
+        return
+    spread, moved = _spread(inputs), _spread(read)
+    far = np.abs(np.median(inputs, axis=0)).max() + spread, np.abs(np.median(read, axis=0)).max() + moved
+    # a ball bar on a circle hardly moves, and is as long as the joints go
+    if spread <= 0 or moved <= 0 or max(far) < _AS_LARGE * min(far):
         return
     joints, positions = ", ".join(data.layout.joints), ", ".join(data.layout.coordinates)
     for ratio, small, large in (

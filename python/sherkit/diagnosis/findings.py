@@ -90,7 +90,10 @@ def _wrong(d: Diagnosis) -> Iterator[Finding]:
     if d.effects:
         causes = [effect for effect in d.fit.model.effects if effect.name in d.effects and effect.name != SLIP]
         physics = " ".join(f"{_most(d, e)} {_first_sentence(e.physics)}".strip() for e in causes)
-        tied = f" These poses cannot tell it from {listed(d.indistinguishable[0][1:])}." if d.indistinguishable else ""
+        tied = "".join(
+            f" These poses cannot tell {'it' if len(d.effects) == 1 else tie[0]} from {listed(tie[1:])}."
+            for tie in d.indistinguishable[: None if len(d.effects) > 1 else 1]
+        )
         whole = "" if d.verdict == "explained" else f" That is not all: {_rest(d)}."
         if d.too_few_poses:
             whole = " These poses are too few to say whether that is all."

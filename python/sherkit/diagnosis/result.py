@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..base.answer import AFTER, BEFORE, NOISE, TARGET, Answer, Bar, ToDo
-from ..base.figures import finite, in_names, state_with
+from ..base.figures import finite, in_column, in_names, state_with
 from ..base.notebook import Shown
 from ..base.types import Ints
 from ..fit.error import ErrorSize
@@ -408,8 +408,10 @@ class Diagnosis(Shown):
         lines += [f"  {one.answer}" for one in self.findings if one.about == "tie"]
         for one in self.findings:
             if one.about == "step":
-                lines += [f"  {one.answer:<24} {value:8.2f} {self.unit} held out" for value in one.numbers.values()]
-        lines.append(f"  {'noise':<24} {self.summary.noise:8.2f} {self.unit} ({self.noise_origin})")
+                lines += [
+                    f"  {one.answer:<24} {in_column(value)} {self.unit} held out" for value in one.numbers.values()
+                ]
+        lines.append(f"  {'noise':<24} {in_column(self.noise_size)} {self.unit} ({self.noise_origin})")
         lines += [f"  {'left out':<24} {one.answer}" for one in self.findings if one.about == "left_out"]
         lines += [f"  {one.answer}" for one in self.findings if one.about == "shape"]
         return "\n".join(lines)

@@ -208,6 +208,19 @@ class Base:
         same = [i for i in same if (blocks[i].pattern is None) == part]
         return blocks[max(same, key=lambda i: self.each[i])] if same else None
 
+    def one_by_one(self, blocks: Sequence[Block]) -> float:
+        """What shapes say together, each beside those before it, with their prior weights."""
+        evidence, now, count = 0.0, self, len(self.residual)
+        for block in blocks:
+            q = now._beyond(self.family.columns.of(block.at), HELD_SHAPE**0.5)
+            size = q.T @ now.residual
+            part, free = float(size @ size) / max(now.rss, 1e-300), now.free / self.family.run.shared
+            evidence += float(log_bayes(np.array([part]), np.array([q.shape[1]]), free, count)[0])
+            evidence += float(self.family.log_weight[self.family.where(block)])
+            basis = np.concatenate([now.basis, q], axis=1)
+            now = replace(now, basis=basis, residual=now.residual - q @ size)
+        return evidence
+
     @property
     def evidence(self) -> float:
         """By how much the readings favour that something is missing: the weighted mean of all Bayes factors."""

@@ -19,7 +19,7 @@ from ..data.noise import ReadingNoise, noise_of
 from ..errors import FitError
 from ..fit.error import axes_of
 from ..fit.folds import BLOCK
-from ..fit.identify import Fit, identify
+from ..fit.identify import Fit, identify, is_absurd
 from ..model.base import Derivatives, ModelWithEffects, column_slices
 from ..model.effect import Effect, Setting
 from .linearised import Linearised, last_asked
@@ -153,7 +153,7 @@ class FittedRun(Saved):
         start = np.array([known.get(p.name, 0.0) for p in model.parameters])
         # with more in it, it is asked anew whether readings contradict the drawing: what lacked most did not
         fit = identify(model, self.data, noise=self.fit.noise, start=start, priors=None if self.fit.priors else 0.0)
-        if not fit.converged and not fit.priors:
+        if not fit.priors and (not fit.converged or (is_absurd(fit) and not is_absurd(self.fit))):
             # more may be more than the readings decide
             fit = identify(model, self.data, noise=self.fit.noise, start=start, priors=True)
         made = self._refits[tuple(added)] = FittedRun(fit, before)

@@ -14,7 +14,6 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from ..base.types import Floats, Ints
-from ..data.columns import unit_in
 from ..fit.folds import blocks
 from ..model.effect import Effect, Setting
 
@@ -117,13 +116,11 @@ class Linearised:
         """Stretches of rows."""
         return blocks(len(self))
 
-    @cached_property
-    def waving(self) -> tuple[str, ...]:
-        """Inputs along which waves of one period are looked for: those in the unit of the period that an effect has,
-        where some are in another."""
-        units = {(effect.search or "").removeprefix("period_") for effect, _ in self.periodic}
-        mine = tuple(name for name in self.inputs if unit_in(name) in units)
-        return mine or tuple(self.inputs)
+    def waving(self, effect: Effect) -> tuple[str, ...]:
+        """Inputs along which waves of one period are looked for: those in the unit of the period of an effect, where
+        some are in another."""
+        names = tuple(self.inputs)
+        return tuple(names[k] for k in effect.waving(names)) or names
 
     @property
     def ends(self) -> int:

@@ -19,8 +19,11 @@ from .whitening import orthonormal
 TURN = 2.0 * np.pi
 #: Waves over the range: along a joint, a half wave apart; in time; over a place, which a grid tells less well.
 _JOINT, _TIME, _PLACE = (1.0, 60.0), (1.0, 61.0), (2.0, 12.0)
-#: Of a gear.
-_GEAR = (3.0, 321.0)
+#: Of scales and screws, all of one pitch; of a gear.
+CYCLIC, _GEAR = (1.0, 121.0), (3.0, 321.0)
+#: How many times as many waves as values uneven places tell; the mean of a wave over places from which on these see it
+#: as one that is slower.
+_UNEVEN, _ALIAS = 3.0, 0.8
 #: Waves slower than this part of a frequency, and the part of a wave from which on they stand in for it, where values
 #: are too far apart to tell.
 _SLOWER, _STANDS_IN = 0.8, 0.8
@@ -30,12 +33,18 @@ _SAME = 1e-3
 _LOOKED_AT = 2000
 
 
-def waves_along(values: Floats) -> Floats:
-    """How many waves over a joint's range are tried: no more than it has values, since further up there are more waves
-    than readings to tell them by."""
-    counts = np.arange(*_JOINT, 0.5)
-    distinct = len(np.unique(np.round(values / (_SAME * max(float(np.ptp(values)), 1e-300)))))
-    return np.asarray(counts[counts <= max(distinct, 2)])
+def waves_along(values: Floats, tried: tuple[float, float] = _JOINT) -> Floats:
+    """How many waves over a joint's range are tried: no more than it has values, or three times as many where these lie
+    so unevenly that none looks like a slower one (VanderPlas, "Understanding the Lomb-Scargle periodogram", ApJS 2018,
+    section 7.1: the spectral window)."""
+    counts = np.arange(*tried, 0.5)
+    reach = max(float(np.ptp(values)), 1e-300)
+    places = np.unique(np.round(values / (_SAME * reach))) * _SAME
+    if len(places) > counts[-1] or len(places) < 2:
+        return np.asarray(counts[counts <= max(len(places), 2)])
+    window = np.abs(np.exp(2j * np.pi * np.outer(counts, places)).mean(axis=1))
+    even = window[counts <= _UNEVEN * len(places)].max() > _ALIAS
+    return np.asarray(counts[counts <= max((1.0 if even else _UNEVEN) * len(places), 2)])
 
 
 def waves_of_gear(values: Floats, axes: float) -> Floats:

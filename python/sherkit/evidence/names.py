@@ -11,6 +11,7 @@ from ..base.types import Floats
 from ..fit.identify import ABSURD
 from .base import Base, log_bayes
 from .blocks import Block
+from .made import TURN
 from .sets import MOST, EffectSet, Sets, ShapeDescription
 from .thresholds import ALARM, COUNTS, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, times_plausible
 
@@ -118,7 +119,7 @@ def _judged(sets: Sets, lead: EffectSet, found: list[EffectSet], alone: ShapeDes
     while kept is not None:
         # what is named is told without the help of what is not
         left = beside if kept is lead else sets.described(kept.base, MOST, _STARTS)
-        those = [_told(sets, kept, left, alone, k) for k in range(len(kept.blocks))]
+        those = [_told(sets, kept, left, alone, k, partly=partly) for k in range(len(kept.blocks))]
         told |= {one.name: one for one in those}
         why = {one.name: reason for one in those if (reason := _refused(kept, one, alone, partly=partly))}
         refused |= why
@@ -132,7 +133,9 @@ def _judged(sets: Sets, lead: EffectSet, found: list[EffectSet], alone: ShapeDes
     return replace(judged, told=tuple(told.values()), refused=refused)
 
 
-def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDescription, k: int) -> Told:
+def _told(
+    sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDescription, k: int, *, partly: bool
+) -> Told:
     block = lead.blocks[k]
     assert block.effect is not None, "shapes are not named"
     fit = lead.run.of
@@ -144,7 +147,9 @@ def _told(sets: Sets, lead: EffectSet, beside: ShapeDescription, alone: ShapeDes
     without = alone if less is None else sets.described(less.base, MOST, _STARTS)
     needed = lead.value + beside.evidence - (0.0 if less is None else less.value) - without.evidence
     columns, parts = _columns(lead, k)
-    needed += _of_one_part(sets.base if less is None else less.base, columns, parts)
+    if not partly:
+        # of what is left in part, one number of many takes its share by chance
+        needed += _of_one_part(sets.base if less is None else less.base, columns, parts)
     return Told(block.name, needed, _tells(without.base, columns), size)
 
 
@@ -186,6 +191,8 @@ def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: boo
     steps = [block for block in lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"
+    if any(block.name == one.name and _never_repeats(lead.base, block) for block in lead.blocks):
+        return "a wave of which the run shows less than one and a half is any bend"
     if one.needed < least:
         return "shapes that follow no cause say as much in its place"
     if partly and one.size > PLAUSIBLE:
@@ -193,6 +200,20 @@ def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: boo
     if partly and one.tells < TELLS and one.needed < PLAINLY:
         return "it says nothing beside the shapes that describe this run without it"
     return ""
+
+
+def _never_repeats(base: Base, block: Block) -> bool:
+    """Whether nobody saw the wave of an effect repeat, whose period was looked for: on a ring, with one or two a turn,
+    there is a cause for it."""
+    if block.effect is None or not block.effect.is_periodic or block.setting is None:
+        return False
+    view, setting = base.family.run.view, block.setting
+    names = view.waving(block.effect)
+    each = setting if isinstance(setting, tuple) else (setting,) * len(names)
+    # what is nearer to two a turn than to three
+    slowest = TURN / 2.5 if block.effect.search == "period_rad" else np.inf
+    reach = [float(np.ptp(view.stood[name])) for name in names]
+    return not any(r >= _REPEATS * period or period > slowest for r, period in zip(reach, each, strict=True))
 
 
 def _bends(base: Base, shape: Block) -> bool:

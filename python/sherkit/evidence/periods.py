@@ -79,7 +79,7 @@ class Period:
     def _joints(self) -> list[str]:
         """Those whose waves are seen, in their order."""
         assert self.own is not None, "none is seen"
-        return [f"joint {k}" for k, name in enumerate(self.own.joints, start=1) if name in self.own.found]
+        return [f"joint {k}" for k, name in enumerate(self.own.inputs, start=1) if name in self.own.found]
 
     def _of_each(self, unit: str) -> str:
         """Joints that have waves, with their periods."""
@@ -126,7 +126,7 @@ def period_of(base: Base, effect: Effect) -> Period | None:
     view = base.family.run.view
     at = np.array([1.0 / _period(base, i) for i in waves])
     gains = base.gains[0][waves]
-    spans = [float(np.ptp(view.stood[name])) for name in view.waving]
+    spans = [float(np.ptp(view.stood[name])) for name in view.waving(effect)]
     span, ring = max(spans), effect.search == "period_rad"
     step = float(np.median(np.diff(at))) if len(at) > 1 else 0.5 / span
 

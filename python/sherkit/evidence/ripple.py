@@ -42,10 +42,12 @@ class Ripple:
 
     ``found`` maps the joints whose waves take more than chance to frequency and its standard deviation; ``ways`` is the
     logarithm of how many such choices there are, ``chance`` what choosing brings by chance, in squared noises.
-    ``given`` are the periods that a robot's file says of its joints; ``joints`` are all that have a wave.
+    ``given`` are the periods that a robot's file says of its joints; ``joints`` are those of ``inputs`` that may have
+    a wave.
     """
 
     effect: Effect
+    inputs: tuple[str, ...]
     joints: tuple[str, ...]
     found: Mapping[str, tuple[float, float]]
     given: Mapping[str, float]
@@ -86,10 +88,10 @@ def ripple_of(base: Base, effect: Effect, *, alone: bool = False) -> Ripple | No
     ``alone`` where nothing but them may be missing: else all other effects stand beside them, at any size, since what
     else is missing would look like waves.
     """
-    run, view = base.family.run, base.family.run.view
-    given = {name: period for name, period in run.of.model.given_periods.items() if name in view.waving}
+    run, view, waving = base.family.run, base.family.run.view, base.family.run.view.waving(effect)
+    given = {name: period for name, period in run.of.model.given_periods.items() if name in waving}
     families = _pairs(run, effect, given)
-    spans = {name: float(np.ptp(view.stood[name])) for name in view.waving}
+    spans = {name: float(np.ptp(view.stood[name])) for name in waving}
     if not families:
         return None
     plain = base.asked(next(iter(families.values())))
@@ -127,10 +129,10 @@ def ripple_of(base: Base, effect: Effect, *, alone: bool = False) -> Ripple | No
             break
     if not found:
         return None
-    choices = comb(len(view.waving), len(found)) * len(view.waving)
+    choices = comb(len(waving), len(found)) * len(waving)
     ways = float(sum(np.log(len(families[name])) for name in found) + np.log(choices))
     chance = float(sum(by_chance[name] for name in found))
-    return Ripple(effect, view.waving, found, given, ways, chance, spans)
+    return Ripple(effect, tuple(view.inputs), waving, found, given, ways, chance, spans)
 
 
 def wave_takes(base: Base, columns: Floats) -> float:
@@ -153,7 +155,7 @@ def _pairs(run: Run, effect: Effect, given: Mapping[str, float]) -> Mapping[str,
     first fit sees them, which tells any other where to look."""
     key = ("gears", effect.name, tuple(given.items()))
     if key not in run.kept:
-        each = ((name, _pairs_of(run, effect, name, given.get(name))) for name in run.view.waving)
+        each = ((name, _pairs_of(run, effect, name, given.get(name))) for name in run.view.waving(effect))
         run.kept[key] = {name: family for name, family in each if family is not None and len(family)}
     out: Mapping[str, Family] = run.kept[key]
     return out

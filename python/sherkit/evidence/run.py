@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..base import linalg
+from ..base.figures import listed
 from ..base.types import Floats, Ints
 from ..errors import FitError
 from ..model.effect import Effect
@@ -74,12 +75,26 @@ class Run:
         squareness about an axis that nobody reads would take, at a thousand radians, what a screw does.
         """
         columns = self.flat(self.view.fitted(self.view.whole))
+        if self._begins_anywhere:
+            # from which side the machine came to its first row nobody knows
+            first = np.zeros((len(self), self.axes, self.axes))
+            first[0] = np.eye(self.axes)
+            columns = np.concatenate([columns, self.flat(first)], axis=1)
         q = independent(columns)
         if not isinstance(self.of, FittedRun) or not self.of.fit.priors:
             return q
-        by_size = (q.T @ columns) * np.array([p.size for p in self.of.fit.parameters])
+        sizes = [p.size for p in self.of.fit.parameters]
+        by_size = (q.T @ columns) * np.array([*sizes, *[1e12] * (columns.shape[1] - len(sizes))])
         turn, moved, _ = linalg.svd(by_size, full_matrices=False)
         return q @ turn[:, moved * PLAUSIBLE > 1.0]
+
+    @property
+    def _begins_anywhere(self) -> bool:
+        """Whether an effect of the model goes by the side from which joints came, which the order of the rows tells of
+        all but the first."""
+        if not isinstance(self.of, FittedRun) or self.of.data.tells_sides:
+            return False
+        return any("direction" in effect.needs for effect in self.of.model.effects)
 
     @cached_property
     def poses(self) -> Ints:
@@ -152,8 +167,15 @@ def in_time(fit: FittedRun, rows: Ints) -> Ints:
     if fit.data.time_s is not None:
         rows = rows[np.argsort(fit.data.time_s[rows], kind="stable")]
     if len(rows) < _FEWEST:
+        names = [fit.names[a] for a in fit.axes]
+        apart = fit.used[:, fit.axes].any(axis=1).sum() >= _FEWEST > len(rows) and len(names) > 1
+        hint = (
+            f": a diagnosis looks at rows that hold all of {listed(names)}. Where they were read one at a time at the "
+            "same joints, put them into one row; else diagnose the rows of each axis by themselves"
+        )
         raise FitError(
-            f"{fit.data.source}: {len(rows)} rows with all readings are too few to diagnose; expected {_FEWEST} or more"
+            f"{fit.data.source}: {len(rows)} rows with all readings are too few to diagnose; expected {_FEWEST} or "
+            f"more{hint if apart else ''}"
         )
     return rows
 

@@ -68,6 +68,9 @@ def _from(base: Base, first: int, most: int) -> ShapeDescription:
         i = int(np.argmax(now.shapes))
         if now.shapes[i] < 0:
             break
+    if len(shapes) > 1 and base.family.reference is None:
+        # one that stood beside much that was still to be described said less than it does beside the others
+        evidence = max(evidence, base.one_by_one(shapes[::-1]))
     return ShapeDescription(tuple(shapes), evidence, now)
 
 

@@ -31,9 +31,10 @@ def columns_at(run: Run, effect: Effect, setting: Setting | None) -> Floats:
         at = next(at for one, at in view.effects if one.name == effect.name)
         return view.effects_in(view.whole)[:, :, at]
     if effect.is_periodic:
-        each = setting if isinstance(setting, tuple) else [setting] * len(view.waving)
-        angles = {name: TURN * view.stood[name] / one for name, one in zip(view.waving, each, strict=True)}
-        waves = [view.arriving(k, np.stack([np.sin(angles[k]), np.cos(angles[k])], axis=1)) for k in view.waving]
+        names = view.waving(effect)
+        each = setting if isinstance(setting, tuple) else [setting] * len(names)
+        angles = {name: TURN * view.stood[name] / one for name, one in zip(names, each, strict=True)}
+        waves = [view.arriving(k, np.stack([np.sin(angles[k]), np.cos(angles[k])], axis=1)) for k in names]
         return np.concatenate(waves, axis=2)
     assert not isinstance(setting, tuple), "only waves have one for each joint"
     if effect.search == "time_s":
@@ -112,5 +113,5 @@ def _near(view: Linearised, block: Block) -> list[float]:
         return np.asarray(0.5 * (view.time[some - 1] + view.time[some])).tolist()
     if effect.is_lagging:
         return np.asarray(setting * _LAGS).tolist()
-    reach = max(float(np.ptp(view.stood[name])) for name in view.waving)
+    reach = max(float(np.ptp(view.stood[name])) for name in view.waving(effect))
     return [reach / count for count in (reach / setting + _WAVES).tolist() if count > _FEWEST]

@@ -16,7 +16,7 @@ from sherkit._core import play
 
 from ..base.types import Floats
 from .linearised import Linearised
-from .made import Maker, Piece, distinguishable_waves, wave_table, waves_along, waves_in_time, waves_over_place
+from .made import CYCLIC, Maker, Piece, distinguishable_waves, wave_table, waves_along, waves_in_time, waves_over_place
 from .run import unit
 
 # -- Effects -----------------------------------------------------------------------------------------------------------
@@ -47,16 +47,13 @@ def blocks_of_effects(made: Maker) -> None:
         for lag in lags_of(made.like):
             made.add("effect", (), [made.whole(behind(lag)(view.whole))], effect=effect, setting=lag)
     # a period that the robot file declares may be wrong
-    searched = [effect for effect, _ in view.periodic]
-    if not searched:
-        return
-    names = view.waving
-    reach = max(float(np.ptp(made.like.stood[name])) for name in names)
-    if not reach > 0:
-        return
-    counts = max((waves_along(made.like.stood[name]) for name in names), key=len)
-    parts = [made.waves_of(name, 2.0 * np.pi * view.stood[name] / reach, counts) for name in names]
-    for effect in searched:
+    for effect, _ in view.periodic:
+        names = view.waving(effect)
+        reach = max(float(np.ptp(made.like.stood[name])) for name in names)
+        if not reach > 0:
+            continue
+        counts = max((waves_along(made.like.stood[name], CYCLIC) for name in names), key=len)
+        parts = [made.waves_of(name, 2.0 * np.pi * view.stood[name] / reach, counts) for name in names]
         for k, count in enumerate(counts.tolist()):
             pieces: list[Piece] = [(part, np.array([k, len(counts) + k])) for part in parts]
             made.add("effect", (), pieces, effect=effect, setting=reach / count)

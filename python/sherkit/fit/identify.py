@@ -318,9 +318,11 @@ def identify(
 def _with_drawing(fit: Fit, start: Sequence[float] | Floats | None) -> Fit:
     """What readings do not decide the drawing does, unless they contradict it; those that never change cannot: the
     smaller a robot is, the better it fits them. What begins at another fit was asked there how closely it holds."""
-    if not fit.converged or fit.supported < fit.rank:
+    # along what readings leave open a fit may have run away
+    away = fit.rank < len(fit.values) and is_absurd(fit)
+    if not fit.converged or fit.supported < fit.rank or away:
         drawn = _drawn(fit, 1.0, start)
-        kept = fit.converged and not held(fit.data) and not _is_absurd(fit) and _contradict(fit, drawn)
+        kept = fit.converged and not held(fit.data) and not is_absurd(fit) and _contradict(fit, drawn)
         return fit if kept else _as_it_holds(drawn)
     part = part_of(fit) if start is None and fit.loss == "linear" else 1.0
     if start is not None or _holds_alone(fit, part):
@@ -329,7 +331,7 @@ def _with_drawing(fit: Fit, start: Sequence[float] | Floats | None) -> Fit:
     return fit if not held(fit.data) and _contradict(fit, drawn) else replace(drawn, for_regions=True)
 
 
-def _is_absurd(fit: Fit) -> bool:
+def is_absurd(fit: Fit) -> bool:
     """Whether it takes a machine that nobody could have built: what readings hardly tell of it swallows all else."""
     drawn = drawn_by(fit.model)
     sizes = np.array([p.size for p in fit.parameters])

@@ -316,7 +316,8 @@ def _since(
     far, used = np.asarray(wild.any(axis=1)), np.asarray(data.used.any(axis=1))
     side = moved if far[moved & used].mean() > far[~moved & used].mean() else ~moved
     rms = [float(np.sqrt(np.mean(each[side & used] ** 2))) for each in (was, now_is)]
-    if far[side & used].mean() < _WHOLE or far[~side & used].mean() > 1.0 - _WHOLE or rms[1] > _BETTER * rms[0]:
+    right = min(_BETTER * rms[0], _NOT_RIGHT * float(np.nanmax(found.spread)))
+    if far[side & used].mean() < _WHOLE or far[~side & used].mean() > 1.0 - _WHOLE or rms[1] > right:
         return []
     unit, per_unit = data.layout.unit, data.layout.per_unit
     left = f"{_plain(per_unit * rms[1])} {unit} RMS instead of {_plain(per_unit * rms[0])} there"
@@ -361,8 +362,11 @@ def _plain(value: float) -> str:
 
 def _moves(model: ModelWithEffects, data: Measurements, now: Plausible) -> bool:
     """Whether the robot was driven anywhere, beside what is left, or beside what is left at one place, where repeats
-    tell that: at one place readings are all noise."""
-    driven = float(np.ptp(model.predict(thinned(data), now.values), axis=0).max())
+    tell that: at one place readings are all noise. Where its drawing moves no reading, as that of a ball bar on a
+    circle, all that moves is what the robot does wrong."""
+    some = thinned(data)
+    drawn = model.predict(some, model.start(data))
+    driven = min(float(np.ptp(one, axis=0).max()) for one in (model.predict(some, now.values), drawn))
     left = now.rms_of_all
     return driven > left or (driven > _HARDLY * left and bool(np.isfinite(_usual_noise(data)).any()))
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
@@ -79,7 +79,7 @@ class LinearFit:
     def columns(self, effect: Effect, setting: float | None) -> tuple[Floats, Floats]:
         """Derivatives by an effect's parameters at the rows (r, m, k) and at the asked places (q, m, k)."""
         if effect.is_periodic and setting is not None:
-            return self.wave(1.0 / setting)
+            return self.wave(effect, 1.0 / setting)
         fit, asked = self.fit, self.asked
         model, values, own = with_effect(fit.model, fit.values, effect, setting)
         at_rows = model.derivatives(fit.data, values)[self.rows][:, :, own]
@@ -87,20 +87,15 @@ class LinearFit:
         there = by_effect(self.deployed, self.part.values, effect, setting, readings, asked.joints, asked.now)
         return at_rows, there[1]
 
-    def wave(self, frequency: float) -> tuple[Floats, Floats]:
+    def wave(self, effect: Effect, frequency: float) -> tuple[Floats, Floats]:
         """The same of sine and cosine of each joint that has waves, at each end of a distance."""
         k, data = self.joints.shape[1], self.fit.data
-        here = waves(self._by_joints[:, :, :k], self.joints, 1.0 / frequency, self._waving)
+        which = effect.waving(data.layout.joints)
+        here = waves(self._by_joints[:, :, :k], self.joints, 1.0 / frequency, which)
         if self._by_joints.shape[2] > k:
             there = data.from_other_end.joints[self.rows]
-            here = here + waves(self._by_joints[:, :, k:], there, 1.0 / frequency, self._waving)
-        return here, waves(self._there[1], self.asked.joints, 1.0 / frequency, self._waving)
-
-    @cached_property
-    def _waving(self) -> list[int]:
-        """The joints that a periodic effect moves."""
-        periodic = next(e for e in self.fit.model.known_effects.values() if e.is_periodic)
-        return periodic.waving(self.fit.data.layout.joints)
+            here = here + waves(self._by_joints[:, :, k:], there, 1.0 / frequency, which)
+        return here, waves(self._there[1], self.asked.joints, 1.0 / frequency, which)
 
     @cached_property
     def joints(self) -> Floats:
@@ -445,13 +440,13 @@ class Search:
         out: list[float] = []
         # what alone takes all that a correction took is hidden by that, in a peak too narrow for the first measure
         measures = (hides, unseen, taken) if self.part.corrects else (hides, unseen)
-        waves = ((f, quick.wave(f)) for f in tried)
+        waves = ((f, quick.wave(effect, f)) for f in tried)
         found = np.array([[measure(f, wave) for measure in measures] for f, wave in waves])
         for measure, values in zip(measures, found.T, strict=True):
             for k in _peaks(values):
                 best = float(tried[k])
                 if not ring:
-                    best = _nearby(measure, quick.wave, best, step)
+                    best = _nearby(measure, partial(quick.wave, effect), best, step)
                 if all(abs(best - other) * span > 0.5 for other in out):
                     out.append(best)
         given = self.run.fit.model.setting_of(effect)

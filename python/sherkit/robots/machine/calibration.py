@@ -27,7 +27,7 @@ from .described import MachineDescription
 from .function import settled, starts
 
 #: Effects of the instrument: where the machine goes, they are not.
-_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "instrument_turned", "thermal_shift")
+_OF_INSTRUMENT = ("sensor_offset", "sensor_scale", "sensor_growth", "instrument_turned", "thermal_shift")
 
 
 def _ours(parameters: Sequence[Parameter]) -> Bools:

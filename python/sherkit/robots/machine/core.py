@@ -28,7 +28,7 @@ from .function import UserFunction
 
 #: A plausible small error of a reading or joint by its unit; of any other, this part of its range.
 _SMALL = {"mm": 0.1, "um": 100.0, "m": 1e-4, "rad": 2e-3, "mrad": 2.0, "deg": 0.1, "px": 5.0, "arcsec": 300.0}
-_SCALE = 1e-3
+_SCALE, _GROWTH = 1e-3, 1e-4
 _METRE = 1000.0
 #: Machines with more joints than this have couplings of neighbours alone.
 _FEW_JOINTS = 3
@@ -125,11 +125,18 @@ def generic_effects(
         waves = (one for i, by in turning.items() for one in _waves([joints[i]], units[i], 2e-3 / times / by))
         return Generic(name, "joints", tuple(waves), _wave_of({i: times * by for i, by in turning.items()}))
 
-    # joints of one unit: that of most of them
-    unit = max(units, key=units.count, default="")
-    by = factor(unit, "rad")
-    which = [i for i, one in enumerate(units) if one == unit and (unit == "mm" or by is not None)]
-    lines = _waves([joints[i] for i in which], unit, 0.005 if by is None else 1e-3 / by)
+    # joints of one unit have waves of one period: first those of most of them
+    cyclic: list[Generic] = []
+    for unit in sorted(dict.fromkeys(units), key=units.count, reverse=True):
+        by = factor(unit, "rad")
+        if unit == "mm" or by is not None:
+            which = [i for i, one in enumerate(units) if one == unit]
+            lines = _waves([joints[i] for i in which], unit, 0.005 if by is None else 1e-3 / by)
+            other = f"_{unit}" if cyclic else ""
+            cyclic.append(Generic(f"encoder_cyclic{other}", "joints", lines, _cyclic(which), search=f"period_{unit}"))
+            if not other:
+                half = tuple((name, unit, 0.4 * size) for name, unit, size in lines)
+                second = Generic("encoder_second", "joints", half, _cyclic(which, 2.0))
     out = [
         Generic("joint_offset", "joints", by_joint("offset", small), _each(lambda q, _: 1.0)),
         Generic("joint_scale", "joints", by_joint("scale", [_SCALE] * len(joints), [""] * len(joints)),
@@ -137,9 +144,9 @@ def generic_effects(
         Generic("joint_coupling", "joints", coupled, _coupling(pairs)),
         per_turn("encoder_eccentricity", 1.0),
         per_turn("encoder_two_per_turn", 2.0),
-        Generic("encoder_cyclic", "joints", lines, _cyclic(which), search=f"period_{unit}"),
-        Generic("encoder_second", "joints", tuple((name, unit, 0.4 * size) for name, unit, size in lines),
-                _cyclic(which, 2.0)),
+        *([cyclic[0], second, *cyclic[1:]] if cyclic else []),
+        Generic("joint_growth", "joints", by_joint("growth", [_GROWTH] * len(joints), ["1/°C"] * len(joints)),
+                _each(_growing), (TEMPERATURE,)).only([i for i, one in enumerate(units) if factor(one, "mm")]),
         # who reads a joint a moment after the point sees it where it was then
         Generic("reading_delay", "joints", (("delay", "s", 0.02),), lambda _, at: -at.velocity[:, :, None],
                 tuple(f"{name}_per_s" for name in joints)),
@@ -154,6 +161,9 @@ def generic_effects(
             Generic("droop", "body", (("fall_at_1_m", "mm", 1.0),), _droop),
             Generic("instrument_turned", "sensor", tuple((f"turn_{axis}", "rad", 2e-3) for axis in "xyz"), _turned),
         ]  # fmt: skip
+    else:
+        out.append(Generic("sensor_growth", "sensor", by_reading("growth", [_GROWTH] * len(read), ["1/°C"] * len(read)),
+                           _each(_growing), (TEMPERATURE,)))  # fmt: skip
     out += [
         Generic("drift", "body", by_reading("rate", seen, [f"{u}/h" for u in read]),
                 _each(lambda _, at: ((at.time_s - at.chain.time_origin_s) / 3600.0)[:, None]), (TIME,)),
@@ -192,7 +202,8 @@ def is_point_in_space(readings: Sequence[str]) -> bool:
 def machine_catalogue(effects: Sequence[Generic]) -> dict[str, Effect]:
     """As effects with their sentences."""
     sentences: Mapping[str, Sentences] = COMMON | _OWN
-    return catalogue_of_core([one.row for one in effects], {one.name: sentences[one.name] for one in effects})
+    told = {one.name: sentences.get(one.name) or sentences["encoder_cyclic"] for one in effects}
+    return catalogue_of_core([one.row for one in effects], told)
 
 
 # -- parameters ------------------------------------------------------------------------------------------
@@ -207,6 +218,11 @@ def _ratio(of: str, by: str) -> str:
 
 
 # -- formulas --------------------------------------------------------------------------------------------
+
+
+def _growing(x: NDArray[Any], at: RowCovariates) -> NDArray[Any]:
+    """In proportion to itself and to the temperature."""
+    return x * (at.temperature_c - DRAWN_C)[:, None]
 
 
 def _diagonal(each: NDArray[Any]) -> NDArray[Any]:
@@ -281,6 +297,12 @@ _OWN = {
         residuals="In proportion to the travel of one joint, along the motion of another.",
         remedy="Measure the squareness with a granite square; shim the rail, or correct it in the controller.",
     ),
+    "joint_growth": Sentences(
+        physics="The scale, rack or screw that a joint is measured by expands with the temperature.",
+        residuals="In proportion to the travel of one joint, times the deviation of temperature from 20 °C.",
+        remedy="Warm up; measure the scale's own temperature and correct by it; use a scale of glass ceramic.",
+        sizes={"growth": "the scale of {k} grows/shrinks by {size}"},
+    ),
     "encoder_two_per_turn": Sentences(
         physics="An encoder's ring is oval, or read by two heads: its error repeats twice per turn.",
         residuals="A wave along one joint with two periods in a whole turn.",
@@ -302,6 +324,12 @@ _OWN = {
         physics="The zero of an instrument is not where the model has it.",
         residuals="Constant.",
         remedy="Set the instrument to zero at the reference; or identify the offset with the model.",
+    ),
+    "sensor_growth": Sentences(
+        physics="An instrument shows more or less in proportion to the temperature: an interferometer whose wavelength "
+        "is not corrected for the air, a wire or a scale that expands.",
+        residuals="In proportion to one reading, times the deviation of temperature from 20 °C.",
+        remedy="Have the instrument correct for air and material; measure the temperature where it is.",
     ),
     "sensor_scale": Sentences(
         physics="An instrument shows a little too much or too little.",
