@@ -337,8 +337,10 @@ class Fall(_Folding):
         left = page_state.now
         noise = left.noise_size if left.noise_origin != "unknown" else None
         state = ErrorHistory(steps, noise, left.unit, page_state.required_um if left.unit == "µm" else None)
-        # other readings need another picture
-        self._fall.show(state, noise is None, lambda: error_history(state, height_px=_FALL_HEIGHT, room_px=_FALL_ROOM))
+        # other readings need another picture, and so does the line at another noise
+        self._fall.show(
+            state, noise and number(noise), lambda: error_history(state, height_px=_FALL_HEIGHT, room_px=_FALL_ROOM)
+        )
 
     def show_parameters(self, page_state: PageState) -> None:
         """Draws how well the parameters of a moment are known."""

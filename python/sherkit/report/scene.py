@@ -292,7 +292,7 @@ def space_of(
         where, errors, machine = _errors(draw, (before.fit, after.fit), data.select(rows), first[keep], group, keep)
     except SherkitError:
         return None
-    if before.fit is after.fit:
+    if before.fit is after.fit or before.title == after.title:
         errors, titles = errors[:1], titles[:1]
     good = np.isfinite(where).all(axis=1) & np.isfinite(errors).all(axis=(0, 2))
     where, errors, lines = where[good], errors[:, good], data.line[rows[first[keep]]][good]
