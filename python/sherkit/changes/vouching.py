@@ -61,7 +61,8 @@ class Broken:
 
 def broken(base: Base, stand: Floats, promised: float, level: float, fields: Sequence[Floats]) -> Broken:
     """Tests a promise of a reading (root mean square, in noises) with the blocks of ``base``, whose first rows are the
-    readings, and with ``fields`` (n, k) of these; ``stand`` (n, s) are the columns of where the sensor stands."""
+    readings, and with ``fields`` (n, m, k) of their rows; ``stand`` (n·m, s) are the columns of where the
+    sensor stands."""
     columns, ways, share = _ways(base, stand, promised, fields)
     residual, free = base.residual, base.free
     if not len(share) or free < 2 or not residual.any():
@@ -105,14 +106,14 @@ def broken(base: Base, stand: Floats, promised: float, level: float, fields: Seq
 
 
 def smooth_fields(model: Any, rows: Measurements, values: Floats, axes: Sequence[int]) -> list[Floats]:
-    """Columns (n·m, m) of errors along each axis of the robot that go with the places of rows or with a product of two
+    """Columns (n, m, m) of errors along each axis of the robot that go with the places of rows or with a product of two
     of them: what a change does that is in no catalogue, wherever the sensor stands."""
     places = model.place(rows, np.asarray(model.predict(rows, values)), values).values()
     turn, m = model.axes_of_readings(rows, values), len(axes)
     along = np.eye(m) if turn is None or len(turn) != m else np.asarray(turn, dtype=float)
     u = [unit(one) for one in places if np.ptp(one) > 0]
     functions = [*u, *(a * b for k, a in enumerate(u) for b in u[k:])]
-    return [(one[:, None, None] * along).reshape(-1, m) for one in functions]
+    return [one[:, None, None] * along for one in functions]
 
 
 def _ways(base: Base, stand: Floats, promised: float, fields: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
@@ -123,8 +124,9 @@ def _ways(base: Base, stand: Floats, promised: float, fields: Sequence[Floats]) 
     # ways of all of an effect are those of its parts, too
     whole = [block for block in family.blocks if block.pattern is None]
     raws = [family.run.flat(family.columns.raw(block.at)) for block in whole]
-    weight = [1.0 / len(raws)] * len(raws) + [_FIELDS / max(len(fields), 1)] * len(fields)
-    raws += [np.concatenate([one, np.zeros((len(base.residual) - len(one), one.shape[1]))]) for one in fields]
+    weight = [1.0 / max(len(raws), 1)] * len(raws) + [_FIELDS / max(len(fields), 1)] * len(fields)
+    # of what is known of parameters, whose rows stand behind those that were read, they say nothing
+    raws += [family.run.flat(np.pad(one, ((0, len(family.run) - len(one)), (0, 0), (0, 0)))) for one in fields]
     every = np.concatenate([np.zeros((len(base.residual), 0)), *raws], axis=1)
     left = every - base.basis @ (base.basis.T @ every)
     ways, share, start = [np.zeros((every.shape[1], 0))], [], 0

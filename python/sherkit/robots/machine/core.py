@@ -202,7 +202,9 @@ def is_point_in_space(readings: Sequence[str]) -> bool:
 def machine_catalogue(effects: Sequence[Generic]) -> dict[str, Effect]:
     """As effects with their sentences."""
     sentences: Mapping[str, Sentences] = COMMON | _OWN
-    told = {one.name: sentences.get(one.name) or sentences["encoder_cyclic"] for one in effects}
+    # waves of joints in another unit are said as those of most
+    cyclic = "encoder_cyclic"
+    told = {one.name: sentences[cyclic if one.name.startswith(cyclic) else one.name] for one in effects}
     return catalogue_of_core([one.row for one in effects], told)
 
 
