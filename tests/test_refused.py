@@ -91,6 +91,17 @@ def of_unshown(key: str, row: int, value: float) -> Callable[[dict[str, Any]], N
     return lambda tables: tables["whole"]["unobserved_effects"][0][key][row].__setitem__(row, value)
 
 
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The file of a calibration that is sound."""
+    virtual = VirtualDelta.draw(EXAMPLE, 6, noise_mm=0.005)
+    data = virtual.measure(grid(20.0, 3, (-15.0, 15.0)), repeats=2, seed=1)
+    path = tmp_path_factory.mktemp("calibrated") / "calibrated.toml"
+    sk.Study(EXAMPLE, data).calibration().save(path)
+    sk.load_calibration(path)
+    return path.read_text()
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -109,14 +120,12 @@ def of_unshown(key: str, row: int, value: float) -> Callable[[dict[str, Any]], N
         (lambda tables: tables["robot"].update(kind=["delta"]), "kind"),
     ],
 )
-def test_an_absurd_calibration_is_refused(change: Callable[[dict[str, Any]], None], says: str, tmp_path: Path) -> None:
+def test_an_absurd_calibration_is_refused(
+    change: Callable[[dict[str, Any]], None], says: str, calibrated: str, tmp_path: Path
+) -> None:
     """Catches a file of somebody else's, or one in other units, that would be deployed to a control loop."""
-    virtual = VirtualDelta.draw(EXAMPLE, 6, noise_mm=0.005)
-    data = virtual.measure(grid(20.0, 3, (-15.0, 15.0)), repeats=2, seed=1)
     path = tmp_path / "calibrated.toml"
-    sk.Study(EXAMPLE, data).calibration().save(path)
-    sk.load_calibration(path)
-    tables = tomllib.loads(path.read_text())
+    tables = tomllib.loads(calibrated)
     change(tables)
     path.write_bytes(toml(tables))
     with pytest.raises(CalibrationError, match=says) as caught:
