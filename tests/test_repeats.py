@@ -116,7 +116,7 @@ def test_declared_noise_that_repeats_contradict_is_said(ratio: float, said: bool
     assert d.verdict == "unexplained"
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [1, *slow(0)])
 def test_an_error_that_repeats_share_is_one_witness(seed: int) -> None:
     """Catches an error of 50 µm at each of 192 poses, declared, whose three repeats were taken for three witnesses:
     "encoder_cyclic" or a structure in 14 of 14 deltas with nothing hidden, and a check "not valid: 84 µm seen"."""
@@ -136,7 +136,7 @@ def test_an_error_that_repeats_share_is_one_witness(seed: int) -> None:
     assert sk.verify(made, runs[1]).verdict == "valid"
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2, *slow(3)])
 def test_an_error_of_each_pose_is_no_structure(seed: int) -> None:
     """Catches "what is left has a structure" of errors that are white from pose to pose and that nobody declared: in
     all of 55 deltas, and a wave named in 13 of 35 arms."""
@@ -153,10 +153,12 @@ def test_an_error_of_each_pose_is_no_structure(seed: int) -> None:
     assert max(found.noise.values()) < 7.0
 
 
-@pytest.mark.parametrize("noise_mm", [1e-9, 1e-11, 1e-13])
+@pytest.mark.parametrize("noise_mm", [1e-13, *slow(1e-9, 1e-11)])
 def test_repeats_that_are_equal_but_for_rounding(noise_mm: float) -> None:
     """Catches a division by zero where repeats agree to their last digits and poses are off."""
     world, rng = worlds.clean(3), np.random.default_rng(1)
+    third = world.columns["pose"] % 3 == 0
+    world = replace(world, columns={name: values[third] for name, values in world.columns.items()})
     _, first, pose = np.unique(world.columns["pose"], return_index=True, return_inverse=True)
     columns = dict(world.columns) | {q: world.columns[q][first][pose] for q in ("q1_mm", "q2_mm", "q3_mm")}
     for axis in ("x_mm", "y_mm", "z_mm"):
@@ -181,7 +183,7 @@ def test_a_wrong_deviation_of_one_axis_is_said() -> None:
     assert "the declared noise is not what repeats show (x 0.25 µm declared" in d.headline
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_few_poses_read_once_praise_nothing(seed: int) -> None:
     """Catches "adequate" of ten poses read once, whose fit leaves 6 µm of a noise that nobody knows and predicts others
     to 50 µm."""
