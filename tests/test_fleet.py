@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from running import cluster_of_two
+from running import cluster_of_two, slow
 from sherkit.cli import main
 from sherkit.cli.demo import EXAMPLE
 from sherkit.fleets import Fleet, FleetMember
@@ -221,7 +221,7 @@ def test_the_odd_one_is_named_and_the_others_are_not() -> None:
     assert {(one.run, one.name) for one in fleet_of(two).stands_out} == {("m7", "p4"), ("m3", "p1")}
 
 
-@pytest.mark.parametrize(("machines", "std"), [(4, 0.1), (7, 0.1), (7, 1.0), (12, 0.1)])
+@pytest.mark.parametrize(("machines", "std"), [(4, 0.1), (7, 1.0), *slow((7, 0.1), (12, 0.1))])
 def test_a_fleet_of_like_machines_is_left_alone(machines: int, std: float) -> None:
     """Catches a threshold without regard to how many machines and parameters are looked at, and a spread of so few that
     it is nothing by chance: 5 of 100 at most here, whether machines differ or readings are uncertain."""

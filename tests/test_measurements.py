@@ -20,6 +20,7 @@ import pytest
 from hypothesis import given
 
 from bad_inputs import BAD, GOOD, NAME, Bad
+from running import slow
 from sherkit import Measurements, SherkitError, SherkitWarning, from_frame, read_measurements
 from sherkit.data import from_arrays, stream_measurements
 from sherkit.errors import MeasurementError
@@ -399,7 +400,7 @@ def test_other_covariates_pass_without_a_word() -> None:
 
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
-@pytest.mark.parametrize("rows", [1, 7, 23, 1000])
+@pytest.mark.parametrize("rows", [1, 1000, *slow(7, 23)])
 def test_streams_give_the_same_rows(ending: str, rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches rows lost or doubled at the border of blocks, and a second pass that starts where the first ended."""
     rng = np.random.default_rng(0)

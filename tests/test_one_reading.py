@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import sherkit as sk
+from running import slow
 from sherkit.errors import FitError
 
 TRAVEL_MM, RADIUS_MM = 400.0, 150.0
@@ -93,7 +94,7 @@ def ball_bar(seed: int, *, scale: float = 0.0, square: float = 0.0) -> tuple[Any
     return machine, sk.from_frame(pl.DataFrame(columns))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [3, *slow(0, 1, 2)])
 @pytest.mark.parametrize(("scale", "square", "named"), [
     (5e-5, 0.0, {"joint_scale"}), (0.0, 6e-5, {"joint_coupling"}), (0.0, 0.0, set()),
 ])  # fmt: skip
@@ -131,7 +132,7 @@ def head(seed: int, began: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("began", [-1.0, 1.0])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, *slow(1)])
 def test_nobody_knows_from_where_a_machine_came_to_its_first_row(seed: int, began: float) -> None:
     """Catches a first row that is taken for one reached upwards: off by all of the play, it left "a structure" beside
     every pair of effects with play in it. All worlds began upwards, as the product did."""

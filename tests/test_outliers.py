@@ -257,7 +257,7 @@ def test_what_the_model_does_not_know_is_no_gross_error(make: Any, seed: int) ->
     assert len(diagnosed(make(seed)).outliers) == 0
 
 
-@pytest.mark.parametrize("seed", [4, 5, *slow(0, 1, 2, 3, 6, 7, 8, 9)])
+@pytest.mark.parametrize("seed", [5, *slow(0, 1, 2, 3, 4, 6, 7, 8, 9)])
 def test_one_wild_reading_of_two_makes_no_wrong_pose(seed: int) -> None:
     """Catches poses that are "wrong in all their repeats" where one reading of two is wild: noise of heavy tails
     (Student's t of 3) and six gross errors of single rows. Each of ten such runs had such poses, up to five."""

@@ -138,7 +138,7 @@ def test_a_ring_of_unknown_period_is_refused_or_searched() -> None:
     assert made.whole.settings["period_rad"] == study.model.period_rad
 
 
-@pytest.mark.parametrize("pitch_mm", [1.0, 2.0, 5.0])
+@pytest.mark.parametrize("pitch_mm", [1.0, *slow(2.0, 5.0)])
 def test_no_ripple_of_metres_where_joints_stand_at_its_multiples(pitch_mm: float) -> None:
     """Catches a period chosen beside the one that these poses cannot see, where an amplitude of metres does what a
     slow error does; and a calibration that deploys what is not plausible in silence."""

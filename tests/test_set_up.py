@@ -388,7 +388,7 @@ def test_a_mistake_beside_large_physics_ends_in_a_sentence() -> None:
     assert answer.says(("x_mm",), ("y_mm",), ("swap", "interchang", "mirror"))
 
 
-@pytest.mark.parametrize(("seed", "lean_mrad"), [(0, 1.0), (1, 5.0), (0, 20.0)])
+@pytest.mark.parametrize(("seed", "lean_mrad"), [(0, 1.0), (0, 20.0), *slow((1, 5.0))])
 def test_swapped_columns_are_said_on_leaning_rails(seed: int, lean_mrad: float) -> None:
     """Catches swapped columns that are not said for what they do wherever the instrument stands, a left-handed frame,
     where rails lean too."""

@@ -261,7 +261,7 @@ def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_PX - 1) < held_out_allowance(d)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_where_the_camera_stands_is_no_effect(seed: int) -> None:
     """Catches a name for a camera that stands within what its calibration says, and a pose that is not found."""
     stands = np.random.default_rng([seed, 8]).normal(size=6) * ([np.deg2rad(0.1)] * 3 + [1.0] * 3)

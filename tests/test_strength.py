@@ -10,6 +10,7 @@ import pytest
 import sherkit as sk
 from field_counts import WORSE, WORSE_INSIDE, counted
 from field_worlds import REGIONS, Field, best_frame, field
+from running import slow
 from sherkit.base.types import Floats
 from sherkit.fit.regions import drawn_by, frame_parameters, part_of, scaled_sizes
 from sherkit.model.kinds import model_of, robot_from_tables
@@ -42,7 +43,7 @@ def likelihoods(fit: sk.Fit, parts: np.ndarray) -> np.ndarray:
     return np.array(out)
 
 
-@pytest.mark.parametrize("sizes", [0.1, 0.3, 1.0])
+@pytest.mark.parametrize("sizes", [0.3, *slow(0.1, 1.0)])
 def test_the_part_is_the_likeliest(sizes: float) -> None:
     """Catches a wrong sign or a factor in the evidence: the part is that at which what was read is likeliest, by the
     whole covariance of all readings; and it follows by how much the drawing is off."""
