@@ -259,6 +259,8 @@ def _missing(name: str, names: list[str], where: str, what: str, layout: Layout)
     unknown = [n for n in names if n not in layout.known]
     typed = closest(name, unknown)
     hint = f"; is '{typed}' meant to be it?" if typed else f"; the file has {listed(names, 12)}"
+    if name in layout.joints and not any(joint in names for joint in layout.joints):
+        hint += "; a machine of your own is described (sk.Machine) before its rows are read"
     return f"{where}: column '{name}' is missing ({what}){hint}"
 
 

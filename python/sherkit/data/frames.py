@@ -110,8 +110,8 @@ def from_frame(frame: Any, source: str = "frame", *, columns: Columns | None = N
     """Measurements from a polars or pandas frame, a mapping of columns to sequences, or a dict for each row.
 
     Null (polars) and NaN (pandas, NumPy) mean "not taken" in reading columns and are refused elsewhere. ``columns`` as
-    in :func:`~sherkit.data.read_measurements`. Raises
-    :class:`~sherkit.errors.MeasurementError` naming row (from 0) and column.
+    in :func:`~sherkit.data.read_measurements`. A machine of your own is described first: its columns are known from
+    then on. Raises :class:`~sherkit.errors.MeasurementError` naming row (from 0) and column.
 
         frame = polars.read_csv("demo/whole.csv")
         run = sk.from_frame(frame.filter(polars.col("repeat") == 1))

@@ -26,8 +26,10 @@ from .function import UserFunction
 
 # -- Effects ------------------------------------------------------------------------------------------------------
 
-#: A plausible small error of a reading or joint by its unit; of any other, this part of its range.
+#: A plausible small error of a reading or joint by its unit; of any other, this part of its range. A joint that
+#: goes far is made less well: no less than such a part of its travel, where that is a length.
 _SMALL = {"mm": 0.1, "um": 100.0, "m": 1e-4, "rad": 2e-3, "mrad": 2.0, "deg": 0.1, "px": 5.0, "arcsec": 300.0}
+_OF_TRAVEL = 5e-4
 _SCALE, _GROWTH = 1e-3, 1e-4
 _METRE = 1000.0
 #: Machines with more joints than this have couplings of neighbours alone.
@@ -106,7 +108,8 @@ def generic_effects(
     """Those of a machine with these joints, which range over ``spans``, and readings, which then range over ``shown``,
     in the order of the chain; whether the readings are a place in space."""
     units, read = [unit_in(name) for name in joints], [unit_in(name) for name in readings]
-    small = [_SMALL.get(unit, 1e-3 * span) for unit, span in zip(units, spans, strict=True)]
+    lengths = [_OF_TRAVEL * span if factor(unit, "mm") else 0.0 for unit, span in zip(units, spans, strict=True)]
+    small = [max(_SMALL.get(unit, 1e-3 * span), least) for unit, span, least in zip(units, spans, lengths, strict=True)]
     seen = [_SMALL.get(unit, _SCALE * span or 1.0) for unit, span in zip(read, shown, strict=True)]
 
     def by_joint(word: str, sizes: Sequence[float], own: Sequence[str] = units) -> Parameters:
