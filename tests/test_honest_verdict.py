@@ -386,7 +386,7 @@ def gross_outcome(spoiled: gross_errors.Spoiled, clean: Any) -> str:
         return "error"
     listed = gross_errors.poses_listed(spoiled.world, d.outliers)
     if not spoiled.poses <= listed:
-        # poses are visited at random, so that a block of the plan is a place: few are told from a bend there
+        # poses are visited at random, so that a block of the plan is a place: a small one may be taken for a bend there
         if spoiled.name == "block" and d.verdict == "unexplained" and not d.effects:
             return "a bend"
         return ("praised, " if d.verdict in PRAISED else "") + "not all listed"
@@ -424,8 +424,8 @@ def test_gross_errors_of_poses_are_found(label: str) -> None:
 def test_gross_errors_are_found_in_98_of_100(kind: str) -> None:
     """Catches a start that believes the worst rows: 50 runs of each of 28 kinds, from 5 noises to kilometres.
 
-    Prints the outcomes. At least 98 % right in all, with a binomial allowance of 1 in 1,000 for each kind. A block that
-    is taken for a bend of the workspace, and said to be unexplained, is no more than one in four of its kind.
+    Prints the outcomes. At least 98 % right in all, with a binomial allowance of 1 in 1,000 for each kind. Of a block
+    of 5 noises one in four may be taken for a bend of the workspace, said to be unexplained; that is not right.
     """
     outcomes = []
     for seed in range(50):
@@ -435,10 +435,11 @@ def test_gross_errors_are_found_in_98_of_100(kind: str) -> None:
                 clean[spoiled.poses] = spoiled.marked.ask().diagnosis
             outcomes.append((label, gross_outcome(spoiled, clean[spoiled.poses])))
     table(f"gross errors: {kind}", outcomes)
-    bent = Counter(label for label, outcome in outcomes if outcome == "a bend")
-    assert max(bent.values(), default=0) <= 0.25 * 50
-    wrong = Counter(label for label, outcome in outcomes if outcome not in {"right", "a bend"})
+    bent = Counter(label for label, outcome in outcomes if outcome == "a bend" and label.endswith("× 5"))
+    wrong = Counter(label for label, outcome in outcomes if outcome != "right")
     assert wrong.total() <= 0.02 * len(outcomes)
+    assert max(bent.values(), default=0) <= 0.25 * 50
+    wrong -= bent
     assert max(wrong.values(), default=0) <= stats.binom.isf(RARE, 50, 0.02)
 
 

@@ -247,7 +247,8 @@ def crane(q: Any, p: Any) -> Any:
     """A slewing jib with a trolley and a hoist."""
     slew, trolley, hoist = q.T
     reach = trolley + p.trolley
-    x, y = (reach * f(slew) + p.side * g(slew) for f, g in ((np.cos, lambda a: -np.sin(a)), (np.sin, np.cos)))
+    x = reach * np.cos(slew) - p.side * np.sin(slew)
+    y = reach * np.sin(slew) + p.side * np.cos(slew)
     return np.stack([x, y, 12000.0 + p.jib * reach - hoist], axis=1)
 
 
