@@ -110,10 +110,17 @@ class DeltaPair:
             self.runs.append({**plan, "x_mm": read[:, 0], "y_mm": read[:, 1], "z_mm": read[:, 2]})
 
     def run_with(
-        self, moved: Mapping[str, float], seed: int, effects: Mapping[str, Sequence[float]] | None = None
-    ) -> dict[str, Any]:
+        self, moved: Mapping[str, float], seed: int, effects: Mapping[str, Sequence[float]] | None = None,
+        foot_mm: float = 0.0,
+    ) -> dict[str, Any]:  # fmt: skip
         """One more run of the robot as it was before, but for what has moved (mm, rad) and ``effects``; the sensor
-        stands anew."""
+        stands anew. Rails that lean stand on a foot that is so far above the home position."""
+        if foot_mm and effects:
+            lean = np.reshape(effects["rail_lean"], (3, 2))
+            radius = NOMINAL_CONFIG["geometry"]["base_radius_mm"]
+            by = {f"base_{what}_{k + 1}": -foot_mm * lean[k, j] / over for k in range(3)
+                  for j, (what, over) in enumerate((("radius", 1.0), ("angle", radius[k])))}  # fmt: skip
+            moved = {name: moved.get(name, 0.0) + by.get(name, 0.0) for name in {*moved, *by}}
         rng = np.random.default_rng([seed, 23])
         plan = make_plan(self.real, somewhere(rng, 30), 2, "shuffled", seed)
         errors = {name: value + moved.get(name, 0.0) for name, value in self.errors.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -150,6 +150,8 @@ class ChangeRows(ABC):
     axes: tuple[int, ...]
     candidates: Sequence[Effect]
     moved: Sequence[tuple[Change, Floats]]
+    #: By the name of a number of a candidate, the parameters that take up where it has its zero.
+    takes_up: Mapping[str, list[Effect]]
 
     @abstractmethod
     def at(self, about: About) -> ChangeRows:
@@ -181,10 +183,12 @@ class ChangeRows(ABC):
         return [self.candidate(effect.name).parameters.index(p) for p in effect.parameters]
 
     def about(self, changes: Sequence[Change]) -> tuple[About, Run]:
-        """With changes, each an effect in a course (R,), in the model, beside what all runs have of them: as large as
-        they are to first order about what has moved already."""
+        """With changes, each an effect in a course (R,), in the model, behind them where they have their zeros, and
+        beside them what all runs have of them: as large as they are to first order about what has moved already."""
+        lasting = self.lasting_of(changes)
+        changes = [*changes, *self._zeros_moved(changes)]
         courses = [self.columns_of(effect, factors) for effect, factors in changes]
-        run = self.run(np.concatenate([*courses, *self.lasting_of(changes)], axis=2) if courses else None)
+        run = self.run(np.concatenate([*courses, *lasting], axis=2) if courses else None)
         white = run.flat(run.view.fitted(run.view.whole))
         mine, free = np.split(white, [sum(one.shape[2] for one in courses)], axis=1)
         # what has moved are these changes, as large as they were
@@ -192,6 +196,20 @@ class ChangeRows(ABC):
         moved = np.concatenate(before) if before else np.zeros(mine.shape[1])
         about = About(tuple(changes), mine, free, run.residual + mine @ moved)
         return about, replace(run, of=about)
+
+    def zeros(self, effect: Effect) -> list[Effect]:
+        """The parameters that take up where a change has its zeros."""
+        every = (one for p in effect.qualified() for one in self.takes_up.get(p.name, ()))
+        return list({one.name: one for one in every}.values())
+
+    def _zeros_moved(self, changes: Sequence[Change]) -> list[Change]:
+        out: list[Change] = []
+        for effect, factors in changes:
+            for one in self.zeros(effect):
+                there = (np.array_equal(f, factors) and one.name == e.name for e, f in (*changes, *out))
+                if not any(there):
+                    out.append((one, factors))
+        return out
 
     def now(self, number: int) -> tuple[ModelWithEffects, Floats]:
         """The model of a run by its number, and its values: with what has moved since."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,9 +20,9 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..robots.calibrated import Calibration
 from .change_model import About, Change, ChangeRows
-from .courses import ChangeSets, in_parts
+from .courses import ChangeSets, in_parts, zeros_at
 from .pooled_fit import rows_as_run
-from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, stand_of
+from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, stand_of, zeros_of
 
 #: Degrees of freedom of a noise that a calibration knows.
 OF_CALIBRATION = 200
@@ -74,6 +74,7 @@ class CheckRows(ChangeRows):
     values: Floats
     candidates: Sequence[Effect]
     moved: Sequence[tuple[Change, Floats]] = ()
+    takes_up: Mapping[str, list[Effect]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, known: Known, data: Measurements, axes: tuple[int, ...], noise: float, part: float) -> CheckRows:
@@ -81,7 +82,9 @@ class CheckRows(ChangeRows):
         model = known.model.for_run(data)
         made = cls(known, data, axes, part, 1.0, model, known.values, change_candidates(model, [data]))
         left = float(np.sqrt(np.square(made.stand.residual[made.rows]).mean()))
-        return replace(made, unit=noise * float(np.sqrt(1.0 - part)) or left or 1.0)
+        columns = {name: one[made.rows] for name, one in made._columns[1].items()}
+        takes_up = zeros_of(made.candidates, columns, data.joints[made.rows])
+        return replace(made, unit=noise * float(np.sqrt(1.0 - part)) or left or 1.0, takes_up=takes_up)
 
     @property
     def used(self) -> Bools:
@@ -110,11 +113,12 @@ class CheckRows(ChangeRows):
 
     @cached_property
     def _columns(self) -> tuple[Floats, dict[str, Floats]]:
-        model, values = self.now(1)
+        model, values, stand = self.now(1)[0], self.stand.values, self.stand
         every = model.linearised(self.data, values).parameters[:, list(self.axes)]
         columns = change_columns(model, values, self.data, self.axes, self.candidates, every)
-        places = {p.name: k for k, p in enumerate(model.parameters)}
-        return every[:, :, [places[p.name] for p in self.model.parameters]], columns
+        places = [p.name for p in model.parameters]
+        own = every[:, :, [places.index(p.name) for p in self.model.parameters]]
+        return stand.in_model(own), {name: stand.in_model(one) for name, one in columns.items()}
 
     def columns_of(self, effect: Effect, factors: Floats) -> Floats:
         """As of any rows."""
@@ -144,7 +148,9 @@ class CheckRows(ChangeRows):
         """What is not known, and every change since the calibration."""
         run = self.run()
         columns, blocks = everything(run, shapes=False)
-        return Base.of(Family(run, made=(columns, in_parts(blocks))), run)
+        every = in_parts(blocks)
+        made = [replace(b, at=np.concatenate([b.at, at])) for b, at in zip(every, zeros_at(self, every), strict=True)]
+        return Base.of(Family(run, made=(columns, made)), run)
 
     def sets(self) -> ChangeSets:
         """Sets of changes."""

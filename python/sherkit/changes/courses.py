@@ -51,7 +51,7 @@ class Courses:
         factors = [joined.by_row(list(course), 0.0) for course in (*courses, np.ones(len(joined.runs)))]
         # a function of a reading itself, of one unit in all runs, over the noise of each
         over = joined.by_row([joined.noise / joined.sigma(one) for one in joined.runs], 0.0)
-        columns, twice = _times(made, kept, np.array(factors, dtype=float), over)
+        columns, twice = _times(made, kept, zeros_at(joined, kept), np.array(factors, dtype=float), over)
         return cls(joined, np.array(courses, dtype=float), Family(run, made=(columns, twice)))
 
     @cached_property
@@ -95,11 +95,19 @@ def in_parts(blocks: Sequence[Block]) -> list[Block]:
     )]  # fmt: skip
 
 
+def zeros_at(rows: ChangeRows, blocks: Sequence[Block]) -> list[Ints]:
+    """Of each block the columns of the parameters that take up where it has its zeros."""
+    at = {block.name: block.at for block in blocks if block.pattern is None}
+    none = np.zeros(0, dtype=np.int64)
+    every = ([] if block.effect is None else rows.zeros(block.effect) for block in blocks)
+    return [np.concatenate([none, *(at[one.name] for one in zeros)]) for zeros in every]
+
+
 def _times(
-    columns: Columns, blocks: Sequence[Block], factors: Floats, over: Floats
+    columns: Columns, blocks: Sequence[Block], zeros: Sequence[Ints], factors: Floats, over: Floats
 ) -> tuple[Columns, list[Block]]:  # fmt: skip
-    """Every block in each course but the last of ``factors`` (S + 1, n), beside itself in the last; what acts on one
-    axis alone times ``over`` (n,)."""
+    """Every block, with its ``zeros``, in each course but the last of ``factors`` (S + 1, n), beside itself in the
+    last; what acts on one axis alone times ``over`` (n,)."""
     parts, number = [], np.full(len(columns), -1, dtype=np.int64)
     stride = np.zeros(len(columns), dtype=np.int64)
     asked = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(block.at for block in blocks)]))
@@ -120,10 +128,13 @@ def _times(
     made = Columns(columns.run, columns.visits, parts)
     out, last = [], len(factors) - 1
     for since in range(last):
-        for block in blocks:
+        for block, zero in zip(blocks, zeros, strict=True):
             change, common = (number[block.at] + k * stride[block.at] for k in (since, last))
             there = (made.length[change] > 0) & (made.length[common] > 0)
-            both = np.concatenate([change[there], common[there]])
+            # the geometry that all runs share is free in all of them
+            more = number[zero] + since * stride[zero] if there.any() else zero[:0]
+            again = np.repeat(common[there][:1], len(more))
+            both = np.concatenate([change[there], more, common[there], again])
             out.append(replace(block, at=both, since=since))
     return made, out
 
@@ -247,6 +258,9 @@ class ChangeSets(Sets):
             except (SherkitError, np.linalg.LinAlgError):
                 # as far as that the robot does not reach its own poses
                 break
+            if any(rows.zeros(effect) and not told for (effect, _), told in zip(changes, about.told, strict=False)):
+                # where it has its zero says all: that is no change of it
+                return None
             if best is None or base.rss < best[0]:
                 rank = np.array([max(base.basis.shape[1] - self.base.basis.shape[1], 1)])
                 part = np.array([1.0 - base.rss / self.base.rss])

@@ -270,7 +270,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
         tied.append(tuple(_called(*one) for one in called)[:_MOST_TIED])
     changes = []
     about = joined.about([(b.effect, courses[b.since][2]) for b in found if b.effect])[0]
-    for number, (block, told, other) in enumerate(zip(found, about.told, tied, strict=True)):
+    for number, (block, told, other) in enumerate(zip(found, about.told, tied, strict=False)):
         kind, since, _ = courses[block.since]
         changes.append(Course(
             block.name, kind, pool.numbers[since] if since else None, dates[since] if since else "",
@@ -373,8 +373,8 @@ def _by_run(joined: Joined, block: Block) -> list[tuple[float, float]]:
     """How far a candidate's first parameter stands from the first run in each run, with its deviation."""
     assert block.effect is not None, "shapes are not named"
     about, _ = joined.about([(block.effect, one) for one in np.eye(len(joined.runs))[1:]])
-    wide = len(block.effect.parameters)
-    return [(0.0, 0.0), *zip(about.values[::wide].tolist(), about.std_from_readings[::wide].tolist(), strict=True)]
+    each = slice(0, len(block.effect.parameters) * (len(joined.runs) - 1), len(block.effect.parameters))
+    return [(0.0, 0.0), *zip(about.values[each].tolist(), about.std_from_readings[each].tolist(), strict=True)]
 
 
 def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tuple[dict[str, Any], ...]:

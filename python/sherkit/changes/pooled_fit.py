@@ -25,7 +25,7 @@ from ..evidence.whitening import InCommon, Whitening, orthonormal
 from ..fit.identify import Fit
 from ..model.effect import WITHIN, Effect
 from .change_model import About, Change, ChangeRows
-from .runs import OWN_NOISE, RunData, change_candidates, growth_of, seen
+from .runs import OWN_NOISE, RunData, change_candidates, growth_of, seen, zeros_of
 
 #: Deviations by which the model must miss more than repeats scatter.
 _MISSES = 3.0
@@ -88,6 +88,11 @@ class Joined(ChangeRows):
                  first=k == 0, before=None if before is None else before.runs[k])
             for k, data in enumerate(self._data)
         ]  # fmt: skip
+        first = self.runs[0]
+        self.takes_up = (
+            zeros_of(self.candidates, {e.name: first.columns[e.name][first.rows] for e in self.candidates},
+                     first.data.joints[first.rows]) if before is None else before.takes_up
+        )  # fmt: skip
         known = [run.sigma for run in self.runs if run.sigma > 0]
         if not known:
             raise FitError(

@@ -20,7 +20,7 @@ from ..errors import FitError, SherkitError
 from ..evidence.whitening import correlation_in_time, orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
-from ..model.sensor_pose import POSE
+from ..model.sensor_pose import POSE, rotation_matrix
 from ..model.set_ups import SETUP_PREFIX
 
 # -- Where the sensor stands -------------------------------------------------------------------------------------------
@@ -37,11 +37,18 @@ _ROUNDS, _FAR = 4, 5.0
 @dataclass(frozen=True, eq=False)
 class RunPose:
     """How a run is seen: its ``residual`` (n, m) to the model once the sensor is where it stands, the ``columns``
-    (n, m, s) of what is left to move it by, and how far it was moved, by name with its unit."""
+    (n, m, s) of what is left to move it by, and how far it was moved, by name with its unit. The model has its
+    ``values`` there; ``axes`` (m, m) turns what is seen in those of the model into what the sensor sees."""
 
     residual: Floats
     columns: Floats
     moved: dict[str, float]
+    values: Floats
+    axes: Floats | None = None
+
+    def in_model(self, columns: Floats) -> Floats:
+        """Columns (n, m, k) of what the sensor sees, in the axes of the model."""
+        return columns if self.axes is None else np.einsum("ij,nik->njk", self.axes, columns)
 
 
 def stand_of(
@@ -59,15 +66,15 @@ def stand_of(
         stands = [stand_of(model, data.select(rows), values, axes, used[rows], by[rows]) for rows in parts]
         return _each(parts, stands, used)
     chosen = list(axes)
-    predicted = model.predict(data, values)[:, chosen] + (0.0 if corrected is None else corrected)
-    seen = np.where(used, data.readings[:, chosen], predicted)
+    by = np.zeros(used.shape) if corrected is None else corrected
     names = [data.layout.readings[a] for a in axes]
-    whole: Bools = np.asarray(used.all(axis=1))
-    if len(axes) == 3 and all(unit_in(name) == "mm" for name in names):
-        if whole.sum() < 4:
-            raise FitError(f"{data.source}: expected four rows or more with all of {', '.join(names)}")
-        return _rigid(predicted, seen, whole)
     at = [k for k, p in enumerate(model.parameters) if p.name in POSE]
+    if len(axes) == 3 and all(unit_in(name) == "mm" for name in names):
+        if used.all(axis=1).sum() < 4:
+            raise FitError(f"{data.source}: expected four rows or more with all of {', '.join(names)}")
+        return _rigid(model, data, values, chosen, used, by, at if len(at) == len(POSE) else [])
+    predicted = model.predict(data, values)[:, chosen] + by
+    seen = np.where(used, data.readings[:, chosen], predicted)
     if at:
         return _camera(model, data, values, chosen, seen, used, at)
     zero = np.array(
@@ -75,7 +82,7 @@ def stand_of(
     )
     columns = np.broadcast_to(np.eye(len(axes)), (len(seen), len(axes), len(axes))).copy()
     moved = {f"zero_{bare(name)}_{unit_in(name)}": float(v) for name, v in zip(names, zero, strict=True)}
-    return RunPose(np.where(used, seen - predicted - zero, 0.0), columns, moved)
+    return RunPose(np.where(used, seen - predicted - zero, 0.0), columns, moved, values)
 
 
 def _set_ups(data: Measurements) -> list[Ints]:
@@ -95,29 +102,45 @@ def _each(parts: Sequence[Ints], stands: Sequence[RunPose], used: Bools) -> RunP
         end = first + one.columns.shape[2]
         residual[rows], columns[rows, :, first:end] = one.residual, one.columns
         first = end
-    return RunPose(residual, columns, stands[-1].moved)
+    return RunPose(residual, columns, stands[-1].moved, stands[0].values)
 
 
-def _rigid(predicted: Floats, seen: Floats, whole: Bools) -> RunPose:
-    """Readings turned and shifted onto what is predicted."""
+def _rigid(
+    model: ModelWithEffects, data: Measurements, values: Floats, axes: list[int], used: Bools, corrected: Floats,
+    at: list[int],
+) -> RunPose:  # fmt: skip
+    """Readings turned and shifted onto what is predicted. Where the model has the sensor's pose, in its places ``at``,
+    it stands there in the model: an instrument's own errors turn with it."""
     from scipy.spatial.transform import Rotation
 
-    near = whole.copy()
-    for _ in range(_ROUNDS):
-        middle, there = seen[near].mean(axis=0), predicted[near].mean(axis=0)
-        u, _, v = linalg.svd((seen[near] - middle).T @ (predicted[near] - there))
-        turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-        at = (seen - middle) @ turn + there
-        missed = np.linalg.norm(at - predicted, axis=1)
-        kept = whole & (missed <= _FAR * max(float(np.median(missed[whole])), 1e-300))
-        if np.array_equal(kept, near) or kept.sum() < 4:
-            break
-        near = kept
-    turns = np.cross(np.eye(3), (at - there)[:, None]).transpose(0, 2, 1)
+    told: list[float] = []
+    whole, ways, values = np.asarray(used.all(axis=1)), np.eye(3), np.array(values, dtype=float)
+    for last in (False, True) if at else (True,):
+        predicted = model.predict(data, values)[:, axes] + corrected @ ways.T
+        seen = np.where(used, data.readings[:, axes], predicted)
+        near = whole
+        for _ in range(_ROUNDS):
+            middle, there = seen[near].mean(axis=0), predicted[near].mean(axis=0)
+            u, _, v = linalg.svd((seen[near] - middle).T @ (predicted[near] - there))
+            turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+            onto = (seen - middle) @ turn + there
+            missed = np.linalg.norm(onto - predicted, axis=1)
+            kept = whole & (missed <= _FAR * max(float(np.median(missed[whole])), 1e-300))
+            if np.array_equal(kept, near) or kept.sum() < 4:
+                break
+            near = kept
+        told = told or [*(middle - there), *(1e3 * Rotation.from_matrix(turn).as_rotvec())]
+        if not last:
+            ways = turn
+            values[at[:3]] = Rotation.from_matrix(turn @ rotation_matrix(values[at[:3]])).as_rotvec()
+            then = model.predict(data, values)[:, axes] + corrected @ ways.T
+            values[at[3:]] += np.mean((seen - then)[near], axis=0)
+    arms = (onto - there) @ ways
+    turns = np.cross(np.eye(3), arms[:, None]).transpose(0, 2, 1)
     columns = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
-    told = [*(middle - there), *(1e3 * Rotation.from_matrix(turn).as_rotvec())]
     names = [*(f"shift_{a}_mm" for a in "xyz"), *(f"turn_{a}_mrad" for a in "xyz")]
-    return RunPose(at - predicted, columns, dict(zip(names, map(float, told), strict=True)))
+    moved = dict(zip(names, map(float, told), strict=True))
+    return RunPose((onto - predicted) @ ways, columns, moved, values, ways)
 
 
 def _camera(
@@ -146,7 +169,8 @@ def _camera(
         lambda by: left(by)[used], np.zeros(len(at)), lambda by: -columns(by)[used] * size, xtol=1e-10, ftol=1e-12
     ).x
     told = zip((model.parameters[k] for k in at), by * size, strict=True)
-    return RunPose(left(by), columns(by), {f"{p.name.removeprefix('sensor_')}_{p.unit}": float(v) for p, v in told})
+    moved = {f"{p.name.removeprefix('sensor_')}_{p.unit}": float(v) for p, v in told}
+    return RunPose(left(by), columns(by), moved, now(by))
 
 
 # -- Runs and their rows -----------------------------------------------------------------------------------------------
@@ -155,6 +179,8 @@ def _camera(
 _GROSS, _SETTING_ASIDE = 7.0, 8
 #: Readings beyond what is free from which a run tells its own noise, and that it follows itself.
 OWN_NOISE, _OWN_COURSE = 10, 40
+#: Readings of a row that tell a direction; the part up to which columns are alike.
+_TELLS, _ALIKE = 2, 1e-2
 #: Parameters that say where the sensor stands, by how their names begin.
 _OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip", SETUP_PREFIX)
 
@@ -194,25 +220,32 @@ def seen(
     used = data.used[:, chosen] if before is None else before.used
     used = used & np.all(used, axis=1, keepdims=True)
     places = {p.name: k for k, p in enumerate(model.parameters)}
-    derivatives = model.linearised(data, values)
-    every = derivatives.parameters[:, chosen]
-    columns = change_columns(model, values, data, axes, candidates, every)
-    inputs = None if derivatives.inputs is None else derivatives.inputs[:, chosen]
-    own = every[:, :, [places[name] for name in shared]]
 
     def standing() -> RunPose:
         if not first:
             return stand_of(model, data, values, axes, used)
         left = np.where(used, data.readings[:, chosen] - model.predict(data, values)[:, chosen], 0.0)
-        return RunPose(left, np.zeros((*used.shape, 0)), {})
+        return RunPose(left, np.zeros((*used.shape, 0)), {}, values)
+
+    stand = standing()
+    derivatives = model.linearised(data, stand.values)
+    every = stand.in_model(derivatives.parameters[:, chosen])
+    columns = {
+        name: stand.in_model(one) for name, one in change_columns(
+            model, stand.values, data, axes, candidates, derivatives.parameters[:, chosen]
+        ).items()
+    }  # fmt: skip
+    inputs = None if derivatives.inputs is None else stand.in_model(derivatives.inputs[:, chosen])
+    own = every[:, :, [places[name] for name in shared]]
+    if stand.axes is not None:
+        # what is not known of where the first sensor stands is of its own axes
+        pose = [k for k, name in enumerate(shared) if name in POSE]
+        own[:, :, pose] = model.linearised(data, values).parameters[:, chosen][:, :, [places[shared[k]] for k in pose]]
 
     if before is not None:
-        return RunData(
-            data, used, standing(), own, inputs, columns, before.sigma, before.repeats, before.rho, before.aside
-        )
+        return RunData(data, used, stand, own, inputs, columns, before.sigma, before.repeats, before.rho, before.aside)
     aside, sigma, rho = np.zeros(0, dtype=np.int64), 0.0, 0.0
     for _ in range(_SETTING_ASIDE):
-        stand = standing()
         free = orthonormal(np.where(used[:, :, None], np.concatenate([every, stand.columns], axis=2), 0.0))
         flat = np.where(used, stand.residual, 0.0).reshape(-1)
         left = (flat - free @ (free.T @ flat)).reshape(used.shape)
@@ -231,8 +264,9 @@ def seen(
             break
         aside = np.union1d(aside, wrong)
         used = used & ~np.isin(np.arange(len(used)), wrong)[:, None]
+        stand = standing()
     told = noise_of_repeats(data.mark_outliers(aside), axes)
-    return RunData(data, used, standing(), own, inputs, columns, told or sigma, told > 0, rho, aside)
+    return RunData(data, used, stand, own, inputs, columns, told or sigma, told > 0, rho, aside)
 
 
 def noise_of_repeats(data: Measurements, axes: Sequence[int]) -> float:
@@ -269,6 +303,36 @@ def change_candidates(model: ModelWithEffects, runs: Sequence[Measurements]) -> 
             continue
         if effect.name in inside or _possible(model, effect, runs):
             out.append(effect)
+    return out
+
+
+def zeros_of(candidates: Sequence[Effect], columns: Mapping[str, Floats], joints: Floats) -> dict[str, list[Effect]]:
+    """Of each number of a candidate, by its name in a model, the parameters that take up where it has its zero.
+
+    A lean of a rail turns it about a height, a scale counts from a zero: which one is a convention, and in one run the
+    geometry takes up any. Of what has changed since, it is a number more: no rail leans about the height of a
+    convention. Columns (n, m, k) of such a number are those of a parameter times a joint reading of ``joints``
+    (n, J), and some of it.
+    """
+    out: dict[str, list[Effect]] = {}
+    if next(iter(columns.values())).shape[1] < _TELLS:
+        return out
+    numbers = [p.name for effect in candidates if not effect.frees for p in effect.qualified()]
+    every = [columns[effect.name] for effect in candidates if not effect.frees]
+    flat = np.concatenate([one.reshape(-1, one.shape[2]) for one in every], axis=1) if every else np.zeros((0, 0))
+    length = np.linalg.norm(flat, axis=0)
+    for parameter in (effect for effect in candidates if effect.frees):
+        own = columns[parameter.name]
+        for joint in joints.T:
+            both = np.concatenate([own, own * (joint - joint.mean())[:, None, None]], axis=2)
+            basis = orthonormal(both)
+            if basis.shape[1] < both.shape[2]:
+                continue
+            left = np.linalg.norm(flat - basis @ (basis.T @ flat), axis=0)
+            alone = orthonormal(own)
+            moves = np.linalg.norm(flat - alone @ (alone.T @ flat), axis=0)
+            for k in np.flatnonzero((left < _ALIKE * length) & (moves > _ALIKE * length)):
+                out.setdefault(numbers[k], []).append(parameter)
     return out
 
 
