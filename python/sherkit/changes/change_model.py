@@ -30,16 +30,18 @@ _MOVES = 2.0
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """A parameter that has changed: by how much, with its deviation, in its unit, since which run (from 0)."""
+    """A parameter that has changed: by how much, with its deviation, in its unit, since which run (from 0), and those
+    that explain as much in its place."""
 
     name: str
     change: float
     std: float
     unit: str
     since: int = 1
+    or_else: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return f"{self.name} by {self.by}"
+        return f"{self.name} by {self.by}" + (f" (as well fits: {' or '.join(self.or_else)})" if self.or_else else "")
 
     @property
     def by(self) -> str:
@@ -48,7 +50,8 @@ class ParameterChange:
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
-        return {"name": self.name, "change": self.change, "std": self.std, "unit": self.unit, "since": self.since}
+        return {"name": self.name, "change": self.change, "std": self.std, "unit": self.unit, "since": self.since,
+                "indistinguishable": list(self.or_else)}  # fmt: skip
 
 
 #: An effect in a course: factors (R,) of the runs.

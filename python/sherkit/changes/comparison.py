@@ -181,7 +181,11 @@ def concluded(pool: Pool) -> Comparison:
     ties = names.alike if names else ()
     moved = lead.run.of.moved(named) if lead else ()
     large = [one for one in moved if _is_large(joined, named, one)]
-    moved = tuple(replace(one, since=pool.numbers[one.since]) for one in moved)
+    swaps = joined.swaps(lead.run.of) if lead else []
+    moved = tuple(
+        replace(one, since=pool.numbers[one.since], or_else=tuple(b for a, b in swaps if a == one.name))
+        for one in moved
+    )
     tied = names.tied if names else ()
     before = joined.fit.error
     rows = [len(run.rows) for run in joined.runs[1:]]
@@ -198,7 +202,7 @@ def concluded(pool: Pool) -> Comparison:
     return Comparison(
         verdict=verdict,
         changed=tuple(sorted(named)),
-        indistinguishable=(*tied, *(joined.swaps(lead.run.of) if lead else ())),
+        indistinguishable=(*tied, *swaps),
         stand={name: joined.runs[k].stand.moved for k, name in enumerate(called) if k},
         error=error,
         unit=before.unit,

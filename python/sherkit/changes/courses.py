@@ -160,6 +160,10 @@ class Changed(Base):
             out[2][:, which] = taken(gram[:, :k, :k] - part @ across.transpose(0, 2, 1), mine, least)
         return out
 
+    def in_common(self, block: Block) -> int:
+        """What all runs have of it."""
+        return len(block.at) // 2
+
     @cached_property
     def gains(self) -> tuple[Floats, Floats]:
         """Of each change beside what is common."""

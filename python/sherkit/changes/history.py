@@ -270,12 +270,14 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
         tied.append(tuple(_called(*one) for one in called)[:_MOST_TIED])
     changes = []
     about = joined.about([(b.effect, courses[b.since][2]) for b in found if b.effect])[0]
+    swaps = joined.swaps(about)
     for number, (block, told, other) in enumerate(zip(found, about.told, tied, strict=False)):
         kind, since, _ = courses[block.since]
         changes.append(Course(
             block.name, kind, pool.numbers[since] if since else None, dates[since] if since else "",
             tuple((p.name, value, std, p.unit) for p, value, std in told),
-            _exceeds(about, number, months, needed, joined) if kind == RAMP else "", other,
+            _exceeds(about, number, months, needed, joined) if kind == RAMP else "",
+            (*(b for a, b in swaps if a in [p.name for p, _, _ in told]), *other)[:_MOST_TIED],
         ))  # fmt: skip
     values = {block.name: _by_run(joined, block) for block in found}
     still = [c.name for c in joined.candidates if c.name not in values]

@@ -208,11 +208,21 @@ class Base:
         same = [i for i in same if (blocks[i].pattern is None) == part]
         return blocks[max(same, key=lambda i: self.each[i])] if same else None
 
+    def in_common(self, block: Block) -> int:
+        """How many of the last columns of a block are a nuisance beside which it is judged."""
+        del block
+        return 0
+
     def one_by_one(self, blocks: Sequence[Block]) -> float:
         """What shapes say together, each beside those before it, with their prior weights."""
         evidence, now, count = 0.0, self, len(self.residual)
         for block in blocks:
-            q = now._beyond(self.family.columns.of(block.at), HELD_SHAPE**0.5)
+            columns, common = self.family.columns.of(block.at), self.in_common(block)
+            if common:
+                q = now._beyond(columns[:, -common:], HELD_SHAPE**0.5)
+                basis = np.concatenate([now.basis, q], axis=1)
+                now = replace(now, basis=basis, residual=now.residual - q @ (q.T @ now.residual))
+            q = now._beyond(columns[:, : len(block.at) - common], HELD_SHAPE**0.5)
             size = q.T @ now.residual
             part, free = float(size @ size) / max(now.rss, 1e-300), now.free / self.family.run.shared
             evidence += float(log_bayes(np.array([part]), np.array([q.shape[1]]), free, count)[0])
