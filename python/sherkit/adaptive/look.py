@@ -111,7 +111,7 @@ class InterimAnalysis:
         for wider in alone.shapes[:1]:
             basis = self.base.beside(wider).basis[:, self.base.basis.shape[1] :]
             of_shapes -= SURE if float(np.square(basis.T @ told).sum()) > _HOLDS * float(told @ told) else 0.0
-        return lead.value + self.names.beside.evidence - of_shapes
+        return lead.value + self.names.of_one_part + self.names.beside.evidence - of_shapes
 
     @cached_property
     def causes(self) -> dict[str, float]:

@@ -179,7 +179,8 @@ class Adaptive(BatchLooks):
             self._asked, self._asked_at = self._planned(boundary), boundary
         known = set(told.poses(self.frame))
         missing = boundary - self.readings
-        left = [one for one in self._asked if (one[POSE], one[REPEAT]) not in known]
+        # what is read may be written into the rows themselves
+        left = [dict(one) for one in self._asked if (one[POSE], one[REPEAT]) not in known]
         return left[:missing] if len(left) >= missing else [*left, *self._more(missing - len(left), boundary)]
 
     def _planned(self, boundary: int) -> list[dict[str, Any]]:

@@ -173,4 +173,4 @@ def _is_unknown(found: InterimAnalysis) -> bool:
     """Whether shapes tell far more than the effect that leads, or that leaves much."""
     if found.lead is None:
         return found.names.alone.evidence > TIED
-    return found.names.alone.evidence > found.lead.value + TIED or found.rest > TIED
+    return found.names.shapes_say_more or found.rest > TIED
