@@ -12,6 +12,7 @@ import pytest
 
 import sherkit as sk
 from laboratories import ROBOT
+from running import command
 from sherkit.data import stream_measurements
 from sherkit.errors import MeasurementError, RobotError, SherkitWarning
 from test_fuzz import lines_run, toml
@@ -212,6 +213,47 @@ def test_repeats_of_real_instruments_are_silent(ours: pl.DataFrame) -> None:
     rng = np.random.default_rng(0)
     frame = ours.with_columns(pl.col(q) + 0.02 * rng.normal(size=len(ours)) for q in ("q1_mm", "q2_mm", "q3_mm"))
     assert len(sk.from_frame(frame)) == len(ours)
+
+
+@pytest.mark.parametrize("names", [{"x": "x_m", "y": "y_m", "z": "z_m"}, {"x": "x_in", "y": "y_in", "z": "z_in"}])
+def test_units_at_the_end_of_a_name_are_mended(
+    names: dict[str, str], ours: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches metres that are read in brackets and not behind a line: "cannot be used", with nothing to be mended."""
+    per = {"x_m": 1e-3, "x_in": 1.0 / 25.4}[names["x"]]
+    frame = ours.with_columns(pl.col(f"{a}_mm") * per for a in names)
+    _mended(frame.rename({f"{a}_mm": theirs for a, theirs in names.items()}), ours, tmp_path, monkeypatch)
+
+
+def test_capitals_are_mended(ours: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches names all in capitals, units too, that are pointed at and not read."""
+    _mended(ours.rename({name: name.upper() for name in ours.columns}), ours, tmp_path, monkeypatch)
+
+
+def _mended(frame: pl.DataFrame, ours: pl.DataFrame, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    frame.write_csv("run.csv")
+    Path("robot.toml").write_bytes(toml(ROBOT))
+    code, _, wrong = command(folder, "check", "run.csv", "robot.toml", "--write", "clean.csv")
+    assert code == 0, wrong
+    read = sk.read_measurements("clean.csv")
+    np.testing.assert_allclose(read.readings, sk.from_frame(ours).readings, rtol=1e-9, atol=1e-9)
+
+
+def test_a_time_by_another_name_is_asked_for(ours: pl.DataFrame) -> None:
+    """Catches seconds that pass for a covariate without a word: what lives in time is then not looked for."""
+    frame = ours.with_columns(pl.int_range(pl.len()).cast(pl.Float64).alias("t [s]"))
+    with pytest.warns(SherkitWarning, match=r"column 't \[s\]' .* meant to be 'time_s'"):
+        sk.from_frame(frame)
+
+
+def test_numbers_behind_one_letter_are_proposed() -> None:
+    """Catches the axes of a controller without units for which nothing is proposed but a machine of one's own."""
+    with pytest.raises(MeasurementError) as caught:
+        sk.from_frame({name: [1.0, 2.0] for name in ("A1", "A2", "A3", "X", "Y", "Z")})
+    table = tomllib.loads("columns = " + str(caught.value).partition("columns = ")[2])["columns"]
+    joints = {f"q{k}_mm": f"A{k}" for k in (1, 2, 3)}
+    assert table == {**joints, "x_mm": "X", "y_mm": "Y", "z_mm": "Z"}
 
 
 def test_all_that_is_missing_is_proposed_at_once() -> None:

@@ -16,7 +16,7 @@ from typing import IO, Any
 
 from ..base.figures import listed
 from ..data import Measurements, read_measurements
-from ..data.columns import Columns
+from ..data.called import Columns
 from ..data.files import write_whole
 from ..data.tables import PARQUET
 from ..errors import EffectError, SherkitError

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..base.figures import state_with
 from ..data import Measurements, read_measurements
-from ..data.columns import Columns
+from ..data.called import Columns
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from ..errors import MeasurementError, SherkitError, SherkitWarning

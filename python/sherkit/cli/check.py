@@ -10,7 +10,7 @@ import click
 from rich.markup import escape
 
 from ..data import Measurements
-from ..data.columns import in_toml
+from ..data.called import in_toml
 from ..data.file_check import FileCheck, check_file, said_of
 from ..model.kinds import kind_of, model_of
 from ..model.robot_file import columns_of

@@ -10,7 +10,8 @@ from typing import Any
 from ..base.arguments import validate_arguments
 from ..base.figures import listed, nearest
 from ..errors import MeasurementError
-from .columns import POSE, TIME, Columns, bare
+from .called import Columns
+from .columns import POSE, TIME, bare
 from .frames import from_frame
 from .rows import Measurements
 

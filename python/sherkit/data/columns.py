@@ -1,21 +1,15 @@
-"""The column names of a table of measurements, and what they mean; and how columns under other names are mapped."""
+"""The column names of a table of measurements, and what they mean."""
 
 from __future__ import annotations
 
-import math
-import re
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
-
-import polars as pl
 
 from ..base import built_in
 from ..base.figures import closest, listed
 from ..errors import MeasurementError, SherkitWarning
-from .called import DRIVEN, READ, in_order
 
 TIME = "time_s"
 TEMPERATURE = "temperature_c"
@@ -197,8 +191,8 @@ def unit_in(name: str) -> str:
 #: A covariate whose name is as alike as this to a column that is not there may be a slip of the finger.
 _MISSPELT = 0.8
 #: Units of length that a column may have been written in by mistake.
-_UNITS = ("_m", "_um", "_µm", "_cm", "_in", "_mm")
-_ANGLES = ("_deg", "_mrad", "_urad", "_rad")
+LENGTHS = ("_m", "_um", "_µm", "_cm", "_in", "_mm")
+ANGLES = ("_deg", "_mrad", "_urad", "_rad")
 
 
 def check_unique(names: list[str], where: str) -> None:
@@ -219,7 +213,10 @@ def check_columns(names: list[str], where: str, own: Sequence[Layout] = (), *, t
         if needed not in names:
             what = "the reading of a joint"
             if not own and not any(name in names for name in layout.joints):
-                what += "; which ones a robot has its file says: sherkit check RUN ROBOT"
+                what += (
+                    "; which ones a robot has its file says: sherkit check RUN ROBOT; a machine of your own is "
+                    "described (sk.Machine) before its rows are read"
+                )
             raise MeasurementError(_missing(needed, names, where, what, layout))
     if not any(r in names for r in layout.readings):
         what = f"at least one of {' or '.join([', '.join(layout.readings[:-1]), layout.readings[-1]])}"
@@ -234,9 +231,9 @@ def check_columns(names: list[str], where: str, own: Sequence[Layout] = (), *, t
     absent = [n for n in layout.known if n not in names]
     for name in (n for n in names if n not in layout.known):
         stem = name.rsplit("_", 1)[0]
-        if f"{stem}_mm" in absent and name.removeprefix(stem) in _UNITS:
+        if f"{stem}_mm" in absent and name.removeprefix(stem) in LENGTHS:
             raise MeasurementError(f"{where}: column '{name}': convert it to millimetres and name it '{stem}_mm'")
-        if f"{stem}_rad" in absent and name.removeprefix(stem) in _ANGLES:
+        if f"{stem}_rad" in absent and name.removeprefix(stem) in ANGLES:
             raise MeasurementError(f"{where}: column '{name}': convert it to radians and name it '{stem}_rad'")
         typed = closest(name.lower(), absent, cutoff=_MISSPELT)
         if typed and name not in layout.velocities:
@@ -247,7 +244,7 @@ def check_columns(names: list[str], where: str, own: Sequence[Layout] = (), *, t
 
 def _missing(name: str, names: list[str], where: str, what: str, layout: Layout) -> str:
     stem = name.rsplit("_", 1)[0]
-    for own, units, meant in (("_mm", _UNITS, "millimetres"), ("_rad", _ANGLES, "radians")):
+    for own, units, meant in (("_mm", LENGTHS, "millimetres"), ("_rad", ANGLES, "radians")):
         for unit in units:
             if stem + unit not in names:
                 continue
@@ -259,194 +256,4 @@ def _missing(name: str, names: list[str], where: str, what: str, layout: Layout)
     unknown = [n for n in names if n not in layout.known]
     typed = closest(name, unknown)
     hint = f"; is '{typed}' meant to be it?" if typed else f"; the file has {listed(names, 12)}"
-    if name in layout.joints and not any(joint in names for joint in layout.joints):
-        hint += "; a machine of your own is described (sk.Machine) before its rows are read"
     return f"{where}: column '{name}' is missing ({what}){hint}"
-
-
-# -- Columns under other names and units are mapped by who knows them, never guessed -------------------------------
-
-#: Names of columns by ours: ``{"q1_mm": "Enc1 [mm]"}``.
-Columns = Mapping[str, str]
-
-_HEADER = re.compile(r"^(?P<stem>.*?)[\s_]*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$")
-#: How much of the unit of a column is one of another, by what they measure.
-_BY_UNIT: tuple[dict[str, float], ...] = (
-    {"m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3, "nm": 1e-6, "in": 25.4},
-    {
-        "rad": 1.0,
-        "mrad": 1e-3,
-        "urad": 1e-6,
-        "deg": math.pi / 180.0,
-        "arcmin": math.pi / 10_800.0,
-        "arcsec": math.pi / 648_000.0,
-    },
-    {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
-    {"px": 1.0},
-    {"c": 1.0},
-    {"N": 1e3, "mN": 1.0},
-)
-#: Cells of a row of units beside columns that have none.
-_BARE = ("", "-", "1", "%", "k", "kg", "hpa", "mbar", "count", "counts", "text", "string")
-#: What people call the time, in small letters.
-_TIMES = ("t", "time", "timestamp", "zeit", "temps", "tempo")
-_SPELT = {"µm": "um", "μm": "um", "micron": "um", "inch": "in", "°": "deg", "degree": "deg", "degrees": "deg",
-          "µrad": "urad", "μrad": "urad", "sec": "s", "µs": "us", "pixel": "px", "pixels": "px", "°C": "c", "C": "c",
-          "degC": "c"}  # fmt: skip
-
-
-def header_unit(header: str) -> tuple[str, str]:
-    """A header's name and the unit that it states, in brackets or at its end; empty where it states none."""
-    found = _HEADER.match(header.strip())
-    if found is None:
-        return bare(header), unit_in(header)
-    unit = (found["square"] if found["square"] is not None else found["round"]).strip()
-    return found["stem"].strip(), _SPELT.get(unit, unit)
-
-
-def is_unit(text: str) -> bool:
-    """Whether a cell holds a unit and nothing else."""
-    text = text.strip()
-    return any(_SPELT.get(text, text) in kind for kind in _BY_UNIT) or text.lower() in _BARE
-
-
-def factor(unit: str, wanted: str) -> float | None:
-    """What turns a number in ``unit``, as people write it, into one in the ``wanted`` unit; None where they measure
-    different things."""
-    if (unit := _SPELT.get(unit, unit)) == wanted:
-        return 1.0
-    return next((kind[unit] / kind[wanted] for kind in _BY_UNIT if unit in kind and wanted in kind), None)
-
-
-def renamed(frame: pl.DataFrame, columns: Columns, source: str) -> tuple[pl.DataFrame, dict[str, float]]:
-    """The frame under our names, and by what each of its columns is to be multiplied; a conversion is said.
-
-    Raises :class:`~sherkit.errors.MeasurementError` for a column that is not there, is wanted twice or measures
-    something else.
-    """
-    factors: dict[str, float] = {}
-    for ours, theirs in columns.items():
-        if theirs not in frame.columns:
-            near = closest(theirs, frame.columns)
-            hint = f"; is '{near}' meant?" if near else f"; the file has {listed(frame.columns, 12)}"
-            raise MeasurementError(f"{source}: column '{theirs}' is missing, which is to be read as '{ours}'{hint}")
-        if ours != theirs and ours in frame.columns:
-            raise MeasurementError(f"{source}: has a column '{ours}' itself; '{theirs}' cannot be read as it")
-        unit, wanted = header_unit(theirs)[1], unit_in(ours)
-        if not unit or not wanted:
-            continue
-        by = factor(unit, wanted)
-        if by is None:
-            raise MeasurementError(f"{source}: column '{theirs}' is in {unit}; '{ours}' is in {wanted}")
-        if by != 1.0:
-            factors[ours] = by
-    if len(set(columns.values())) < len(columns):
-        twice = sorted({v for v in columns.values() if list(columns.values()).count(v) > 1})
-        raise MeasurementError(f"{source}: column '{twice[0]}' is to be read as two columns")
-    if factors:
-        said = listed((f"'{columns[ours]}' as {ours}" for ours in factors), 6)
-        warnings.warn(f"{source}: converted from the units of the header: {said}", SherkitWarning, stacklevel=2)
-    return frame.rename({theirs: ours for ours, theirs in columns.items()}), factors
-
-
-def meanings(names: Sequence[str], layouts: Sequence[Layout] = ()) -> tuple[Layout, dict[str, str]]:
-    """The kind of run that foreign names come nearest to, of all or of some, and what could be meant by them: names of
-    columns by ours."""
-
-    def named(layout: Layout) -> tuple[int, int]:
-        """How many columns would have a meaning, and how few of them by another name."""
-        meant = _matched(names, layout)
-        return len(meant) + sum(name in names for name in (*layout.joints, *layout.readings)), -len(meant)
-
-    nearest = max(layouts or known_layouts(), key=named)
-    found = _matched(names, nearest)
-    if found:
-        likely = _likely(names, nearest)
-        found |= {ours: name for ours, name in likely.items() if ours not in found and name not in found.values()}
-    return nearest, found
-
-
-def in_toml(columns: Columns) -> str:
-    """A mapping as the first line of a robot file has it."""
-    return f"columns = {{ {', '.join(f'{ours} = {_quoted(theirs)}' for ours, theirs in columns.items())} }}"
-
-
-def proposal(names: Sequence[str], own: Sequence[Layout] = ()) -> str:
-    """What could be meant by foreign names, as a mapping to be looked at: for the sentence that refuses them."""
-    found = meanings(names, own)[1]
-    if not found:
-        return ""
-    bare_ones = [theirs for theirs in found.values() if not header_unit(theirs)[1]]
-    unit = ", those without a unit in ours" if bare_ones else ""
-    return (
-        f"; if these are meant{unit}, say so at the beginning of the robot file, or to read_measurements: "
-        f"{in_toml(found)}"
-    )
-
-
-def refuse_unmapped(names: Sequence[str], layout: Layout, source: str) -> None:
-    """Refuses a reading under a foreign name beside those that are known: it would pass for a covariate."""
-    for ours, theirs in _same(names, layout).items():
-        if ours not in names:
-            raise MeasurementError(f"{source}: column '{theirs}' is not read as '{ours}'{proposal(names)}")
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
-def _matched(names: Sequence[str], layout: Layout) -> dict[str, str]:
-    """The joints and readings of a layout by columns that state a fitting unit and have their name, or their number
-    beside the same word."""
-    free = [name for name in names if name not in layout.known]
-    out = _same(names, layout)
-    words: dict[str, dict[str, str]] = {}
-    for name in free:
-        numbered = re.fullmatch(r"(.*?)[\s_-]*(\d)", header_unit(name)[0])
-        if numbered and name not in out.values():
-            words.setdefault(numbered[1], {})[numbered[2]] = name
-    wanted = {str(k + 1): ours for k, ours in enumerate(layout.joints)}
-    rows: list[Any] = [w for w in words.values() if w.keys() == wanted.keys()]
-    fitting = [w for w in rows if all(_fits(w[k], ours) for k, ours in wanted.items())]
-    if len(fitting) == 1:
-        return {ours: fitting[0][k] for k, ours in wanted.items()} | out
-    for ours, called in ((layout.joints, DRIVEN), (layout.coordinates, READ)):
-        if not any(name in names or name in out for name in ours):
-            left = [name for name in free if name not in out.values()]
-            out |= in_order(left, ours, called, _fits)
-    return out
-
-
-def _likely(names: Sequence[str], layout: Layout) -> dict[str, str]:
-    """Readings and the time by columns that have their letter behind the same word, stating a fitting unit or none."""
-    letters = {bare(ours): ours for ours in layout.readings if len(bare(ours)) == 1}
-    words: dict[str, dict[str, str]] = {}
-    out: dict[str, str] = {}
-    for name in (n for n in names if n not in layout.known):
-        stem, unit = header_unit(name)
-        last = re.fullmatch(r"(.*?)[\s_-]*([a-z])", stem, re.IGNORECASE)
-        if last and last[2].lower() in letters and (not unit or _fits(name, letters[last[2].lower()])):
-            words.setdefault(last[1].lower(), {})[last[2].lower()] = name
-        if stem.lower() in _TIMES and (not unit or _fits(name, TIME)) and TIME not in names:
-            out.setdefault(TIME, name)
-    rows = [w for w in words.values() if w.keys() == letters.keys()]
-    if len(rows) == 1:
-        out = {letters[letter]: name for letter, name in rows[0].items()} | out
-    return out
-
-
-def _same(names: Sequence[str], layout: Layout) -> dict[str, str]:
-    """Readings by columns whose header is their name with a unit in brackets, each by one alone."""
-    out: dict[str, str] = {}
-    for ours in layout.readings:
-        same = [
-            n for n in names if n.strip()[-1:] in "])" and header_unit(n)[0].lower() == bare(ours) and _fits(n, ours)
-        ]
-        if len(same) == 1:
-            out[ours] = same[0]
-    return out
-
-
-def _fits(theirs: str, ours: str) -> bool:
-    unit = header_unit(theirs)[1]
-    return bool(unit) and factor(unit, unit_in(ours)) is not None

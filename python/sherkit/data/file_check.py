@@ -16,8 +16,8 @@ import polars as pl
 
 from ..base.figures import brief, closest, listed
 from ..errors import FitError, MeasurementError, SherkitWarning
-from .called import is_difference
-from .columns import POSE, REPEAT, TIME, Columns, Layout, bare, factor, header_unit, known_layouts, meanings, unit_in
+from .called import Columns, factor, header_unit, is_difference, meanings
+from .columns import POSE, REPEAT, TIME, Layout, bare, known_layouts, unit_in
 from .doubts import doubts
 from .frames import clean
 from .raw_table import NOTHING, WITH_UNIT, Problem, RawTable, raw_table
@@ -410,7 +410,7 @@ def said_of(found: FileCheck) -> str:
     count = len(found.wrong)
     if found.is_good:
         return f"{found.source}: nothing is wrong, {len(found.data or ())} rows"
-    many = f"{count} thing{'s are' if count != 1 else ' is'} wrong"
+    many = f"{count} thing{'s are' if count != 1 else ' is'} wrong" if count else "cannot be read as it is"
     own = list(found.unsaid.values())
     many_own = f"{len(own)} columns have names of their own" if len(own) > 1 else "one column has a name of its own"
     foreign = f"; {many_own}: {listed(own, 12)}" if own else ""

@@ -14,7 +14,8 @@ from ..base.figures import brief, listed
 from ..base.types import Bools, Floats, Ints
 from ..errors import MeasurementError, NotFinite, ShapeError
 from . import columns as c
-from .columns import Columns, Layout, proposal, refuse_unmapped, renamed
+from .called import Columns, proposal, refuse_unmapped, renamed
+from .columns import Layout
 from .in_time import begin_of, order_in_time
 from .rows import Measurements
 from .set_up import set_up_names

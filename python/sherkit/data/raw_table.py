@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..base.figures import brief, spans
 from ..errors import MeasurementError
-from .columns import is_unit
+from .called import is_unit
 from .tables import MARKS, by_spaces, is_number, nameless, names_given, tabbed
 
 #: Cells that say that nothing was read.

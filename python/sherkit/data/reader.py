@@ -19,7 +19,7 @@ from ..base.figures import brief
 from ..base.types import Ints
 from ..errors import MeasurementError
 from . import columns as c
-from .columns import Columns
+from .called import Columns
 from .files import bag_in, of_demo, refuse_device
 from .frames import clean, from_frame
 from .rows import Measurements

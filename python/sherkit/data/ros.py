@@ -14,7 +14,8 @@ from ..base.arguments import validate_arguments
 from ..base.figures import brief, listed, nearest
 from ..base.types import Floats
 from ..errors import MeasurementError, SherkitWarning
-from .columns import TIME, factor, unit_in
+from .called import factor
+from .columns import TIME, unit_in
 from .frames import from_frame
 from .rows import Measurements
 

@@ -13,7 +13,8 @@ import tomli_w
 from ..base.arguments import validate_arguments
 from ..base.figures import listed
 from ..data import Measurements
-from ..data.columns import Columns, Layout, check_columns, is_known
+from ..data.called import Columns
+from ..data.columns import Layout, check_columns, is_known
 from ..data.files import write_whole
 from ..data.reader import RunLike, run_of
 from ..data.toml import Table, read_toml

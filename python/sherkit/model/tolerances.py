@@ -24,7 +24,7 @@ import numpy as np
 
 from ..base.figures import brief, listed, nearest
 from ..base.types import Floats
-from ..data.columns import factor
+from ..data.called import factor
 from ..data.toml import Table
 from ..errors import RobotError
 from .effect import Parameter

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ...data.columns import factor
+from ...data.called import factor
 from ...errors import ExperimentError, Garbled, Implausible, OutOfRange
 from ...model.kinds import Robot, kind_of
 from ..instruments import AxisController

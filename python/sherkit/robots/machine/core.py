@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...base.types import Bools, Floats
-from ...data.columns import TEMPERATURE, TIME, bare, factor, unit_in
+from ...data.called import factor
+from ...data.columns import TEMPERATURE, TIME, bare, unit_in
 from ...data.in_time import DRAWN_C
 from ...fit.numpy_chain import NumpyChain
 from ...model.chain import Block

@@ -15,7 +15,7 @@ import scipy
 
 from ...base import linalg
 from ...base.types import Floats, Ints
-from ...data.columns import header_unit
+from ...data.called import header_unit
 from ...errors import MeasurementError, SherkitWarning
 
 # -- Frames ------------------------------------------------------------------------------------------------------------

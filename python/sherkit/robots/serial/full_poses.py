@@ -17,7 +17,7 @@ from ...base.arguments import validate_arguments
 from ...base.figures import listed
 from ...base.types import Floats, Ints
 from ...data import Measurements
-from ...data.columns import header_unit
+from ...data.called import header_unit
 from ...data.frames import clean, to_polars
 from ...data.reader import RunLike, checked, csv_blocks
 from ...data.tables import PARQUET, read_parquet

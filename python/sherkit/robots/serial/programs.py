@@ -19,7 +19,7 @@ import scipy
 from ...base import linalg
 from ...base.figures import listed
 from ...base.types import Bools, Floats, Ints
-from ...data.columns import factor, header_unit
+from ...data.called import factor, header_unit
 from ...errors import MeasurementError, OutOfReach
 from ..accuracy import PredictedAccuracies
 from .calibration import SerialCalibration
