@@ -99,8 +99,8 @@ class MachineModel(ChainModel):
         home, count = self.settings()["home"], len(self.robot.box)
         if isinstance(home, tuple) and len(home) != count:
             raise EffectError(f"home: expected one number, or {count}, one for each joint; found {len(home)}")
-        each = [np.broadcast_to(np.asarray(one), count).tolist() for one in (waves, home)]
-        return MachineCore(self.robot.asked, self.robot.links, self.robot.pose, *map(tuple, each), *times)
+        zeros = home if isinstance(home, tuple) else (home or 0.0,) * count
+        return MachineCore(self.robot.asked, self.robot.links, self.robot.pose, tuple(waves.tolist()), zeros, *times)
 
     def joint_ranges(self) -> dict[str, tuple[float, float]]:
         """Each joint's own, where they were given."""
