@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +18,7 @@ import sherkit as sk
 from running import slow
 from second_machines import MACHINES, Hidden, apart, run_of, seen_from, shift, stand_of, turn, zeros_of
 from sherkit.base.types import Floats
-from sherkit.errors import RobotError
+from sherkit.errors import RobotError, SherkitError
 from sherkit.model.sensor_pose import POSE, SPACE, by_pose, rotation_matrix
 from sherkit.model.sensor_pose import seen_from as seen_by
 from sherkit.robots.machine import load_machine
@@ -187,6 +188,42 @@ def test_a_scale_common_to_all_axes_may_be_the_tracker_s() -> None:
     tie."""
     names = [p.name for p in MACHINE["scara"].brings.model(MACHINE["scara"]).known_effects["sensor_scale"].parameters]
     assert len(names) == 3
+
+
+def test_scales_and_couplings_count_from_where_a_joint_goes(tmp_path: Path) -> None:
+    """Catches effects of a joint that count from a zero far outside of its travel: the geometry then makes up for their
+    mean, and the robot file is accused (cable robots and cranes: 18 of 32 couplings and scales, 0 now). And a
+    calibration that means another thing when the range is declared anew, or was kept before there was a home."""
+
+    def described(low: float) -> sk.Machine:
+        return sk.Machine(
+            lambda q, p: np.stack([q[:, 0] + p.a, q[:, 1] + p.b, q[:, 0] - q[:, 1] + p.a - p.b], axis=1),
+            joints={"left_mm": (low, 3500.0), "right_mm": (2000.0, 3500.0)}, readings=("u_mm", "v_mm", "w_mm"),
+            parameters={"a": ("mm", 1.0), "b": ("mm", 1.0)}, name="hoists", sensor_pose="held",
+        )  # fmt: skip
+
+    machine, rng = described(2000.0), np.random.default_rng(0)
+    q = rng.uniform(*machine.box.T, (80, 2))
+    stood = q + np.outer(q[:, 1] - 2750.0, [3e-3, 0.0]) + 2e-3 * np.outer(q[:, 0] - 2750.0, [1.0, 0.0])
+    read = machine.function(stood, SimpleNamespace(a=0.4, b=-0.3)) + 0.05 * rng.normal(size=(80, 3))
+    names = (*machine.joint_names, *machine.readings)
+    run = sk.from_frame(pl.DataFrame(dict(zip(names, np.hstack([q, read]).T, strict=True))))
+    made = sk.calibrate(machine, run, effects=["joint_scale", "joint_coupling"]).calibration
+    by_name = dict(zip((p.name for p in made.whole.model(machine).parameters), made.whole.values, strict=True))
+    assert (by_name["a"], by_name["b"]) == pytest.approx((0.4, -0.3), abs=0.05)
+    assert by_name["joint_coupling.left_by_right"] == pytest.approx(3e-3, rel=0.02)
+    made.save(tmp_path / "hoists.toml")
+    text, shown = (tmp_path / "hoists.toml").read_text(), made.forward([2400.0, 3100.0])
+    described(0.0)
+    assert sk.load_calibration(tmp_path / "hoists.toml").forward([2400.0, 3100.0]) == pytest.approx(shown, abs=1e-9)
+    for told, off in (("0.0", 2750.0 * 5e-3), ("", 2750.0 * 5e-3)):
+        line = f"home = {told}\n" if told else ""
+        (tmp_path / "earlier.toml").write_text(re.sub(r"(?m)^home = \[[^]]*\]\n", line, text))
+        earlier = sk.load_calibration(tmp_path / "earlier.toml").forward([2400.0, 3100.0])
+        assert earlier[0] - shown[0] == pytest.approx(off, rel=0.02)
+    (tmp_path / "wrong.toml").write_text(re.sub(r"(?m)^home = \[[^]]*\]\n", "home = [1.0, 2.0, 3.0]\n", text))
+    with pytest.raises(SherkitError, match="home: expected one number, or 2, one for each joint; found 3"):
+        sk.load_calibration(tmp_path / "wrong.toml")
 
 
 def _seen(forward: Any, machine: sk.Machine, seed: int, values: dict[str, float]) -> Any:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ import test_spherical_discovery
 import worlds
 from gear_worlds import TURN, asked, is_right, robot_of, run_of
 from running import slow
+from second_machines import apart
 from second_machines import run_of as run_of_machine
 from sherkit.errors import ArgumentError, EffectError
 from sherkit.model.kinds import model_of
@@ -236,3 +238,55 @@ def test_waves_that_are_large_and_no_pure_sines() -> None:
     found = worlds.delta_world(81, effects=hidden, points=points, repeats=2, noise_um=10.0).ask().diagnosis
     assert found.effects == ("encoder_cyclic", *(f"encoder_second_{k}" for k in (1, 2, 3)))
     assert found.verdict == "explained"
+
+
+@pytest.mark.parametrize(("joint", "bend", "told"), [(1, 0.02, True), (0, 0.0, False)])
+def test_a_wave_that_is_seen_too_little_of_may_be_a_bend(joint: int, bend: float, told: bool) -> None:
+    """Catches a smooth bend of an elbow that goes over a quarter of a turn, explained as its ring without a word that a
+    polynomial says as much (arms with a bent joint: 12 of 24, 1 now); and a word too many on a ring seen over a
+    turn. Seed 0."""
+
+    def shown(q: Any, p: Any) -> Any:
+        first, second = np.deg2rad(q[:, 0]), np.deg2rad(q.sum(axis=1))
+        upper, lower = 300.0 + p.upper, 200.0 + p.lower
+        return np.stack([upper * f(first) + lower * f(second) for f in (np.cos, np.sin)], axis=1)
+
+    with apart():
+        machine = sk.Machine(
+            shown, joints={"base_deg": (-170.0, 170.0), "elbow_deg": (20.0, 110.0)}, readings=("x_mm", "y_mm"),
+            parameters={"upper": ("mm", 0.5), "lower": ("mm", 0.5)}, name="two_arms",
+        )  # fmt: skip
+        rng = np.random.default_rng(0)
+        q = np.tile(rng.uniform(*machine.box.T, (90, 2)), (2, 1))
+        off = bend * ((q[:, 1] - 65.0) / 45.0) ** 2 if bend else 0.06 * np.cos(np.deg2rad(q[:, 0] - 40.0))
+        read = shown(q + np.outer(off, np.eye(2)[joint]), SimpleNamespace(upper=0.2, lower=-0.1))
+        read = read + 0.01 * rng.normal(size=read.shape)
+        columns = {"pose": np.tile(np.arange(90) + 1, 2), "base_deg": q[:, 0], "elbow_deg": q[:, 1]}
+        d = sk.diagnose(machine, sk.from_frame(columns | {"x_mm": read[:, 0], "y_mm": read[:, 1]}))
+    assert "encoder_eccentricity" in d.effects
+    assert ("may as well be that the error of joint elbow_deg varies smoothly" in (d.caveat or "")) is told
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_wave_repeats_at_the_joint_that_has_it(seed: int) -> None:
+    """Catches a cubic of an elbow that is explained as a wave of which it shows less than one, since another joint goes
+    far enough to show it repeat: 4 of 15, 0 now."""
+
+    def shown(q: Any, p: Any) -> Any:
+        first, second = np.deg2rad(q[:, 0]), np.deg2rad(q[:, 0] + q[:, 1])
+        upper, lower = 300.0 + p.upper, 200.0 + p.lower
+        return np.stack([*(upper * f(first) + lower * f(second) for f in (np.cos, np.sin)), q[:, 2]], axis=1)
+
+    with apart():
+        machine = sk.Machine(
+            shown, joints={"base_deg": (-170.0, 170.0), "elbow_deg": (20.0, 110.0), "lift_mm": (0.0, 100.0)},
+            readings=("x_mm", "y_mm", "z_mm"), parameters={"upper": ("mm", 0.5), "lower": ("mm", 0.5)}, name="lifted",
+        )  # fmt: skip
+        rng = np.random.default_rng(seed)
+        q = np.tile(rng.uniform(*machine.box.T, (90, 3)), (2, 1))
+        z = (q[:, 1] - 65.0) / 45.0
+        stood = q + np.outer(0.01 * (z**3 - 0.6 * z), np.eye(3)[1])
+        read = shown(stood, SimpleNamespace(upper=0.2, lower=-0.1)) + 0.01 * rng.normal(size=(180, 3))
+        columns = dict(zip((*machine.joint_names, *machine.readings), np.hstack([q, read]).T, strict=True))
+        d = sk.diagnose(machine, sk.from_frame({"pose": np.tile(np.arange(90) + 1, 2), **columns}))
+    assert (d.verdict, d.effects) == ("unexplained", ())

@@ -33,6 +33,8 @@ class Told:
     tells: float
     #: How many plausible sizes its largest parameter is.
     size: float
+    #: Of a wave, a shape that is none and does as well, to 10,000 to 1.
+    bend: Block | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +152,10 @@ def _told(
     if not partly:
         # of what is left in part, one number of many takes its share by chance
         needed += _of_one_part(sets.base if less is None else less.base, columns, parts)
-    return Told(block.name, needed, _tells(without.base, columns), size)
+    wave = any(p.name.startswith("sine") for p in block.effect.parameters)
+    bends = wave and needed < TIED and all(shape.period is None for shape in without.shapes)
+    bend = next(iter(without.shapes), None) if bends else None
+    return Told(block.name, needed, _tells(without.base, columns), size, bend)
 
 
 def _columns(lead: EffectSet, k: int) -> tuple[Floats, list[str]]:
@@ -191,7 +196,7 @@ def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: boo
     steps = [block for block in lead.blocks if block.effect and block.effect.search == "time_s"]
     if len(steps) > _STEPS and one.name in {block.name for block in steps}:
         return "steps at three moments or more are no accident each: something switches to and fro"
-    if any(block.name == one.name and _never_repeats(lead.base, block) for block in lead.blocks):
+    if any(block.name == one.name and _never_repeats(lead, block) for block in lead.blocks):
         return "a wave of which the run shows less than one and a half is any bend"
     if one.needed < least:
         return "shapes that follow no cause say as much in its place"
@@ -202,18 +207,19 @@ def _refused(lead: EffectSet, one: Told, alone: ShapeDescription, *, partly: boo
     return ""
 
 
-def _never_repeats(base: Base, block: Block) -> bool:
-    """Whether nobody saw the wave of an effect repeat, whose period was looked for: on a ring, with one or two a turn,
-    there is a cause for it."""
+def _never_repeats(lead: EffectSet, block: Block) -> bool:
+    """Whether nobody saw the wave of an effect repeat, whose period was looked for, at the joint that has most of it:
+    on a ring, with one or two a turn, there is a cause for it."""
     if block.effect is None or not block.effect.is_periodic or block.setting is None:
         return False
-    view, setting = base.family.run.view, block.setting
-    names = view.waving(block.effect)
-    each = setting if isinstance(setting, tuple) else (setting,) * len(names)
+    run, setting, at = lead.run, block.setting, lead.run.of.owns(block.effect)
+    moved = run.flat(run.view.fitted(run.view.whole)[:, :, at]) * run.of.fit.values[at]
+    most = int(np.argmax(np.square(moved[:, ::2] + moved[:, 1::2]).sum(axis=0)))
+    period = setting[most] if isinstance(setting, tuple) else setting
     # what is nearer to two a turn than to three
     slowest = TURN / 2.5 if block.effect.search == "period_rad" else np.inf
-    reach = [float(np.ptp(view.stood[name])) for name in names]
-    return not any(r >= _REPEATS * period or period > slowest for r, period in zip(reach, each, strict=True))
+    reach = float(np.ptp(run.view.stood[run.view.waving(block.effect)[most]]))
+    return period <= slowest and reach < _REPEATS * period
 
 
 def _bends(base: Base, shape: Block) -> bool:

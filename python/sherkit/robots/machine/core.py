@@ -144,7 +144,7 @@ def generic_effects(
     out = [
         Generic("joint_offset", "joints", by_joint("offset", small), _each(lambda q, _: 1.0)),
         Generic("joint_scale", "joints", by_joint("scale", [_SCALE] * len(joints), [""] * len(joints)),
-                _each(lambda q, _: q)),
+                _each(lambda q, at: q - at.chain.home)),
         Generic("joint_coupling", "joints", coupled, _coupling(pairs)),
         per_turn("encoder_eccentricity", 1.0),
         per_turn("encoder_two_per_turn", 2.0),
@@ -242,10 +242,10 @@ def _each(of: Callable[[NDArray[Any], RowCovariates], ArrayLike]) -> Formula:
 
 
 def _coupling(pairs: Sequence[tuple[int, int]]) -> Formula:
-    def formula(q: NDArray[Any], _: RowCovariates) -> NDArray[Any]:
-        out = np.zeros((*q.shape, len(pairs)), dtype=q.dtype)
+    def formula(q: NDArray[Any], at: RowCovariates) -> NDArray[Any]:
+        out, travel = np.zeros((*q.shape, len(pairs)), dtype=q.dtype), q - at.chain.home
         for p, (i, j) in enumerate(pairs):
-            out[:, i, p] = q[:, j]
+            out[:, i, p] = travel[:, j]
         return out
 
     return formula
@@ -352,13 +352,15 @@ _TINY = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class MachineCore(NumpyChain):
-    """The chain of one machine at the settings of its effects: ``wave``, one turn over the period of each joint, and
-    four moments, s. Its readings are places that a sensor sees from its ``pose``, where it has one."""
+    """The chain of one machine at the settings of its effects: ``wave``, one turn over the period of each joint,
+    ``home``, from where scales and couplings count, and four moments, s. Its readings are places that a sensor sees
+    from its ``pose``, where it has one."""
 
     function: UserFunction
     effects: tuple[Generic, ...]
     pose: SensorPose | None
     wave: tuple[float, ...]
+    home: tuple[float, ...]
     time_origin_s: float
     slip_time_s: float
     joint_slip_time_s: float

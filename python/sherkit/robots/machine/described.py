@@ -347,7 +347,8 @@ def _columns(
     known = np.column_stack([60.0 * np.arange(n), 20.0 + rng.normal(size=n), rng.choice([-1.0, 1.0], (n, k)),
                              rng.normal(size=(n, k)), 20.0 + rng.normal(size=n)])  # fmt: skip
     late = 30.0 * n
-    core = MachineCore(function, tuple(effects), pose, (1.0,) * k, 0.0, late, late, late)
+    home = tuple(function.box.mean(axis=1).tolist())
+    core = MachineCore(function, tuple(effects), pose, (1.0,) * k, home, 0.0, late, late, late)
     total = count + sum(len(one.parameters) for one in effects)
     values = np.zeros(total)
     anyhow = dict(zip(POSE, _ANYHOW * np.isinf(pose.sd(FREE, FREE)), strict=True)) if pose is not None else {}

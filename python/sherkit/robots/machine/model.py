@@ -35,7 +35,8 @@ _DIGITS = {"mm": 2, "rad": 4, "deg": 2, "px": 1}
 @dataclass(frozen=True)
 class MachineModel(ChainModel):
     """A machine with its parameters and effects to identify. Its tables are those of a subclass for each machine
-    (:mod:`~sherkit.robots.machine`)."""
+    (:mod:`~sherkit.robots.machine`). Scales and couplings of joints count from ``home``, None for the middle of their
+    ranges: from a zero far outside of these the geometry would have to make up for the mean."""
 
     robot: MachineDescription
     slip_time_s: float = 0.0
@@ -43,6 +44,7 @@ class MachineModel(ChainModel):
     thermal_shift_lag_s: float = 0.0
     sensor_slip_time_s: float = 0.0
     time_origin_s: float = 0.0
+    home: Setting | None = None
     period_mm: Setting | None = None
     period_rad: Setting | None = None
     period_deg: Setting | None = None
@@ -75,13 +77,14 @@ class MachineModel(ChainModel):
         return tuple(p.name for p in self.base)
 
     def settings(self) -> dict[str, Setting | None]:
-        """Moments of the slips, lag of the stands, origin of time, and the period of the encoders where all joints have
-        one."""
+        """Moments of the slips, lag of the stands, origin of time, home, and the period of the encoders where all
+        joints have one."""
         times: dict[str, Setting | None] = {
             "slip_time_s": self.slip_time_s,
             "joint_slip_time_s": self.joint_slip_time_s,
             "thermal_shift_lag_s": self.thermal_shift_lag_s,
             "time_origin_s": self.time_origin_s,
+            "home": tuple(self.robot.box.mean(axis=1).tolist()) if self.home is None else self.home,
         }
         searched = {one.search for one in self.robot.effects}
         if self.robot.pose is not None:
@@ -93,7 +96,11 @@ class MachineModel(ChainModel):
         """The chain."""
         waves = 2.0 * np.pi / self.periods(self.layouts[0].joints, 1.0)
         times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
-        return MachineCore(self.robot.asked, self.robot.links, self.robot.pose, tuple(waves.tolist()), *times)
+        home, count = self.settings()["home"], len(self.robot.box)
+        if isinstance(home, tuple) and len(home) != count:
+            raise EffectError(f"home: expected one number, or {count}, one for each joint; found {len(home)}")
+        zeros = home if isinstance(home, tuple) else (home or 0.0,) * count
+        return MachineCore(self.robot.asked, self.robot.links, self.robot.pose, tuple(waves.tolist()), zeros, *times)
 
     def joint_ranges(self) -> dict[str, tuple[float, float]]:
         """Each joint's own, where they were given."""
