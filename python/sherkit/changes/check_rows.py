@@ -149,7 +149,10 @@ class CheckRows(ChangeRows):
         run = self.run()
         columns, blocks = everything(run, shapes=False)
         every = in_parts(blocks)
-        made = [replace(b, at=np.concatenate([b.at, at])) for b, at in zip(every, zeros_at(self, every), strict=True)]
+        made = [
+            replace(block, at=np.concatenate([block.at, at]), zeros=len(at))
+            for block, at in zip(every, zeros_at(self, every), strict=True)
+        ]
         return Base.of(Family(run, made=(columns, made)), run)
 
     def sets(self) -> ChangeSets:

@@ -179,8 +179,8 @@ def _camera(
 _GROSS, _SETTING_ASIDE = 7.0, 8
 #: Readings beyond what is free from which a run tells its own noise, and that it follows itself.
 OWN_NOISE, _OWN_COURSE = 10, 40
-#: Readings of a row that tell a direction; the part up to which columns are alike.
-_TELLS, _ALIKE = 2, 1e-2
+#: Readings of a row that tell a direction; the part up to which columns are alike; rows that show it.
+_TELLS, _ALIKE, _ENOUGH = 2, 1e-2, 300
 #: Parameters that say where the sensor stands, by how their names begin.
 _OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip", SETUP_PREFIX)
 
@@ -317,6 +317,8 @@ def zeros_of(candidates: Sequence[Effect], columns: Mapping[str, Floats], joints
     out: dict[str, list[Effect]] = {}
     if next(iter(columns.values())).shape[1] < _TELLS:
         return out
+    some = slice(None, None, max(len(joints) // _ENOUGH, 1))
+    columns, joints = {name: one[some] for name, one in columns.items()}, joints[some]
     numbers = [p.name for effect in candidates if not effect.frees for p in effect.qualified()]
     every = [columns[effect.name] for effect in candidates if not effect.frees]
     flat = np.concatenate([one.reshape(-1, one.shape[2]) for one in every], axis=1) if every else np.zeros((0, 0))

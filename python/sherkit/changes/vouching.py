@@ -123,15 +123,18 @@ def _ways(base: Base, stand: Floats, promised: float, fields: Sequence[Floats]) 
     basis, count, family = orthonormal(stand), len(stand), base.family
     # ways of all of an effect are those of its parts, too
     whole = [block for block in family.blocks if block.pattern is None]
-    raws = [family.run.flat(family.columns.raw(block.at)) for block in whole]
+    raws = [family.run.flat(family.columns.raw(block.at[: len(block.at) - block.zeros])) for block in whole]
     weight = [1.0 / max(len(raws), 1)] * len(raws) + [_FIELDS / max(len(fields), 1)] * len(fields)
     # of what is known of parameters, whose rows stand behind those that were read, they say nothing
     raws += [family.run.flat(np.pad(one, ((0, len(family.run) - len(one)), (0, 0), (0, 0)))) for one in fields]
     every = np.concatenate([np.zeros((len(base.residual), 0)), *raws], axis=1)
+    wide = [raw.shape[1] for raw in raws]
+    del raws
     left = every - base.basis @ (base.basis.T @ every)
     ways, share, start = [np.zeros((every.shape[1], 0))], [], 0
-    for raw, part in zip(raws, weight, strict=True):
-        at = slice(start, start := start + raw.shape[1])
+    for count_of, part in zip(wide, weight, strict=True):
+        at = slice(start, start := start + count_of)
+        raw = every[:, at]
         mine = np.ones((1, 1)) if raw.shape[1] == 1 else rng.normal(size=(raw.shape[1], _WAYS))
         size, whole = shows(raw[:count] @ mine, basis), np.sqrt(np.square(raw @ mine).mean(axis=0))
         # what this stand or the calibration's own doubts take up is no error that could be seen
@@ -153,13 +156,14 @@ def shows(columns: Floats, basis: Floats) -> Floats:
 def _ratio(squares: Floats, share: Floats, answers: Floats, left: Floats, free: int) -> Floats:
     """Logarithms (d,) of the mean likelihood ratio for each of d residuals, but for a constant: by the ``squares``
     (v, 1) of the ways, the ``answers`` (v, d) of the residuals to them, and their own square ``left`` (d,)."""
-    every = [
-        np.log(share)[:, None] - 0.5 * free * np.log1p((size**2 * squares - 2.0 * sign * size * answers) / left)
-        for size in _SIZES for sign in (-1.0, 1.0)
-    ]  # fmt: skip
-    found = np.concatenate(every)
-    top = found.max(axis=0)
-    return np.asarray(top + np.log(np.exp(found - top).sum(axis=0)))
+    out = np.full(answers.shape[1], -np.inf)
+    for size in _SIZES:
+        for sign in (-1.0, 1.0):
+            moved = np.log1p((size**2 * squares - 2.0 * sign * size * answers) / left)
+            each = np.log(share)[:, None] - 0.5 * free * moved
+            top = each.max(axis=0)
+            out = np.logaddexp(out, top + np.log(np.exp(each - top).sum(axis=0)))
+    return out
 
 
 # -- Which runs may vouch ----------------------------------------------------------------------------------------------
