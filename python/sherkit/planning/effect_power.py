@@ -167,7 +167,7 @@ class Planning:
         return power(float(((left @ share) ** 2).sum()), *self._test(left, name))
 
     def found_along(self, name: str, values: Mapping[str, float]) -> dict[str, float]:
-        """The multiple of these parameters at which the effect is found in 80 of 100 cases; infinite where never."""
+        """These parameters so many times as large that the effect is found in 80 of 100 cases; infinite where never."""
         effect = self.effect(name)
         left = self._left(name)
         share = np.array([values.get(p.name, 0.0) / p.size for p in effect.parameters])
