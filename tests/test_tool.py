@@ -270,7 +270,7 @@ def test_a_small_force_has_a_large_deviation(runs: dict[str, list[ToolRun]]) -> 
     run = runs["phantom"][0]
     e = estimate(KNOWING, run)
     assert run.depth_mm is not None
-    size = np.linalg.norm(e.force_mn, axis=1)
+    size = np.linalg.norm(e.fibre_force_mn, axis=1)
     off = (e.fibre_depth_mm - run.depth_mm) / e.fibre_depth_std_mm
     for low, high in ((3.0, 6.0), (6.0, 15.0), (15.0, 60.0), (60.0, 1e3)):
         some = np.isfinite(off) & (size > low) & (size < high)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from running import slow
 from second_tool import CONDITIONS, FAULTS, World, honesty
 from sherkit import _core
 from sherkit.errors import MeasurementError, SherkitWarning
@@ -156,6 +157,20 @@ def test_a_contact_far_from_where_it_was_thought_is_found(seed: int) -> None:
         assert off[pressed].mean() < 0.05
         assert off.mean() < 0.05
         assert (np.abs(e.depth.value[pressed, 0] - e.fibre_depth_mm[pressed]) < 3.0).mean() > 0.97
+
+
+@pytest.mark.parametrize(("grating", "shows"), [(0, 0.0), *slow((4, 0.0), (0, np.nan))])
+def test_a_force_does_without_a_grating_that_is_dead(grating: int, shows: float) -> None:
+    """Catches a force of the sclera by gratings of which one is dead, 200 mN off or 300 newtons, beside a depth and a
+    tip that are right: what a surgeon is warned by."""
+    tool, run = recorded("phantom", 3)
+    waves, half = run.wavelengths_nm.copy(), len(run) // 2
+    waves[half:, grating] = shows
+    sound, e = estimate(tool, run), estimate(tool, replace(run, wavelengths_nm=waves))
+    off = (e.force_mn - sound.force_mn)[half:]
+    assert np.abs(off).max() < 2.0
+    assert np.sqrt(np.mean(np.square(off / e.force_std_mn[half:, None]))) < 1.0
+    assert np.abs(sound.force_mn).max() > 50.0
 
 
 def run_truth(seed: int) -> NDArray[np.float64]:

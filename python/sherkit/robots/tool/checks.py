@@ -325,7 +325,7 @@ def began(e: Estimate) -> list[str]:
     off = every[told]
     # fibres that lag keep a share of the bends before, each its own; the lever is the longest, as the depth is in doubt
     near, far = tool.distances_mm
-    size = np.linalg.norm(e.force_mn, axis=1)
+    size = np.linalg.norm(e.fibre_force_mn, axis=1)
     most = np.fmax.accumulate(np.where(np.isfinite(size), size, 0.0))
     lags = float(e.lags.max()) * (most / size)[told] * near * far / (far - near)
     variance = e.fibre_depth_std_mm[told] ** 2 + lags**2

@@ -142,10 +142,11 @@ def consistency(total: float, degrees: int) -> Consistency:
 class Estimate(Shown):
     """A run with everything that was estimated on it. All arrays have the rows of ``run``.
 
-    ``measurements`` are the gratings alone (Eqs. 1, 2): ``force_mn`` (n, 2), ``fibre_depth_mm`` (n,) with
+    ``measurements`` are the gratings alone (Eqs. 1, 2): ``fibre_force_mn`` (n, 2), ``fibre_depth_mm`` (n,) with
     ``fibre_depth_std_mm``, NaN or infinite without force; ``held_depth_mm`` (n,) repeats the last depth of a force, as
     a display would. ``together`` is what a loop runs (:class:`sherkit._core.ToolFilter`): depth and tip, with the
-    calibration's doubt in the deviations. ``depth`` and ``tip`` are its parts, or, where the tool asks for the paper's
+    calibration's doubt in the deviations; so is ``force_mn`` (n, 2), the force of the hole across the shaft in the
+    tool's frame, without gratings that are not believed, with ``force_std_mn`` (n,) of each component. ``depth`` and ``tip`` are its parts, or, where the tool asks for the paper's
     noise, the filters of Eqs. 8 and 14. ``misfit`` (n,) is about 1 where the moments agree; ``faulty`` (n,) has a bit
     for each grating that was not believed, ``faulty_sections`` (n, 3) says where, ``gated`` (n,) whose reading was not
     used, and ``faults`` names them. ``arc_mm`` (n,) is the length of shaft beyond the hole, where ``depth`` is the
@@ -169,6 +170,8 @@ class Estimate(Shown):
     depth: Track
     tip: Track
     together: Track
+    force_mn: Floats
+    force_std_mn: Floats
     faulty: NDArray[np.uint16]
     arc_mm: Floats
     paper: Track
@@ -238,8 +241,8 @@ class Estimate(Shown):
         return self.depth.std[:, 0]
 
     @property
-    def force_mn(self) -> Floats:
-        """Sclera force (n, 2), tool frame."""
+    def fibre_force_mn(self) -> Floats:
+        """Sclera force (n, 2) by the gratings alone, tool frame, all of them believed."""
         return self.measurements[:, _FORCE]
 
     @property
@@ -298,8 +301,8 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     chosen = together if tool.noise == "propagated" else paper
     inner = told["inner"]
     return Estimate(
-        tool, run, measured, told["misfit"], chosen.part(DEPTH_PART), chosen.part(TIP_PART), together, told["faulty"],
-        told["arc_mm"], paper, inner[:, 2:6], inner[:, 10], inner[:, 11], inner[:, 12],
+        tool, run, measured, told["misfit"], chosen.part(DEPTH_PART), chosen.part(TIP_PART), together,
+        told["force_mn"], np.sqrt(told["force_variance"]), told["faulty"], told["arc_mm"], paper, inner[:, 2:6], inner[:, 10], inner[:, 11], inner[:, 12],
         np.sqrt(inner[:, 1]),
     )  # fmt: skip
 
