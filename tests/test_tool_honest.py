@@ -173,6 +173,21 @@ def test_a_force_does_without_a_grating_that_is_dead(grating: int, shows: float)
     assert np.abs(sound.force_mn).max() > 50.0
 
 
+def test_a_loop_is_told_the_force_and_of_a_pose_that_is_none() -> None:
+    """Catches a loop in Python that has depth and tip and no force, which C has, and a pose lost on its way, all ones,
+    that moves the tool by metres with a status that praises it."""
+    tool, run = recorded("phantom", 3)
+    loop, last = tool.tracker(float(run.time_s[0]), run.poses[0]), 400
+    for k in range(last):
+        loop.step(float(run.time_s[k]), run.poses[k], float(run.fibre_times_s[k]), run.wavelengths_nm[k].copy())
+    whole = estimate(tool, run)
+    np.testing.assert_allclose(loop.force_mn, whole.force_mn[last - 1], rtol=1e-9)
+    assert np.sqrt(loop.force_variance) == pytest.approx(whole.force_std_mn[last - 1])
+    before = loop.tip_mm
+    assert loop.step(float(run.time_s[last]), np.ones(12)) & _core.STATUS_NO_MOTION
+    np.testing.assert_allclose(loop.tip_mm, before, atol=0.05)
+
+
 def run_truth(seed: int) -> NDArray[np.float64]:
     """Where the tip of that run truly is (n, 3)."""
     return replace(CONDITIONS["exact_rod_pivot"], camera_warp_mm=0.25).run("bends", seed=seed).tip_mm

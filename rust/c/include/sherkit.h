@@ -62,7 +62,7 @@
 // There is no force that would tell the depth.
 #define SHERKIT_STATUS_NO_FORCE 16
 
-// The motion is not finite: the state stood still, and its covariance does not know how far it is off.
+// The pose is not finite, or its rotation no turn: the state stood still, and its covariance does not know how far it is off.
 #define SHERKIT_STATUS_NO_MOTION 32
 
 // The step's time is not finite or lies before the state's: nothing was done at all.

@@ -15,7 +15,7 @@ pub const SHERKIT_STATUS_LATE: u32 = 4;
 pub const SHERKIT_STATUS_NOT_FINITE: u32 = 8;
 /// There is no force that would tell the depth.
 pub const SHERKIT_STATUS_NO_FORCE: u32 = 16;
-/// The motion is not finite: the state stood still, and its covariance does not know how far it is off.
+/// The pose is not finite, or its rotation no turn: the state stood still, and its covariance does not know how far it is off.
 pub const SHERKIT_STATUS_NO_MOTION: u32 = 32;
 /// The step's time is not finite or lies before the state's: nothing was done at all.
 pub const SHERKIT_STATUS_CLOCK: u32 = 64;

@@ -225,6 +225,18 @@ macro_rules! filter_class {
                 PyArray1::from_slice(py, &self.0.told().tip_mm)
             }
 
+            /// Of the hole across the shaft, tool frame `(2,)`.
+            #[getter]
+            fn force_mn<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+                PyArray1::from_slice(py, &self.0.told().force_mn)
+            }
+
+            /// Of each of its components, mN².
+            #[getter]
+            fn force_variance(&self) -> f64 {
+                self.0.told().force_variance
+            }
+
             /// Of depth and tip `(4, 4)`, mm².
             #[getter]
             fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {

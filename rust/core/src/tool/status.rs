@@ -41,7 +41,8 @@ impl Status {
     pub const NOT_FINITE: Self = Self(1 << 3);
     /// There is no force that would tell the depth.
     pub const NO_FORCE: Self = Self(1 << 4);
-    /// The motion is not finite: the state stood still, and its covariance does not know how far it is off.
+    /// The pose is not finite, or its rotation no turn: the state stood still, and its covariance does not know how far
+    /// it is off.
     pub const NO_MOTION: Self = Self(1 << 5);
     /// The step's time is not finite or lies before the state's: nothing was done at all.
     pub const CLOCK: Self = Self(1 << 6);

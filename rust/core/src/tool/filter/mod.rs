@@ -41,8 +41,9 @@ use state::{BENCH, CLEARANCE, DEEPER, L, N, State};
 /// A stamp further ahead of the present than this is a wild number and no clock, s; a step is no longer than the other.
 const AHEAD_S: f64 = 0.3;
 const LONGEST_S: f64 = 1e6;
-/// No robot stands further away than this, mm.
+/// No robot stands further away than this, mm; squares by which the columns of a turn may miss each other's product.
 const FARTHEST_MM: f64 = 1e6;
+const NO_TURN: f64 = 0.01;
 /// What a hole gives way before that is felt, and its deviation, mm/mN: tissue is as soft as a fortieth of this per mN.
 const GIVES: [f64; 2] = [0.005, 0.01];
 
@@ -304,8 +305,11 @@ fn possible(pose: &Rigid) -> bool {
     for x in pose.translation.as_slice() {
         possible &= x.abs() < FARTHEST_MM;
     }
-    for x in pose.rotation.as_slice() {
-        possible &= x.abs() < 2.0;
+    // what is left of a pose that was lost on its way is no turn
+    let (r, mut off) = (&pose.rotation, 0.0);
+    for k in 0..3 {
+        let third = r.column((k + 1) % 3).cross(&r.column((k + 2) % 3)) - r.column(k);
+        off += third.norm_squared();
     }
-    possible
+    possible && off < NO_TURN
 }
