@@ -177,11 +177,12 @@ class Aligned:
     errors: SmoothErrors
 
     def in_tool(self, tool: FlexibleTool) -> FlexibleTool:
-        """The tool whose file says where the camera is, and how late its clock."""
+        """The tool whose file says where the camera is, how late its clock, and how far off what it sees (in space)."""
         found = self.registration
+        off = np.sqrt(np.square(found.residuals_mm).sum(axis=1).mean())
         return replace(
             tool, camera_rotation_rad=nested(found.rotation_rad), camera_translation_mm=nested(found.translation_mm),
-            camera_delay_s=self.delay_s,
+            camera_delay_s=self.delay_s, camera_std_mm=float(off) or tool.camera_std_mm,
         )  # fmt: skip
 
 
