@@ -273,8 +273,8 @@ class Accurate(Deployed):
         The whole of :meth:`predicted_accuracy`: what the poses of the run show, and what they could not have shown.
         In the frame of the base what no reading tells of where the instrument stood is part of it. At
         ``temperature_c``, by default the mean of the run, and at its end. Where no pose was measured (:meth:`measured`)
-        this is extrapolation and holds only as far as the model does. Of joints that lead there in a posture of their own
-        asks :meth:`predicted_accuracies_with`. Raises as :meth:`inverse`.
+        this is extrapolation and holds only as far as the model does. Of a posture of one's own asks
+        :meth:`predicted_accuracies_with`. Raises as :meth:`inverse`.
         """
         said = self.predicted_accuracy(coordinates, frame=frame, temperature_c=temperature_c, direction=direction)
         return said.total_mm

@@ -20,7 +20,7 @@ from .alignment import at_times
 from .consistency import NeesConsistency, knowledge, known_of
 from .filters import Estimate, tracked
 from .runs import ELSEWHERE_MM, ToolRun
-from .tool import FIBRES, POSITION, TURN
+from .tool import FIBRES, POSITION, TURN, FlexibleTool
 
 _PUT_RIGHT, _AGAIN = "put that right, and estimate again", "use the other seconds, or measure again"
 
@@ -221,14 +221,14 @@ def _of_angles(order: str, run: ToolRun) -> ToolRun:
     return replace(run, turn_rad=scipy.spatial.transform.Rotation.from_euler(order, run.turn_rad).as_rotvec())
 
 
-def _turned_round(run: ToolRun) -> ToolRun:
-    """With the gratings turned by half a turn about the shaft."""
-    of, half = scipy.spatial.transform.Rotation, [0.0, 0.0, np.pi]
-    return replace(run, turn_rad=(of.from_rotvec(run.turn_rad) * of.from_rotvec(half)).as_rotvec())
+def _about_shaft(turn_rad: float, run: ToolRun) -> ToolRun:
+    """With the gratings turned about the shaft."""
+    of, by = scipy.spatial.transform.Rotation, [0.0, 0.0, turn_rad]
+    return replace(run, turn_rad=(of.from_rotvec(run.turn_rad) * of.from_rotvec(by)).as_rotvec())
 
 
 _ANGLES = "robot_rx_rad, robot_ry_rad and robot_rz_rad are roll, pitch and yaw about axes that"
-_UNDONE: dict[str, Callable[[ToolRun], ToolRun]] = {
+_ANYHOW: dict[str, Callable[[ToolRun], ToolRun]] = {
     "robot_x_mm and robot_y_mm are exchanged": lambda run: replace(run, position_mm=run.position_mm[:, [1, 0, 2]]),
     "robot_rx_rad, robot_ry_rad and robot_rz_rad are those of the inverse turn, base to tool": lambda run: replace(
         run, turn_rad=-run.turn_rad
@@ -236,8 +236,25 @@ _UNDONE: dict[str, Callable[[ToolRun], ToolRun]] = {
     f"{_ANGLES} stand still, and no rotation vector": partial(_of_angles, "xyz"),
     f"{_ANGLES} turn with the tool, and no rotation vector": partial(_of_angles, "XYZ"),
     "the tool was mounted half a turn about its shaft from how it stood on the bench, or both forces of the bench have "
-    "the other sign": _turned_round,
+    "the other sign": partial(_about_shaft, np.pi),
+    "the tool was mounted a quarter turn about its shaft from how it stood on the bench": partial(
+        _about_shaft, 0.5 * np.pi
+    ),
+    "the tool was mounted a quarter turn about its shaft from how it stood on the bench, to the other side": partial(
+        _about_shaft, -0.5 * np.pi
+    ),
 }
+
+
+def _undone(tool: FlexibleTool) -> dict[str, Callable[[ToolRun], ToolRun]]:
+    """Each mistake that a run may have with what undoes it."""
+    said = f"{listed(POSITION)} are those of the flange, and not of the unbent tip {tool.length_mm:.3g} mm further on"
+    return {**_ANYHOW, said: partial(_along_shaft, tool.length_mm)}
+
+
+def _along_shaft(by_mm: float, run: ToolRun) -> ToolRun:
+    """With places so much further on towards the tip."""
+    return replace(run, position_mm=run.position_mm + by_mm * run.rotations[:, :, 2])
 
 
 def exchanged(e: Estimate, truths: list[NeesConsistency]) -> list[str]:
@@ -256,7 +273,7 @@ def exchanged(e: Estimate, truths: list[NeesConsistency]) -> list[str]:
         return np.asarray(((at_times(run.time_s, tip_mm, moments) - seen) ** 2).sum(axis=1))
 
     own, told = float(squares(e.together.value[:, 1:]).mean()), []
-    for what, undone in _UNDONE.items():
+    for what, undone in _undone(tool).items():
         made = tracked(tool, undone(run))
         place, spread = made["state"][:, 1:], made["covariance"][rows][:, 1:, 1:]
         after = _off(e, place, moments, seen)
@@ -282,7 +299,7 @@ def across(e: Estimate) -> list[str]:
     if before < _STRAYS_MM_S:
         return []
     told = {}
-    for what, undone in _UNDONE.items():
+    for what, undone in _undone(e.tool).items():
         told[what] = _strays(np.sqrt(tracked(e.tool, undone(e.run))["inner"][:, 1]))
     what = min(told, key=lambda one: told[one])
     if told[what] > _STILL * before:

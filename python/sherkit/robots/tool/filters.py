@@ -146,11 +146,11 @@ class Estimate(Shown):
     ``fibre_depth_std_mm``, NaN or infinite without force; ``held_depth_mm`` (n,) repeats the last depth of a force, as
     a display would. ``together`` is what a loop runs (:class:`sherkit._core.ToolFilter`): depth and tip, with the
     calibration's doubt in the deviations; so is ``force_mn`` (n, 2), the force of the hole across the shaft in the
-    tool's frame, without gratings that are not believed, with ``force_std_mn`` (n,) of each component. ``depth`` and ``tip`` are its parts, or, where the tool asks for the paper's
-    noise, the filters of Eqs. 8 and 14. ``misfit`` (n,) is about 1 where the moments agree; ``faulty`` (n,) has a bit
-    for each grating that was not believed, ``faulty_sections`` (n, 3) says where, ``gated`` (n,) whose reading was not
-    used, and ``faults`` names them. ``arc_mm`` (n,) is the length of shaft beyond the hole, where ``depth`` is the
-    paper's l.
+    tool's frame, without gratings that are not believed, with ``force_std_mn`` (n,) of each component. ``depth`` and
+    ``tip`` are its parts, or, where the tool asks for the paper's noise, the filters of Eqs. 8 and 14. ``misfit`` (n,)
+    is about 1 where the moments agree; ``faulty`` (n,) has a bit for each grating that was not believed,
+    ``faulty_sections`` (n, 3) says where, ``gated`` (n,) whose reading was not used, and ``faults`` names them.
+    ``arc_mm`` (n,) is the length of shaft beyond the hole, where ``depth`` is the paper's l.
     ``paper`` are depth and tip (n, 4) by the paper's own filters (Eqs. 8 and 14), always beside the others, and
     ``hole`` (n, 4) what was learnt: its clearance (mm), what it gives way (mm/mN), the gratings' turn (rad), and by how
     much they count all depths deeper (mm). ``goes_along`` (n,) is by which share of its slides
@@ -302,8 +302,8 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     inner = told["inner"]
     return Estimate(
         tool, run, measured, told["misfit"], chosen.part(DEPTH_PART), chosen.part(TIP_PART), together,
-        told["force_mn"], np.sqrt(told["force_variance"]), told["faulty"], told["arc_mm"], paper, inner[:, 2:6], inner[:, 10], inner[:, 11], inner[:, 12],
-        np.sqrt(inner[:, 1]),
+        told["force_mn"], np.sqrt(told["force_variance"]), told["faulty"], told["arc_mm"], paper, inner[:, 2:6],
+        inner[:, 10], inner[:, 11], inner[:, 12], np.sqrt(inner[:, 1]),
     )  # fmt: skip
 
 
