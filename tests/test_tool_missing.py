@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 import sherkit as sk
 from consistency import named
+from running import slow
 from second_tool import CONDITIONS
 from sherkit.diagnosis.result import StepReport
-from sherkit.errors import MeasurementError
+from sherkit.errors import MeasurementError, SherkitWarning
 from sherkit.robots.tool import places as tip_places
 from sherkit.robots.tool.effects import TOOL_CATALOGUE
 from sherkit.robots.tool.filters import estimate
@@ -129,6 +130,19 @@ def test_nothing_is_found_where_nothing_is() -> None:
     for seed in (2, 3):
         d = diagnosed(None, seed)
         assert (d.verdict, d.effects) == ("adequate", ())
+
+
+@pytest.mark.parametrize("shows", [np.nan, *slow(0.0, 1531.03)])
+def test_seconds_of_a_dead_grating_are_not_looked_at(shows: float) -> None:
+    """Catches a fibre that is dead from the middle on, as physics that is missing: "12 mm are left, columns are not as
+    they should be", where the filter names it and does without."""
+    run = planted(None, 3).run("vessels", seconds=20.0, seed=3)
+    waves = run.wavelengths_nm.copy()
+    waves[len(waves) // 2 :, 0] = shows
+    with pytest.warns(SherkitWarning, match=r"always the same: fbg1_nm in (49|50)% of the rows"):
+        model = ToolModel(FlexibleTool(), replace(run, wavelengths_nm=waves))
+    d = sk.diagnose(sk.identify(model, model.readings))
+    assert (d.verdict, d.effects) == ("adequate", ())
 
 
 def test_wrong_pictures_are_listed() -> None:

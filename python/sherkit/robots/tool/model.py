@@ -6,6 +6,7 @@ the tip would be with it (`effects.py`).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -18,11 +19,12 @@ import scipy
 from numpy.typing import NDArray
 
 from ...base import linalg
+from ...base.figures import listed
 from ...base.notebook import Saved
 from ...base.types import Floats
 from ...data import Measurements, from_arrays
 from ...diagnosis import Diagnosis
-from ...errors import FitError, MeasurementError, RobotError
+from ...errors import FitError, MeasurementError, RobotError, SherkitWarning
 from ...fit.identify import Fit, identify
 from ...model.drawing import Drawing, DrawnPart, line, with_target
 from ...model.effect import Effect, Parameter
@@ -30,8 +32,8 @@ from ...model.rows import EffectRows
 from .alignment import at_times
 from .effects import TOOL_CATALOGUE, ToolEffect
 from .places import TipPlaces
-from .runs import ToolRun, check_camera, check_wavelengths, require_camera, warn_frozen
-from .tool import FlexibleTool, nested, rotation_of
+from .runs import OUT_OF_REACH_NM, ToolRun, check_camera, check_wavelengths, require_camera, warn_frozen
+from .tool import FIBRES, FlexibleTool, nested, rotation_of
 
 # -- As it is drawn -----------------------------------------------------------------------------------------------
 
@@ -88,6 +90,8 @@ def drawing(
 
 # -- The model ----------------------------------------------------------------------------------------------------
 
+#: Part of a run in which a grating shows nothing that is dead; readings of one number after which one is.
+_OUT, _LONG = 0.1, 20
 #: Column of the rows that says which picture a row is.
 _PICTURE = "picture"
 _LEAST = 20
@@ -114,6 +118,14 @@ class ToolModel(Saved):
     def __post_init__(self) -> None:
         require_camera(self.run)
         warn_frozen(self.run)
+        if self.dead.any():
+            out = [f"{n} in {s:.0%}" for n, s in zip(FIBRES, self._silent.mean(axis=0), strict=True) if s > _OUT]
+            warnings.warn(
+                f"{self.run.source}: shows nothing, or always the same: {listed(out)} of the rows; pictures of that "
+                "time are not looked at",
+                SherkitWarning,
+                stacklevel=2,
+            )
         if int(self.pictures.sum()) < _LEAST:
             raise MeasurementError(
                 f"{self.run.source}: {int(self.pictures.sum())} pictures lie within the robot's time; expected "
@@ -125,6 +137,25 @@ class ToolModel(Saved):
         check_camera(at_times(self.run.time_s, self.run.position_mm, self.moments_s), self.seen_mm, self.run.source)
 
     @cached_property
+    def _silent(self) -> NDArray[np.bool_]:
+        """Gratings (n, 9) that show nothing in a row in which others do: no number, none of this tool, or a number for
+        long."""
+        waves, out = self.run.wavelengths_nm, np.zeros(self.run.wavelengths_nm.shape, dtype=bool)
+        rows = np.flatnonzero(np.isfinite(waves).any(axis=1))
+        shown = waves[rows]
+        off = np.abs(shown - np.array(self.tool.reference_nm))
+        out[rows] = ~(off < OUT_OF_REACH_NM)
+        for k, stretch in enumerate(np.cumsum(np.diff(shown, axis=0, prepend=np.nan) != 0, axis=0).T):
+            out[rows, k] |= np.bincount(stretch)[stretch] > _LONG
+        # where all do it is the world, or another tool
+        return out & ~out.all(axis=1, keepdims=True)
+
+    @cached_property
+    def dead(self) -> NDArray[np.bool_]:
+        """Rows (n,) of the robot in which a grating shows nothing that does so for a good part of the run."""
+        return np.asarray(self._silent[:, self._silent.mean(axis=0) > _OUT].any(axis=1))
+
+    @cached_property
     def pictures(self) -> NDArray[np.bool_]:
         """Pictures (m,) inside the robot's time, with room for an effect of the delay, and not of seconds in which the
         robot's pose or the wavelengths froze."""
@@ -133,7 +164,8 @@ class ToolModel(Saved):
         inside = (moment >= self.run.time_s[0] + room) & (moment <= self.run.time_s[-1] - room)
         for one in (*self.run.frozen_fibres, *self.run.frozen_pose):
             inside &= (moment < one.since_s - room) | (moment > one.until_s + room)
-        return inside
+        after = np.searchsorted(self.run.time_s, moment).clip(0, len(self.run) - 1)
+        return inside & ~self.dead[after] & ~self.dead[(after - 1).clip(0)]
 
     @cached_property
     def moments_s(self) -> Floats:
@@ -219,7 +251,9 @@ class ToolModel(Saved):
 
     @cached_property
     def _places(self) -> TipPlaces:
-        return TipPlaces(self.tool, self.run, self.moments_s)
+        waves = np.where(self.dead[:, None], np.nan, self.run.wavelengths_nm)
+        run = replace(self.run, wavelengths_nm=waves) if self.dead.any() else self.run
+        return TipPlaces(self.tool, run, self.moments_s)
 
     @staticmethod
     def _rows(data: Measurements) -> NDArray[np.int64]:
