@@ -22,7 +22,7 @@ from sherkit.errors import RobotError, SherkitError
 from sherkit.model.sensor_pose import POSE, SPACE, by_pose, rotation_matrix
 from sherkit.model.sensor_pose import seen_from as seen_by
 from sherkit.robots.machine import load_machine
-from sherkit.robots.machine.core import is_point_in_space
+from sherkit.robots.machine.generic_effects import is_point_in_space
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "machines"
 MACHINE: dict[str, sk.Machine] = {}

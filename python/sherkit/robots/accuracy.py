@@ -273,11 +273,10 @@ class Accurate(Deployed):
         The whole of :meth:`predicted_accuracy`: what the poses of the run show, and what they could not have shown.
         In the frame of the base what no reading tells of where the instrument stood is part of it. At
         ``temperature_c``, by default the mean of the run, and at its end. Where no pose was measured (:meth:`measured`)
-        this is extrapolation and holds only as far as the model does. Of a posture of one's own asks
-        :meth:`predicted_accuracies_with`. Raises as :meth:`inverse`.
+        this is extrapolation. For a posture: :meth:`predicted_accuracies_with`. Raises as :meth:`inverse`.
         """
-        said = self.predicted_accuracy(coordinates, frame=frame, temperature_c=temperature_c, direction=direction)
-        return said.total_mm
+        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction}
+        return self.predicted_accuracy(coordinates, **now).total_mm
 
     def repeatability(self, coordinates: ArrayLike) -> float:
         """Radius, mm, about the mean of many visits to ``coordinates`` (k,) that holds 95 of 100 readings there, the

@@ -15,8 +15,8 @@ from ...model.kinds import Kind, Robot, known_kinds, register
 from ...model.python_file import carried, portable, run_python
 from ...model.robot_file import RobotLike, load_robot
 from .calibration import MachineCalibration
-from .core import machine_catalogue
 from .described import MachineDescription
+from .generic_effects import machine_catalogue
 from .model import MachineModel
 
 # -- What a machine brings ------------------------------------------------------------------------------------------

@@ -22,8 +22,9 @@ from ...errors import FitError, NotConverged, RobotError
 from ...model.batch import Batch, matrix, vector
 from ...model.effect import Parameter
 from ...model.sensor_pose import FREE, OWN_AXES, POSE, SensorPose
-from .core import Generic, MachineCore, generic_effects, is_point_in_space, sensor_pose
+from .core import MachineCore
 from .function import Derivative, Forward, UserFunction, settled, starts
+from .generic_effects import Generic, generic_effects, is_point_in_space, sensor_pose
 
 #: Where joints range whose limits nobody gives, by unit: so far from zero on both sides.
 _RANGE = {"mm": 100.0, "um": 1e5, "m": 0.1, "rad": 1.0, "mrad": 1e3, "deg": 60.0}
