@@ -192,7 +192,7 @@ def test_a_scale_common_to_all_axes_may_be_the_tracker_s() -> None:
 
 def test_scales_and_couplings_count_from_where_a_joint_goes(tmp_path: Path) -> None:
     """Catches effects of a joint that count from a zero far outside of its travel: the geometry then makes up for their
-    mean, and the robot file is accused (cable robots and cranes: 17 of 32 couplings and scales, 0 now). And a
+    mean, and the robot file is accused (cable robots: 13 of 16 couplings and scales, 0 now). And a
     calibration that means another thing when the range is declared anew, or was kept before there was a home."""
 
     def described(low: float) -> sk.Machine:

@@ -376,7 +376,7 @@ def test_a_table_is_read_from_a_pipe(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "meant"),
     [
-        ("X_mm", "x_mm"), ("x_mmm", "x_mm"), ("sigma_y", "sigma_y_mm"), ("outliers", "outlier"), ("Repeat", "repeat"),
+        ("x_mmm", "x_mm"), ("sigma_y", "sigma_y_mm"), ("outliers", "outlier"), ("Repeat", "repeat"),
         ("time", "time_s"),
     ],
 )  # fmt: skip
@@ -385,6 +385,13 @@ def test_a_covariate_that_looks_like_a_slip_is_warned_of(name: str, meant: str) 
     columns = {f"{n}_mm": [1.0, 2.0] for n in ("q1", "q2", "q3", "y")}
     with pytest.warns(SherkitWarning, match=f"column '{name}' is taken as a covariate; is it meant to be '{meant}'"):
         assert name in from_frame({**columns, name: [1.0, 1.0]}).covariates
+
+
+def test_a_reading_in_capitals_is_no_covariate() -> None:
+    """Catches a run of two coordinates of three, since the third is called otherwise."""
+    columns = {f"{n}_mm": [1.0, 2.0] for n in ("q1", "q2", "q3", "y", "z", "X")}
+    with pytest.raises(MeasurementError, match=r"'X_mm' is not read as 'x_mm'.* x_mm = \"X_mm\""):
+        from_frame(columns)
 
 
 def test_other_covariates_pass_without_a_word() -> None:

@@ -64,7 +64,7 @@ def stand_of(
     if len(parts := _set_ups(data)) > 1:
         by = np.zeros(used.shape) if corrected is None else corrected
         stands = [stand_of(model, data.select(rows), values, axes, used[rows], by[rows]) for rows in parts]
-        return _each(parts, stands, used)
+        return _each(parts, stands, used, values)
     chosen = list(axes)
     by = np.zeros(used.shape) if corrected is None else corrected
     names = [data.layout.readings[a] for a in axes]
@@ -93,7 +93,7 @@ def _set_ups(data: Measurements) -> list[Ints]:
     return [np.flatnonzero(data.set_up == name) for name in (*every, data.last_set_up)]
 
 
-def _each(parts: Sequence[Ints], stands: Sequence[RunPose], used: Bools) -> RunPose:
+def _each(parts: Sequence[Ints], stands: Sequence[RunPose], used: Bools, values: Floats) -> RunPose:
     """The stands of set-ups as one: each moves its own rows alone; how far, is said of the last."""
     residual = np.zeros(used.shape)
     columns = np.zeros((*used.shape, sum(one.columns.shape[2] for one in stands)))
@@ -102,7 +102,7 @@ def _each(parts: Sequence[Ints], stands: Sequence[RunPose], used: Bools) -> RunP
         end = first + one.columns.shape[2]
         residual[rows], columns[rows, :, first:end] = one.residual, one.columns
         first = end
-    return RunPose(residual, columns, stands[-1].moved, stands[0].values)
+    return RunPose(residual, columns, stands[-1].moved, values)
 
 
 def _rigid(

@@ -236,7 +236,9 @@ def check_columns(names: list[str], where: str, own: Sequence[Layout] = (), *, t
         if f"{stem}_rad" in absent and name.removeprefix(stem) in ANGLES:
             raise MeasurementError(f"{where}: column '{name}': convert it to radians and name it '{stem}_rad'")
         typed = closest(name.lower(), absent, cutoff=_MISSPELT)
-        if typed and name not in layout.velocities:
+        # a reading in capitals is refused
+        capitals = typed == name.lower() and typed in (*layout.joints, *layout.readings)
+        if typed and not capitals and name not in layout.velocities:
             message = f"{where}: column '{name}' is taken as a covariate; is it meant to be '{typed}'?"
             warnings.warn(message, SherkitWarning, stacklevel=2)
     return layout

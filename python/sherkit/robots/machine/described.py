@@ -24,7 +24,7 @@ from ...model.effect import Parameter
 from ...model.sensor_pose import FREE, OWN_AXES, POSE, SensorPose
 from .core import MachineCore
 from .function import Derivative, Forward, UserFunction, settled, starts
-from .generic_effects import Generic, generic_effects, is_point_in_space, sensor_pose
+from .generic_effects import Generic, generic_effects, home_of, is_point_in_space, sensor_pose
 
 #: Where joints range whose limits nobody gives, by unit: so far from zero on both sides.
 _RANGE = {"mm": 100.0, "um": 1e5, "m": 0.1, "rad": 1.0, "mrad": 1e3, "deg": 60.0}
@@ -348,7 +348,7 @@ def _columns(
     known = np.column_stack([60.0 * np.arange(n), 20.0 + rng.normal(size=n), rng.choice([-1.0, 1.0], (n, k)),
                              rng.normal(size=(n, k)), 20.0 + rng.normal(size=n)])  # fmt: skip
     late = 30.0 * n
-    home = tuple(function.box.mean(axis=1).tolist())
+    home = home_of(function.box)
     core = MachineCore(function, tuple(effects), pose, (1.0,) * k, home, 0.0, late, late, late)
     total = count + sum(len(one.parameters) for one in effects)
     values = np.zeros(total)

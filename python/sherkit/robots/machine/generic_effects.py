@@ -174,6 +174,13 @@ def generic_effects(
     return tuple(one for one in out if one.parameters)
 
 
+def home_of(box: Floats) -> tuple[float, ...]:
+    """From where scales and couplings of joints count that range over a box (k, 2): from zero, as encoders do, and
+    where that is none of their readings from the middle. From far outside the geometry would make up for the mean."""
+    low, high = box.reshape(-1, 2).T
+    return tuple(np.where((low <= 0.0) & (high >= 0.0), 0.0, 0.5 * (low + high)).tolist())
+
+
 def sensor_pose(names: Collection[str]) -> Generic:
     """These numbers of the sensor's pose, as what every machine has whose readings are places in space."""
     which = [POSE.index(name) for name in POSE if name in names]

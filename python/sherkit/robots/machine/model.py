@@ -21,6 +21,7 @@ from ...model.effect import Effect, Setting
 from ...model.sensor_pose import seen_from
 from .core import MachineCore
 from .described import MachineDescription
+from .generic_effects import home_of
 
 #: Poses from which the next ones are chosen.
 _POSES = 400
@@ -35,8 +36,8 @@ _DIGITS = {"mm": 2, "rad": 4, "deg": 2, "px": 1}
 @dataclass(frozen=True)
 class MachineModel(ChainModel):
     """A machine with its parameters and effects to identify. Its tables are those of a subclass for each machine
-    (:mod:`~sherkit.robots.machine`). Scales and couplings of joints count from ``home``, None for the middle of their
-    ranges: from a zero far outside of these the geometry would have to make up for the mean."""
+    (:mod:`~sherkit.robots.machine`). Scales and couplings of joints count from ``home``; None: as :func:`home_of`
+    has it of their ranges."""
 
     robot: MachineDescription
     slip_time_s: float = 0.0
@@ -76,6 +77,11 @@ class MachineModel(ChainModel):
         """All of them, and what is open of the sensor's pose."""
         return tuple(p.name for p in self.base)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.home is None:
+            object.__setattr__(self, "home", home_of(self.robot.box))
+
     def settings(self) -> dict[str, Setting | None]:
         """Moments of the slips, lag of the stands, origin of time, home, and the period of the encoders where all
         joints have one."""
@@ -84,8 +90,9 @@ class MachineModel(ChainModel):
             "joint_slip_time_s": self.joint_slip_time_s,
             "thermal_shift_lag_s": self.thermal_shift_lag_s,
             "time_origin_s": self.time_origin_s,
-            "home": tuple(self.robot.box.mean(axis=1).tolist()) if self.home is None else self.home,
         }
+        if len(self.robot.box):
+            times["home"] = self.home
         searched = {one.search for one in self.robot.effects}
         if self.robot.pose is not None:
             times["sensor_slip_time_s"] = self.sensor_slip_time_s
@@ -96,7 +103,7 @@ class MachineModel(ChainModel):
         """The chain."""
         waves = 2.0 * np.pi / self.periods(self.layouts[0].joints, 1.0)
         times = (self.time_origin_s, self.slip_time_s, self.joint_slip_time_s, self.sensor_slip_time_s)
-        home, count = self.settings()["home"], len(self.robot.box)
+        home, count = self.home, len(self.robot.box)
         if isinstance(home, tuple) and len(home) != count:
             raise EffectError(f"home: expected one number, or {count}, one for each joint; found {len(home)}")
         zeros = home if isinstance(home, tuple) else (home or 0.0,) * count

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -24,6 +24,8 @@ _ROUNDS = 30
 _OFF, _TIMES, _MOST = 0.25, 8.0, 0.1
 #: Gains agree with a drawing where they differ by less than this share, and do not where by more than the other.
 _LIKE, _UNLIKE = 0.35, 0.7
+#: Columns are exchanged where with that undone loads are off by less than this part of what they are.
+_FOLLOWS = 0.4
 #: Millinewtons in a gram-force, and how near to that a drawing's sizes come.
 _GRAM_FORCE, _NEAR = 9.80665, 0.25
 
@@ -48,8 +50,9 @@ def against_drawing(tool: FlexibleTool, rows: LoadRows) -> list[str]:
     """Sentences on what the columns have wrong, by the drawing."""
     drawn = np.array(tool.gains)
     gains = robust_gains(tool, rows)
+    if told := _across_sections(tool, rows, gains):
+        return told
     size = float(np.linalg.norm(gains) / np.linalg.norm(drawn))
-    told: list[str] = []
     for factor, unit in (
         (1.0 / _GRAM_FORCE, "gram-force"),
         (_GRAM_FORCE, "mN where the file's gains are per gram-force"),
@@ -71,6 +74,28 @@ def against_drawing(tool: FlexibleTool, rows: LoadRows) -> list[str]:
             "two columns of fibres are exchanged in both sections"
         )
     return told
+
+
+def _across_sections(tool: FlexibleTool, rows: LoadRows, gains: Floats) -> list[str]:
+    """Gratings of two sections in each other's columns: what no gains of these columns follow, and those of others do,
+    whatever the drawing has."""
+    own, best = _left(tool, rows, gains), (np.inf, "")
+    for a, b in product(range(3), range(3, 6)):
+        order = np.arange(6)
+        order[[a, b]] = b, a
+        undone = replace(rows, shifts_nm=rows.shifts_nm[:, order])
+        left = _left(tool, undone, robust_gains(tool, undone))
+        best = min(best, (left, f"{FIBRES[a]} and {FIBRES[b]} are exchanged"))
+    if best[0] > _FOLLOWS * own:
+        return []
+    return [f"{best[1]}: loads are off by {own:.2g} of their moments, with that undone by {best[0]:.2g}"]
+
+
+def _left(tool: FlexibleTool, rows: LoadRows, gains: Floats) -> float:
+    """By which share of their moments half of the loads are off."""
+    moments = _moments(tool, rows)
+    off = np.einsum("sad,nsd->nsa", gains @ DIFFERENCES.T, rows.differences_nm) - moments
+    return float(np.median(np.linalg.norm(off, axis=2) / np.linalg.norm(moments, axis=2)))
 
 
 def _undone(tool: FlexibleTool, rows: LoadRows, gains: Floats) -> Iterator[tuple[str, Floats]]:
