@@ -35,8 +35,7 @@ from .repeats import contradicted, in_repeats, noise_beside, steps_in
 from .result import Diagnosis, verdict_of
 from .selection import NamedEffects, not_needed, searched
 from .sensor_pose import taken_by_pose
-from .signature import numbers_of, signature_of, waves_in_words
-from .template import course
+from .signature import bends_in_words, signature_of, waves_in_words
 from .where import confounded_with, neighbour_correlation, slow_drift_of, smallest_found, where
 
 LEVEL = 0.01
@@ -192,7 +191,8 @@ def _diagnosed(
     )  # fmt: skip
     verdict = verdict_of(checks, found.names)
     supposed = final.model.supposed(left=found.structure)
-    caveats = [told for told in (implausible(final.fit, found.names), supposed, _or_bent(found)) if told]
+    bent = bends_in_words(found.names_judged, found.names, [found.final.names[a] for a in found.final.axes])
+    caveats = [told for told in (implausible(final.fit, found.names), supposed, bent) if told]
     # where something else is left, that may be what changes with time
     if slow_drift is not None and slow_drift.counts and verdict in ("adequate", "explained"):
         caveats.append(
@@ -251,17 +251,6 @@ def _diagnosed(
         elsewhere=None if run.is_exact or not look else final.fit.elsewhere,
     )
     return replace(said, findings=findings_of(said))
-
-
-def _or_bent(found: NamedEffects) -> str:
-    """A bend that these rows cannot tell from a wave which is named; empty where there is none."""
-    judged = found.names_judged
-    told = [] if judged is None else [one for one in judged.told if one.bend and one.name in found.names]
-    return "; ".join(
-        f"it may as well be that {course(numbers_of(one.bend, [found.final.names[a] for a in found.final.axes]))}: "
-        f"of {one.name} too little is seen to tell it from a bend"
-        for one in told if one.bend
-    )  # fmt: skip
 
 
 def _next(found: NamedEffects, sigma: Floats) -> Proposal:

@@ -16,7 +16,7 @@ from ..evidence.names import Names
 from ..evidence.run import Run
 from ..evidence.settings import finer
 from ..fit.identify import Fit
-from .template import what_parts
+from .template import course, what_parts
 
 # -- Signature ---------------------------------------------------------------------------------------------------------
 
@@ -108,6 +108,16 @@ def _axes_of(base: Base, with_it: Base, noise: float, count: int, axes: list[str
 
 #: Deviations below which the waves of a joint are none.
 _TOLD = 3.0
+
+
+def bends_in_words(judged: Names | None, names: Sequence[str], readings: Sequence[str]) -> str:
+    """Bends that a run cannot tell from waves which are named; empty where there is none."""
+    told = [] if judged is None else judged.told
+    return "; ".join(
+        f"it may as well be that {course(numbers_of(one.bend, readings))}: of {one.name} too little is seen to tell it "
+        "from a bend"
+        for one in told if one.bend is not None and one.name in names
+    )  # fmt: skip
 
 
 def waves_in_words(fit: Fit) -> Iterator[str]:
