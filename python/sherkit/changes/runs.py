@@ -325,14 +325,14 @@ def zeros_of(candidates: Sequence[Effect], columns: Mapping[str, Floats], joints
     length = np.linalg.norm(flat, axis=0)
     for parameter in (effect for effect in candidates if effect.frees):
         own = columns[parameter.name]
+        alone = orthonormal(own)
+        moves = np.linalg.norm(flat - alone @ (alone.T @ flat), axis=0)
         for joint in joints.T:
             both = np.concatenate([own, own * (joint - joint.mean())[:, None, None]], axis=2)
             basis = orthonormal(both)
             if basis.shape[1] < both.shape[2]:
                 continue
             left = np.linalg.norm(flat - basis @ (basis.T @ flat), axis=0)
-            alone = orthonormal(own)
-            moves = np.linalg.norm(flat - alone @ (alone.T @ flat), axis=0)
             for k in np.flatnonzero((left < _ALIKE * length) & (moves > _ALIKE * length)):
                 out.setdefault(numbers[k], []).append(parameter)
     return out

@@ -219,17 +219,19 @@ class Base:
         for block in blocks:
             columns, common = self.family.columns.of(block.at), self.in_common(block)
             if common:
-                q = now._beyond(columns[:, -common:], HELD_SHAPE**0.5)
-                basis = np.concatenate([now.basis, q], axis=1)
-                now = replace(now, basis=basis, residual=now.residual - q @ (q.T @ now.residual))
+                now = now._without(now._beyond(columns[:, -common:], HELD_SHAPE**0.5))
             q = now._beyond(columns[:, : len(block.at) - common], HELD_SHAPE**0.5)
             size = q.T @ now.residual
             part, free = float(size @ size) / max(now.rss, 1e-300), now.free / self.family.run.shared
             evidence += float(log_bayes(np.array([part]), np.array([q.shape[1]]), free, count)[0])
             evidence += float(self.family.log_weight[self.family.where(block)])
-            basis = np.concatenate([now.basis, q], axis=1)
-            now = replace(now, basis=basis, residual=now.residual - q @ size)
+            now = now._without(q)
         return evidence
+
+    def _without(self, q: Floats) -> Self:
+        """The same without what an orthonormal basis (N, k) beside its own holds; what blocks then say is not asked."""
+        basis = np.concatenate([self.basis, q], axis=1)
+        return replace(self, basis=basis, residual=self.residual - q @ (q.T @ self.residual))
 
     @property
     def evidence(self) -> float:

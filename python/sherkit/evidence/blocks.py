@@ -32,9 +32,8 @@ class Block:
     ``at`` (k,) are the numbers of its columns in the family. Of a shape ``axis`` is the reading it is on, None for all;
     ``pattern`` the joint as whose error it arrives, and of an effect the part that it is of alone; ``order`` that of a
     polynomial and ``period`` that of a wave. Where runs of one machine are joined, ``since`` is the number of the
-    course in which it changes over them, and so many of its last columns, ``zeros``, say where the effect has its
-    zero. ``ways`` is the logarithm of how many others it was chosen from, beside those
-    that are blocks.
+    course in which it changes over them; of a check so many of its last columns, ``zeros``, say where the effect has
+    its zero. ``ways`` is the logarithm of how many others it was chosen from, beside those that are blocks.
     """
 
     shape: str

@@ -33,7 +33,7 @@ _GRAM_FORCE, _NEAR = 9.80665, 0.25
 def wrong_loads(tool: FlexibleTool, rows: LoadRows) -> tuple[Bools, Floats]:
     """Rows (n,) whose force is not what their gratings say, and by how much the gratings' is larger (n,)."""
     moments = _moments(tool, rows)
-    told = np.einsum("sad,nsd->nsa", robust_gains(tool, rows) @ DIFFERENCES.T, rows.differences_nm)
+    told = _told(rows, robust_gains(tool, rows))
     size = np.linalg.norm(moments, axis=2)
     # a wrong load is wrong at both sections, what is off at one alone is a small moment in noise
     off = (np.linalg.norm(told - moments, axis=2) / size).min(axis=1)
@@ -94,8 +94,8 @@ def _across_sections(tool: FlexibleTool, rows: LoadRows, gains: Floats) -> list[
 def _left(tool: FlexibleTool, rows: LoadRows, gains: Floats) -> float:
     """By which share of their moments half of the loads are off."""
     moments = _moments(tool, rows)
-    off = np.einsum("sad,nsd->nsa", gains @ DIFFERENCES.T, rows.differences_nm) - moments
-    return float(np.median(np.linalg.norm(off, axis=2) / np.linalg.norm(moments, axis=2)))
+    off = np.linalg.norm(_told(rows, gains) - moments, axis=2)
+    return float(np.median(off / np.linalg.norm(moments, axis=2)))
 
 
 def _undone(tool: FlexibleTool, rows: LoadRows, gains: Floats) -> Iterator[tuple[str, Floats]]:
@@ -120,6 +120,11 @@ def _moments(tool: FlexibleTool, rows: LoadRows) -> Floats:
     """By the drawing's arms (n, 2, 2)."""
     arms = np.array(tool.distances_mm) - rows.depth_mm[:, None]
     return np.asarray((rows.size_mn[:, None] * arms)[:, :, None] * rows.way[:, None, :])
+
+
+def _told(rows: LoadRows, gains: Floats) -> Floats:
+    """By the gratings with these gains (n, 2, 2)."""
+    return np.asarray(np.einsum("sad,nsd->nsa", gains @ DIFFERENCES.T, rows.differences_nm))
 
 
 def robust_gains(tool: FlexibleTool, rows: LoadRows) -> Floats:
