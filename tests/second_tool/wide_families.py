@@ -49,7 +49,7 @@ class Family(Wide):
     at the tip. ``drifts``: kelvin a minute, and how far gratings differ, K. ``late_s`` (two, between which is drawn):
     the robot's rows show where it was so long ago. ``outwards``: how much softer the tissue is on one side.
     ``softer``: by how much the tool bends more than on the bench for the same moment. ``missing``: share of the rows
-    without wavelengths."""
+    without wavelengths. ``aside_mm``: how far (RMS, a coordinate) the eye drifts across the shaft, in 7 to 24 s."""
 
     along: float = 0.0
     lag: float = 0.0
@@ -60,6 +60,7 @@ class Family(Wide):
     outwards: float = 1.0
     softer: float = 0.0
     missing: float = 0.0
+    aside_mm: float = 0.0
 
     def bench(self, *, loads: int = 80, unloaded: int = 20) -> dict[str, Array]:
         """As the sound tool's; where it lags as well, by what stood on it before each row."""
@@ -89,6 +90,12 @@ class Family(Wide):
             deep = gaussian_filter1d(led.deep_mm, 0.05 * _HZ, mode="nearest")
             gone = share * (deep - creeping(deep[:, None], np.ones(1), 1.0 / within_s / _HZ)[:, 0])
             strayed, slack = strayed + gone[:, None] * turn.as_matrix()[:, :, 2], slack + gone
+        if self.aside_mm and led.enters:
+            drawn, shaft = self._rng("aside"), turn.as_matrix()[:, :, 2]
+            waves = np.sin(2 * np.pi * (t[:, None, None] / drawn.uniform(7.0, 24.0, (3, 4)) + drawn.random((3, 4))))
+            gone = self.aside_mm * (waves * drawn.standard_normal((3, 4)) / np.sqrt(2.0)).sum(axis=2)
+            gone -= (gone @ shaft[0])[:, None] * shaft[0]
+            strayed, slack = strayed + gone, slack + np.einsum("ni,ni->n", gone, shaft)
         return strayed, slack
 
     def _second(self, t: Array, hole: Hole) -> Array:
@@ -151,5 +158,6 @@ FAMILIES: dict[str, Callable[[int], Wide]] = {
     "robot late": lambda seed: Family(seed, late_s=(0.02, 0.08)),
     "softer outwards": lambda seed: Family(seed, outwards=5.0),
     "softer tool": lambda seed: Family(seed, softer=0.08),
+    "drifts across": lambda seed: Family(seed, aside_mm=0.3),
     "rows missing": lambda seed: Family(seed, missing=0.05),
 }

@@ -15,11 +15,12 @@ use nalgebra::{Vector2, Vector3};
 const FIRST_PACE: f64 = 0.04;
 const GUESSED_S: f64 = 0.01;
 /// How long the robot's lateness is looked at, and over which time its sign is taken, s; how late one may be, s; what strays
-/// over that time before anything is known of them, mm²; the odds that one is late at all.
+/// over that time before anything is known of them, mm², and what of it is not as it was; the odds that one is late at all.
 const LATE_S: f64 = 30.0;
 const COMPARED_S: f64 = 0.5;
 const MAY_BE_S: f64 = 0.04;
 const STRAYS_MM2: f64 = 0.04;
+const STRAYS_ANEW_MM2: f64 = 0.004;
 const ODDS: f64 = 1.0 / 3.0;
 /// The largest part of strays that goes on as before.
 const MOST_ALIKE: f64 = 0.98;
@@ -119,8 +120,7 @@ impl Edge {
             keeps * goes + sum.dot(&last[0]),
             keeps * all + last[0].norm_squared(),
         ];
-        let alike = self.alike[0] / (self.alike[1] + STRAYS_MM2);
-        let alike = alike.clamp(0.0, MOST_ALIKE);
+        let alike = self.alike();
         let [sum, faster] = [0, 1].map(|i| now[i] - last[i] * alike);
         let [with, own, square, n] = self.late.map(|x| x * keeps);
         let [more, squared] = [sum.dot(&faster), 0.5 * sum.norm_squared()];
@@ -131,6 +131,22 @@ impl Edge {
             n + 1.0,
         ];
     }
+    /// By which part a stray goes on as the one before.
+    #[inline]
+    fn alike(&self) -> f64 {
+        let [goes, all] = self.alike;
+        (goes / (all + STRAYS_MM2)).clamp(0.0, MOST_ALIKE)
+    }
+
+    /// Variance of a coordinate of what strays, mm² a second, as it adds up over a time in which it comes and goes: what goes on
+    /// as before is no new measurement each time.
+    #[inline]
+    fn lasts(&self) -> f64 {
+        let [_, _, square, n] = self.late;
+        let anew = 1.0 - self.alike();
+        (square + STRAYS_ANEW_MM2) / ((n + 1.0) * COMPARED_S * anew * anew)
+    }
+
     /// A force was felt whose components have this variance, where shaft and hole give way so much (mm/mN).
     #[inline]
     pub(super) fn felt(&mut self, s: &mut State, noise: f64, gives: f64, tells: bool) {
@@ -191,6 +207,7 @@ impl Edge {
         } else {
             self.strays = None;
         }
+        let lasts = self.lasts().max(self.mean * elapsed);
         // tissue hardens: what it gives for more force is not quite what it gave for less
         let hard = HARDENS * x[GIVES] * (sizes[1] - sizes[0]);
         for (on, noise) in [ways[1], quarter(&ways[1])].iter().zip(by_noise) {
@@ -199,7 +216,7 @@ impl Edge {
             h[CLEARANCE] = on.dot(&(way - ways[1]));
             h[GIVES] = on.dot(&(way * sizes[0] - now.force));
             h[TURN] = on.dot(&quarter(&(way * offs[0] - here)));
-            let seen = s.see(&h, self.mean * elapsed * elapsed + noise + hard * hard);
+            let seen = s.see(&h, lasts * elapsed + noise + hard * hard);
             let mut innovation = on.dot(&strayed);
             for k in 0..N {
                 innovation -= h[k] * (s.x[k] - x[k]);
