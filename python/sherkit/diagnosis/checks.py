@@ -33,7 +33,7 @@ from .result import (  # fmt: skip
     Check,
 )
 from .selection import NamedEffects
-from .sensor_pose import KNOWN_LEVEL, known_stand
+from .sensor_pose import KNOWN_LEVEL, known_stand, stands_with
 from .where import SlowDrift
 
 
@@ -72,7 +72,7 @@ def checks_of(
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
         "by the weighted mean of the Bayes factors of all effects and shapes",
-        holds=p > level and not found.structure, p=p, fails=f"what is left has a structure{frozen(final.data)}",
+        holds=p > level and not found.structure, p=p, fails=f"what is left has a structure{frozen(final.data)}{found.unwitnessed}",
     )  # fmt: skip
     error = found.steps[-1].error.rms
     small = _small(final, error, sigma, origin, by_noise)
@@ -177,12 +177,15 @@ def _stands(final: FittedRun, used: str) -> list[Check]:
     stand = known_stand(final.fit)
     if stand is None:
         return []
-    its = "camera" if final.unit == "px" else "sensor"
+    its, holds = "camera" if final.unit == "px" else "sensor", stand.p > KNOWN_LEVEL
+    instead = () if holds else stands_with(final)
+    also = f"; with it there {listed(instead)} would do as well" if instead else ""
     return [
         Check(
             STANDS, f"the {its} stands where the robot's file has it, as well as that is known", used,
-            f"it stands {stand}", holds=stand.p > KNOWN_LEVEL, p=stand.p,
-            fails=f"the {its} stands {stand}: measure again where it stands, or free it ([sensor_pose] free = true)",
+            f"it stands {stand}", holds=holds, p=stand.p,
+            fails=f"the {its} stands {stand}: measure again where it stands, or free it ([sensor_pose] free = true)"
+            + also,
         )
     ]  # fmt: skip
 

@@ -182,11 +182,10 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
         )
     failing = [check for check in d.checks if check.forbids_praise]
     if [check.name for check in failing] == [STANDS]:
+        stands, _, to_do = failing[0].fails.partition(": ")
         return (
-            f"The sensor is not where the robot's file has it: {failing[0].fails.partition(':')[0]}. With it there the "
-            f"model is {off}.",
-            "Measure again where it stands and write that into the robot's file, or free it; what turns or shifts the "
-            "whole robot, as zeros that its joints share, looks the same.",
+            f"The sensor is not where the robot's file has it: {stands}. With it where the readings have it the model is {off}.",
+            f"{to_do[0].upper()}{to_do[1:]}. What turns or shifts the whole robot, as zeros that its joints share, looks the same.",
         )
     if [check.name for check in failing] == [SINGLY]:
         return (

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..base.figures import listed
 from ..base.types import Floats, Ints
 from ..errors import EffectError
 from ..evidence.base import Base
@@ -28,6 +29,7 @@ from .result import StepReport
 
 #: Deviations from which on a value is certainly not zero.
 _SURE_OF = 3.0
+TOO_MANY = "all that is fitted takes more numbers than these poses leave to judge it by"
 
 
 @dataclass(eq=False)
@@ -72,6 +74,15 @@ class NamedEffects:
         """Whether what is left has one that nothing named explains."""
         judged = self.names_judged
         return judged is not None and not (judged.explains and self.added)
+
+    @property
+    def unwitnessed(self) -> str:
+        """What would explain all that is left, were there poses to judge it by; empty where nothing would."""
+        judged = self.names_judged
+        if judged is None or judged.lead is None or not judged.lead.explains or TOO_MANY not in judged.refused.values():
+            return ""
+        would = list(dict.fromkeys(" & ".join(one.names) for one in (judged.lead, *judged.ties)))
+        return f", which {' or '.join(would[:3])} would explain, but {TOO_MANY}: measure more poses"
 
     @property
     def missing(self) -> float:
@@ -156,7 +167,7 @@ def _too_many(run: FittedRun, final: FittedRun) -> str:
     """Why a fit with what was found is no witness; empty where it is one."""
     left = len(np.unique(run.data.groups[run.whole])) * len(run.axes) - final.fit.rank
     if left < final.fit.rank:
-        return "all that is fitted takes more numbers than these poses leave to judge it by"
+        return TOO_MANY
     if run.fit.converged and not final.fit.converged:
         return "with it the fit does not converge"
     return ""

@@ -9,6 +9,7 @@ inference in scientific modelling and robustness", 1980).
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,9 @@ from ..base import linalg
 from ..base.figures import listed, stated
 from ..base.types import Floats
 from ..data import Measurements
+from ..errors import SherkitError
+from ..evidence.fitted_run import FittedRun
+from ..evidence.thresholds import is_plausible
 from ..evidence.whitening import orthonormal
 from ..fit.identify import Fit
 from ..fit.plausible import thinned
@@ -159,6 +163,19 @@ def known_stand(fit: Fit) -> KnownStand | None:
         sizes[0], sds[0], float(np.rad2deg(sizes[1])), float(np.rad2deg(sds[1])),
         float(scipy.special.chdtrc(len(a), square)),
     )  # fmt: skip
+
+
+def stands_with(run: FittedRun) -> tuple[str, ...]:
+    """Effects of a plausible size, each of which alone has the sensor of a run where it is known to stand."""
+    tried, _ = run.model.is_testable([effect for effect in run.catalogue if effect.search is None], run.data)
+    out = []
+    for effect in tried:
+        with contextlib.suppress(SherkitError):
+            more = run.refit([(effect, None)])
+            stand = known_stand(more.fit)
+            if more.fit.converged and is_plausible(more, effect) and stand is not None and stand.p > KNOWN_LEVEL:
+                out.append(effect.name)
+    return tuple(out)
 
 
 # -- What the instrument did in the course of a run --------------------------------------------------------------------

@@ -20,6 +20,8 @@ from .doubt import FEWEST, DataWarning, some
 _SLOW_S = 300.0
 _LONG_S = 86_400.0
 _FEWEST = 5
+#: Joints go where their speeds point in at least this part of a run that was written down whole.
+_FOLLOWS = 0.8
 #: Steps of time that differ by less than this part of them are all equal.
 _EVEN = 1e-6
 #: So many steps of a reading are smaller than its noise where a column was sorted by it, and the chance that all of
@@ -37,9 +39,12 @@ def time_in_milliseconds(data: Measurements) -> Iterator[DataWarning]:
     if velocities and len(velocities) == data.joints.shape[1]:
         # joints tell how fast time runs, where their speeds are known
         order = np.argsort(data.time_s, kind="stable")
-        way = np.abs(np.diff(data.joints[order], axis=0)).sum()
-        by_speed = (np.abs(np.column_stack(velocities)[order][1:]) * gaps[:, None]).sum()
-        if by_speed > 0 and 500.0 < by_speed / max(float(way), 1e-300) < 2000.0:
+        steps, speeds = np.diff(data.joints[order], axis=0), np.column_stack(velocities)[order][1:]
+        way, by_speed = np.abs(steps).sum(), (np.abs(speeds) * gaps[:, None]).sum()
+        # of rows that others stood between, speeds say nothing on the way from one to the next
+        both = (np.linalg.norm(steps, axis=1) * np.linalg.norm(speeds, axis=1)).sum()
+        follows = (steps * speeds).sum() > _FOLLOWS * both
+        if follows and by_speed > 0 and 500.0 < by_speed / max(float(way), 1e-300) < 2000.0:
             yield DataWarning(
                 f"{TIME} looks like milliseconds (ms): at the speeds of the run its joints would have moved "
                 f"{by_speed / way:.0f} times as far as they did; divide {TIME} by 1000"
