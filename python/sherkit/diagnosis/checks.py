@@ -72,7 +72,8 @@ def checks_of(
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
         "by the weighted mean of the Bayes factors of all effects and shapes",
-        holds=p > level and not found.structure, p=p, fails=f"what is left has a structure{frozen(final.data)}{found.unwitnessed}",
+        holds=p > level and not found.structure, p=p,
+        fails=f"what is left has a structure{frozen(final.data)}{found.unwitnessed}",
     )  # fmt: skip
     error = found.steps[-1].error.rms
     small = _small(final, error, sigma, origin, by_noise)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..base.figures import listed
 from ..base.types import Floats, Ints
 from ..errors import EffectError
 from ..evidence.base import Base
