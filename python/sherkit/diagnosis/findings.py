@@ -184,10 +184,9 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
     if [check.name for check in failing] == [STANDS]:
         stands, _, to_do = failing[0].fails.partition(": ")
         return (
-            f"The sensor is not where the robot's file has it: {stands}. With it where the readings have it the model is "
-            f"{off}.",
-            f"{to_do[0].upper()}{to_do[1:]}. What turns or shifts the whole robot, as zeros that its joints share, looks "
-            "the same.",
+            f"The sensor is not where the robot's file has it: {stands}. With it there the model is {off}.",
+            f"{to_do[0].upper()}{to_do[1:]}. What turns or shifts the whole robot, as zeros that its joints share, "
+            "looks the same.",
         )
     if [check.name for check in failing] == [SINGLY]:
         return (

@@ -19,7 +19,7 @@ import scipy
 
 from ..base import linalg
 from ..base.figures import listed
-from ..base.types import Floats
+from ..base.types import Floats, Ints
 from ..model.effect import Effect, Parameter
 
 #: What readings that say nothing weigh, beside a plausible size.
@@ -32,8 +32,10 @@ _AS_WELL = 2.0
 _KNOWN = 1.0 / 3.0
 #: Which form leads among those that fit as well.
 _ORDER = ("common", "opposite", "one")
-#: Parts of a combination below this one of the largest are not named.
-_NAMED = 0.2
+#: A combination is written with the fewest parts and digits with which it is known to this many of its deviations.
+_WRITTEN = 1.5
+#: So many parts are as many as anybody reads: with them it may be known less well.
+_READ = 3
 
 
 @dataclass(frozen=True)
@@ -232,14 +234,17 @@ def _combination(effect: Effect, theta: Floats, c: Floats, size: Floats) -> Simp
     variance, axes = linalg.eigh(c)
     values = []
     for k in np.flatnonzero(np.sqrt(variance.clip(0.0)) < _KNOWN)[:2]:
-        parts = axes[:, k] / size * size[0]
-        top = int(np.argmax(np.abs(axes[:, k])))
-        parts = parts / parts[top]
-        named = [j for j in np.argsort(-np.abs(axes[:, k])) if abs(axes[j, k]) >= _NAMED * abs(axes[top, k])]
-        what = " ".join(_part(float(parts[j]), effect.parameters[j].name, j == named[0]) for j in named)
+        order = np.argsort(-np.abs(axes[:, k]))
+        top = int(order[0])
+        # what is said is known of what is written, not of what was left out and rounded
+        parts, spread = _written(
+            axes[:, k] / axes[top, k] / size * size[top], order, c * np.outer(size, size), _KNOWN * size[top]
+        )
+        what = " ".join(_part(float(parts[j]), effect.parameters[j].name, j == top) for j in order if parts[j])
         factor, unit = _shown(effect.parameters[top])
-        along = float(axes[:, k] @ theta) / axes[top, k]
-        values.append(Value(what, factor * along, factor * float(np.sqrt(variance[k])) / abs(axes[top, k]), unit))
+        if spread < _KNOWN * size[top]:
+            factor /= size[top]
+            values.append(Value(what, factor * float(parts @ (theta * size)), factor * spread, unit))
     if not values:
         return None
     top = int(np.argmin(std))
@@ -248,8 +253,22 @@ def _combination(effect: Effect, theta: Floats, c: Floats, size: Floats) -> Simp
     )
 
 
+def _written(parts: Floats, order: Ints, covariance: Floats, known: float) -> tuple[Floats, float]:
+    """A combination as it is written, its rounded parts (n,), and its deviation, which is ``known`` where it is less."""
+    best = float(np.sqrt(parts @ covariance @ parts))
+    for digits in (2, 3, 4):
+        whole = np.array([float(f"{part:.{digits}g}") for part in parts.tolist()])
+        for count in range(1, len(order) + 1):
+            written = np.zeros(len(parts))
+            written[order[:count]] = whole[order[:count]]
+            spread = float(np.sqrt(written @ covariance @ written))
+            if spread <= _WRITTEN * best or (count == _READ and spread < known):
+                return written, spread
+    return whole, spread
+
+
 def _part(part: float, name: str, first: bool) -> str:
-    size = "" if abs(abs(part) - 1.0) < 0.05 else f"{abs(part):.2g} "
+    size = "" if abs(part) == 1.0 else f"{abs(part):.4g} "
     sign = "-" if part < 0 else "" if first else "+"
     return f"{sign}{'' if first else ' '}{size}{name}"
 
