@@ -18,6 +18,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+import worlds
 from consistency import named
 from running import slow
 from second_simulator import (
@@ -281,6 +282,19 @@ def test_a_users_effect_stands_beside_the_built_in_ones() -> None:
     assert idle.verdict == "adequate"
     assert "floor_heave" in {c.effect for c in idle.candidates}
     assert "floor_heave" in idle.smallest_found
+
+
+def test_candidates_are_known_as_a_fit_with_them_would_know_them() -> None:
+    """Catches deviations in the table of effects that go by a noise which the readings contradict: a tenth of what a
+    calibration says. Nothing is hidden; the noise is declared as a fifth of what it is, seed 2."""
+    world = worlds.delta_world(2)
+    said = {f"sigma_{axis}_mm": np.full(len(world.columns["x_mm"]), 2e-4 * world.noise) for axis in "xyz"}
+    data = sk.from_frame(pl.DataFrame(world.columns | said))
+    (scale,) = (c for c in sk.diagnose(world.robot, data).candidates if c.effect == "joint_scale")
+    fit = sk.identify(world.robot, data, effects=["joint_scale"])
+    for one in scale.parameters:
+        at = [p.name for p in fit.parameters].index(f"joint_scale.{one['name']}")
+        assert one["std"] == pytest.approx(fit.std[at], rel=0.2)
 
 
 def test_an_effect_without_its_column_is_untestable_and_says_why() -> None:

@@ -330,8 +330,11 @@ def _parameters(base: Base, block: Block, columns: Floats, fit: FittedRun | None
     value, vector = linalg.eigh(gram / np.outer(length, length))
     keep = value > 1e-10
     inverse = (vector[:, keep] / value[keep]) @ vector[:, keep].T / np.outer(length, length)
-    x = inverse @ (over.T @ base.residual)
-    std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    right = over.T @ base.residual
+    x = inverse @ right
+    # by what is left beside it, as a full fit counts them
+    left = max(base.rss - float(right @ x), 0.0) / max(base.free - np.count_nonzero(keep), 1)
+    std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * left)
     size = np.array([p.size for p in effect.parameters])
     return x, std, bool((np.abs(x) - 2 * std <= TOLD * size).all())
 

@@ -254,7 +254,7 @@ def _combination(effect: Effect, theta: Floats, c: Floats, size: Floats) -> Simp
 
 
 def _written(parts: Floats, order: Ints, covariance: Floats, known: float) -> tuple[Floats, float]:
-    """A combination as it is written, its rounded parts (n,), and its deviation, which is ``known`` where it is less."""
+    """A combination as it is written, its rounded parts (n,), and its deviation, ``known`` below that size."""
     best = float(np.sqrt(parts @ covariance @ parts))
     for digits in (2, 3, 4):
         whole = np.array([float(f"{part:.{digits}g}") for part in parts.tolist()])
