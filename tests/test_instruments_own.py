@@ -90,6 +90,8 @@ def test_whatever_a_user_has_reads():
     with sensor(mine) as one:
         assert one.read().values == pytest.approx((1.0, math.nan, 3.0), nan_ok=True)
     assert mine.closed == 1
+    with sensor(lambda: None) as one:
+        assert np.isnan(one.read().values).all()
     with sensor(eye, fields=("eye_x", "eye_y", "eye_z")) as one:
         assert eye.staged == 1
         reading = one.read()
@@ -126,12 +128,15 @@ def fails():
 
 
 def test_a_device_that_never_ends_is_told():
-    """Catches a run that waits for ever for a trigger whose status never ends."""
+    """Catches a run that waits for ever for a trigger whose status never ends, and a late reading that is taken."""
 
     class Silent(Readable):
         def trigger(self):
             return Status()
 
+    late = sensor(lambda: time.sleep(0.06) or (1.0, 2.0, 3.0), timeout_s=0.05)
+    with late as one, pytest.raises(Timeout, match="took 0.1 s for a reading; timeout_s is 0.05"):
+        one.read()
     with sensor(Silent(), timeout_s=0.05) as one, pytest.raises(Timeout, match="trigger did not end"):
         one.read()
 

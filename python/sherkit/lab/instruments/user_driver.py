@@ -149,8 +149,12 @@ class OwnSensor(_Own):
             (made,) = self._present()
             if isinstance(made, Instrument):
                 return made.read()
+            before = time.monotonic()
             found, units = self._found(made)
-            time_s = now_s()
+            time_s, took_s = now_s(), time.monotonic() - before
+        # what was asked for so long ago is of another moment than its stamp
+        if took_s > self.timeout_s:
+            raise self.fail(Timeout, f"took {took_s:.1f} s for a reading; timeout_s is {self.timeout_s:g}")
         columns = tuple(self.columns)
         values = tuple(self._number(column, value) for column, value in zip(columns, found, strict=True))
         units = [unit or column.rpartition("_")[2] for column, unit in zip(columns, units, strict=True)]
@@ -187,7 +191,7 @@ class OwnSensor(_Own):
         try:
             values = list(found)
         except TypeError:
-            values = [found]
+            values = [found] * (len(self.columns) if found is None else 1)
         if len(values) != len(self.columns):
             raise self.fail(Garbled, f"gave {len(values)} values; [[instrument]] columns names {len(self.columns)}")
         return values
