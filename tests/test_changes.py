@@ -156,7 +156,8 @@ def test_the_other_joint_that_fits_as_well_stands_in_the_headline() -> None:
 
 
 def test_two_limbs_that_lean_are_one_change() -> None:
-    """Catches an effect that is named twice since two of its parts have changed, each in the same course."""
+    """Catches an effect that is named twice since two of its parts have changed, each in the same course; a course
+    that is that of another number than the one in words; and a size of six times what is usual without a word."""
     world = DeltaPair(56007)
     leans = {"rail_lean": [0.0, 0.003, 0.0, -0.0043, 0.0, 0.0]}
     runs = [world.run_with({}, 60), *(world.run_with({}, 61 + k, leans) for k in (1, 2))]
@@ -164,6 +165,12 @@ def test_two_limbs_that_lean_are_one_change() -> None:
     years = sk.history(world.robot, runs)
     assert [one.name for one in years.changes] == ["rail_lean"]
     assert [name for name, *_ in years.changes[0].parameters] == ["rail_lean.tangential_1", "rail_lean.tangential_2"]
+    # what is drawn is the number that moved most, by name; and it is far beyond what rails do
+    assert [*years.values] == ["rail_lean.tangential_2"]
+    assert years.values["rail_lean.tangential_2"][-1][0] == pytest.approx(-0.0043, abs=3e-4)
+    assert "more than such an effect plausibly does" not in years.advice
+    runs[1:] = [world.run_with({}, 61 + k, {"rail_lean": [0.0, 0.03, 0.0, -0.01, 0.0, 0.0]}) for k in (1, 2)]
+    assert "rail_lean.tangential_1 by" in sk.history(world.robot, runs).advice.split(" is more than such an effect")[0]
 
 
 def test_what_the_stand_makes_alike_is_a_tie() -> None:

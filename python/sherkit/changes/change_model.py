@@ -16,7 +16,7 @@ from ..base.figures import stated
 from ..base.types import Floats
 from ..data import Measurements
 from ..evidence.run import Run
-from ..evidence.thresholds import TIED
+from ..evidence.thresholds import PLAUSIBLE, TIED
 from ..evidence.whitening import orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter
@@ -142,6 +142,19 @@ class About:
             for (effect, factors), told in zip(self.changes, self.told, strict=True) if effect.name in names
             for p, value, std in told
         )  # fmt: skip
+
+    def doubt(self, names: Sequence[str]) -> str:
+        """In front of what to do: that a change of these effects is larger than is plausible, where one is."""
+        large = []
+        for (effect, factors), told in zip(self.changes, self.told, strict=True):
+            most = float(np.abs(factors).max())
+            for p, value, std in () if effect.frees or effect.name not in names else told:
+                if abs(value) * most > PLAUSIBLE * p.size + 2.0 * std * most:
+                    large.append((abs(value) * most / p.size, ParameterChange(p.name, value, std, p.unit)))
+        if not large:
+            return ""
+        _, most_so = max(large, key=lambda one: one[0])
+        return f"{most_so} is more than such an effect plausibly does: look whether it stands for something else; "
 
 
 class ChangeRows(ABC):

@@ -21,7 +21,7 @@ from ..errors import FitError
 from ..evidence.base import Base
 from ..evidence.names import judged_names
 from ..evidence.sets import EffectSet
-from ..evidence.thresholds import ALARM, PLAUSIBLE
+from ..evidence.thresholds import ALARM
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, load_robot
 from .change_model import ParameterChange
@@ -180,7 +180,6 @@ def concluded(pool: Pool) -> Comparison:
     verdict = made.quiet or change_verdict(named, explains=bool(names and names.explains))
     ties = names.alike if names else ()
     moved = lead.run.of.moved(named) if lead else ()
-    large = [one for one in moved if _is_large(joined, named, one)]
     swaps = joined.swaps(lead.run.of) if lead else []
     moved = tuple(
         replace(one, since=pool.numbers[one.since], or_else=tuple(b for a, b in swaps if a == one.name))
@@ -198,7 +197,7 @@ def concluded(pool: Pool) -> Comparison:
         to_do = _zeros_moved(joined) or [unchanged_advice(float(before.rms), pool.needed, before.unit, joined)]
     else:
         what = _advice(verdict, named, tied, bool(poses), lead.run.of.left if lead else 1.0)
-        to_do = [*differing(data, called), _doubt(large) + what]
+        to_do = [*differing(data, called), (lead.run.of.doubt(named) if lead else "") + what]
     return Comparison(
         verdict=verdict,
         changed=tuple(sorted(named)),
@@ -274,13 +273,6 @@ def _called(data: Measurements, number: int) -> str:
     return f"{number + 1}: {data.source}"
 
 
-def _is_large(joined: Joined, names: Sequence[str], one: ParameterChange) -> bool:
-    """Whether an effect is larger than is plausible: it may then stand for something else."""
-    effects = [joined.candidate(name) for name in names]
-    sizes = {p.name: p.size for e in effects if not e.frees for p in e.qualified()}
-    return one.name in sizes and abs(one.change) > PLAUSIBLE * sizes[one.name] + 2.0 * one.std
-
-
 def _where(base: Base) -> str:
     """Along what the change shows: the shape that describes it best."""
     i = int(np.argmax(base.shapes)) if len(base.shapes) else -1
@@ -288,14 +280,6 @@ def _where(base: Base) -> str:
         return ""
     block = base.family.blocks[i]
     return f"{block.shape} in {' and '.join(block.depends_on)}"
-
-
-def _doubt(large: Sequence[ParameterChange]) -> str:
-    """That a change is larger than is plausible, in front of what to do."""
-    if not large:
-        return ""
-    most = max(large, key=lambda one: abs(one.change))
-    return f"{most} is more than such an effect plausibly does: look whether it stands for something else; "
 
 
 def _advice(verdict: str, names: tuple[str, ...], tied: Sequence[tuple[str, ...]], proposed: bool, left: float) -> str:

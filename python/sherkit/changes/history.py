@@ -279,8 +279,13 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
             _exceeds(about, number, months, needed, joined) if kind == RAMP else "",
             (*(b for a, b in swaps if a in [p.name for p, _, _ in told]), *other)[:_MOST_TIED],
         ))  # fmt: skip
-    values = {block.name: _by_run(joined, block) for block in found}
-    still = [c.name for c in joined.candidates if c.name not in values]
+    # of each change the number that moved most is followed through all runs
+    values = {
+        (most := max(told, key=lambda one: abs(one[1]) / one[2])[0].name): _by_run(joined, block, most)
+        for block, told in zip(found, about.told, strict=False) if told
+    }  # fmt: skip
+    seen = {block.name for block in found}
+    still = [c.name for c in joined.candidates if c.name not in seen]
     quiet = verdict == "unchanged"
     if quiet:
         advice = unchanged_advice(float(joined.fit.error.rms), needed, pool.unit, joined)
@@ -288,7 +293,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
         days = listed([f"in {data[pool.numbers.index(one.since)].source}" for one in changes if one.since is not None])
         advice = f"look for what was different {days}: it is gone since, and the calibration of the other runs holds"
     else:
-        advice = _ADVICE[verdict]
+        advice = about.doubt([*seen]) + _ADVICE[verdict]
     if sum(one.kind in (STEP, ONCE) for one in changes) > 1 and np.isnan(temperatures).any():
         advice += (
             "; not all of these runs recorded temperature_c: what goes with the season looks like steps, too, so "
@@ -371,11 +376,13 @@ def _exceeds(about: About, number: int, months: Floats, needed: float | None, jo
     return "already" if left <= 0 else f"in {left:.0f} months"
 
 
-def _by_run(joined: Joined, block: Block) -> list[tuple[float, float]]:
-    """How far a candidate's first parameter stands from the first run in each run, with its deviation."""
+def _by_run(joined: Joined, block: Block, name: str) -> list[tuple[float, float]]:
+    """How far a candidate's parameter of this ``name`` stands from the first run in each run, with its deviation."""
     assert block.effect is not None, "shapes are not named"
     about, _ = joined.about([(block.effect, one) for one in np.eye(len(joined.runs))[1:]])
-    each = slice(0, len(block.effect.parameters) * (len(joined.runs) - 1), len(block.effect.parameters))
+    parameters = block.effect.parameters
+    at = [one.name for one in block.effect.qualified()].index(name)
+    each = slice(at, len(parameters) * (len(joined.runs) - 1), len(parameters))
     return [(0.0, 0.0), *zip(about.values[each].tolist(), about.std_from_readings[each].tolist(), strict=True)]
 
 

@@ -147,7 +147,7 @@ def _dates(found: History) -> list[str]:
 
 def _unit(found: History, name: str) -> tuple[str, float]:
     """The unit of a course, and how many of it one of the parameter's is."""
-    return in_people_units(next(u for one in found.changes if one.name == name for _, _, _, u in one.parameters))
+    return in_people_units(next(u for one in found.changes for n, _, _, u in one.parameters if n == name))
 
 
 def _course(found: History) -> Tables:
