@@ -22,6 +22,7 @@ from ..fit.regions import TO_DO
 from ..model.effect import effects_by_name, load_effects
 from ..model.kinds import catalogue_of, model_of, required_um
 from ..model.robot_file import run_for
+from ..model.sensor_pose import POSE
 from ..model.thermometers import thermometers_of
 from ..robots.calibrated import BesideBase, Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
@@ -302,7 +303,8 @@ def print_accuracy(calibration: Calibration) -> None:
             made.add_row(name, *cells, "", "", "", "", str(error))
     out.print(made)
     if beside := calibration.beside_base():
-        out.print(_beside_base(beside, unit, factor))
+        drawn = [p.name for p in calibration.model.fixed if p.name not in POSE]
+        out.print(_beside_base(beside, unit, factor, drawn))
     for effect, advice in narrowing.items():
         out.print(f"  unseen is mostly {effect}. {advice}")
     untried = {name for part in calibration.parts_made for name in part.untried}
@@ -310,16 +312,16 @@ def print_accuracy(calibration: Calibration) -> None:
         out.print(f"  not counted, for want of a column in the run: {listed(sorted(untried), 20)}")
 
 
-def _beside_base(rows: Sequence[BesideBase], unit: str, factor: float) -> Table:
-    """Accuracy as the sensor reads, and of moves."""
+def _beside_base(rows: Sequence[BesideBase], unit: str, factor: float, drawn: Sequence[str]) -> Table:
+    """Accuracy as the sensor reads, and of moves; the base is where what is ``drawn`` is so."""
     made = table(
         "The same as the sensor reads, and of moves",
         "at",
         f"as the sensor reads, {unit}",
         f"a move from the middle, {unit}",
-        note="In the frame of the base what no reading tells of where that lies is part of the accuracy. What the "
-        "sensor reads has none of it; of a move from the middle of the run to there what both ends are off by alike "
-        "is no part.",
+        note=f"The base lies where {listed(drawn, 16)} are as drawn, which no reading tells: by what they are off it lies "
+        "elsewhere, and all places with it, and that is no part of the accuracy. What the sensor reads has none of it; of "
+        "a move from the middle of the run to there what both ends are off by alike is no part.",
     )
     for one in rows:
         sizes = ("" if np.isnan(v) else _sized(factor * v, unit) for v in (one.sensor_mm, one.move_mm))

@@ -271,7 +271,8 @@ class Accurate(Deployed):
         in 95 of 100 cases: pose accuracy (ISO 9283). How single visits scatter about it is :meth:`repeatability`.
 
         The whole of :meth:`predicted_accuracy`: what the poses of the run show, and what they could not have shown.
-        In the frame of the base what no reading tells of where the instrument stood is part of it. At
+        In the frame of the base what no reading tells of where the instrument stood is part of it, but for what defines
+        that frame: numbers of the geometry that are held since others say the same (:attr:`~ChainModel.fixed`). At
         ``temperature_c``, by default the mean of the run, and at its end. Where no pose was measured (:meth:`measured`)
         this is extrapolation. For a posture: :meth:`predicted_accuracies_with`. Raises as :meth:`inverse`.
         """
