@@ -320,8 +320,8 @@ def _beside_base(rows: Sequence[BesideBase], unit: str, factor: float, drawn: Se
         f"as the sensor reads, {unit}",
         f"a move from the middle, {unit}",
         note=f"The base lies where {listed(drawn, 16)} are as drawn, which no reading tells: by what they are off it "
-        "lies elsewhere, and all places with it, and that is no part of the accuracy. What the sensor reads has none of "
-        "it; of a move from the middle of the run to there what both ends are off by alike is no part.",
+        "lies elsewhere, and all places with it, and that is no part of the accuracy. What the sensor reads has none "
+        "of it; of a move from the middle of the run to there what both ends are off by alike is no part.",
     )
     for one in rows:
         sizes = ("" if np.isnan(v) else _sized(factor * v, unit) for v in (one.sensor_mm, one.move_mm))

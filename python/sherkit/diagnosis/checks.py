@@ -9,7 +9,7 @@ import numpy as np
 
 from ..base.figures import listed, number
 from ..base.types import Floats
-from ..data.columns import bare
+from ..data.columns import TIME, bare
 from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
@@ -73,7 +73,7 @@ def checks_of(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
         "by the weighted mean of the Bayes factors of all effects and shapes",
         holds=p > level and not found.structure, p=p,
-        fails=f"what is left has a structure{frozen(final.data)}{found.unwitnessed}",
+        fails=f"what is left has a structure{_in_time(found)}{frozen(final.data)}{found.unwitnessed}",
     )  # fmt: skip
     error = found.steps[-1].error.rms
     small = _small(final, error, sigma, origin, by_noise)
@@ -82,7 +82,10 @@ def checks_of(
     # few poses predict worse than they were read: what is their own tells more
     beyond = _size(final, own) if own else float(np.sqrt(max(error**2 - known * _noise(final, sigma) ** 2, 0.0)))
     steps = digits or (rounded(final, beyond, sigma, noise_known=known) if fails else None)
-    out += [left, _poses(final, own, off, followed=found.structure or steps is not None), small]
+    if steps is not None and own is not None and not steps.joints and steps.size >= _size(final, own):
+        # repeats agree on a part of what rounding leaves
+        off = False
+    out += [left, _poses(final, own, off, slow_drift, followed=found.structure or steps is not None), small]
     out += _stands(final, used)
     if (loose := _loosely(final, small, error, sigma, enough)) is not None:
         out.append(loose)
@@ -110,6 +113,11 @@ def checks_of(
         # what these poses cannot tell does not decide
         out = [replace(check, decisive=check.name in ("set_up", PLACES)) for check in out]
     return tuple(out)
+
+
+def _in_time(found: NamedEffects) -> str:
+    first = next(iter(found.left.shapes), None)
+    return ", in the course of time" if first is not None and tuple(first.depends_on) == (TIME,) else ""
 
 
 _HELD = "every row in turn, held out with its block, five times over other folds"
@@ -204,7 +212,9 @@ def _size(final: FittedRun, own: OwnErrors) -> float:
     return final.per_unit * float(np.linalg.norm(own.size))
 
 
-def _poses(final: FittedRun, own: OwnErrors | None, off: bool, *, followed: bool) -> Check:
+def _poses(
+    final: FittedRun, own: OwnErrors | None, off: bool, slow_drift: SlowDrift | None, *, followed: bool
+) -> Check:
     tested = "poses are as near to the model as their repeats are to one another"
     if own is None:
         return Check(POSES_AS_REPEATS, tested, "no rows", "too few poses were repeated", holds=None)
@@ -214,14 +224,20 @@ def _poses(final: FittedRun, own: OwnErrors | None, off: bool, *, followed: bool
     columns = listed([name for k, name in enumerate(final.data.layout.pose_sigmas) if k in final.axes])
     file = final.model.pose_sigma_in_file
     declare = f"columns {columns}" + (f", or {file} in the robot file" if file else "")
+    # what follows something is not each pose's own
+    why = "" if followed else (
+        ", which no effect and no shape follows: look at what differs from pose to pose but not between repeats (how "
+        "the marker is found, seating, a reading taken before it is still); where that is known, declare it: "
+        f"{declare}{frozen(final.data)}"
+    )  # fmt: skip
+    if slow_drift is not None and slow_drift.counts and not followed:
+        why = (
+            f", and in the course of the run {slow_drift.axis} wanders by {slow_drift.size:.2g} {final.unit}: repeats "
+            "at once do not see that; look at the instrument's stand and warmth, and come back to poses later"
+        )
     return Check(
         POSES_AS_REPEATS, tested, f"{own.poses} poses", told, holds=not off, p=chance_of(own.evidence),
-        # what follows something is not each pose's own
-        fails=told if followed else (
-            f"{told}, which no effect and no shape follows: look at what differs from pose to pose but not between "
-            "repeats (how the marker is found, seating, a reading taken before it is still); where that is known, "
-            f"declare it: {declare}{frozen(final.data)}"
-        ),
+        fails=told + why,
     )  # fmt: skip
 
 

@@ -71,7 +71,8 @@ class NeesConsistency:
 @dataclass(frozen=True, eq=False)
 class _Truth:
     """Where a run tells the ``quantity``, by its own column or the camera (``name``): at m moments, each behind one of
-    ``rows`` (m,). ``part`` are its columns of depth and tip, ``own`` is the truth's variance, ``off`` takes a signal
+    ``rows`` (m,). ``part`` are its columns of depth and tip, ``own`` is the truth's variance, ``lasting`` (m,) of the
+    estimate's what one run draws but once, by the bench, ``off`` takes a signal
     (n, k) to its errors (m, k); ``raw`` are the signals without a filter, the paper's first."""
 
     quantity: str
@@ -79,6 +80,7 @@ class _Truth:
     part: slice
     rows: Ints
     own: float
+    lasting: Floats
     off: Callable[[Floats], Floats]
     raw: Mapping[str, Floats]
 
@@ -88,13 +90,29 @@ def _truths(e: Estimate) -> list[_Truth]:
     if (known_mm := run.depth_mm) is not None:
         there = np.flatnonzero(np.isfinite(known_mm))
         raw = {"gratings": e.held_depth_mm[:, None], "kinematics": e.kinematic_depth_mm[:, None]}
-        out.append(_Truth("depth", "depth_mm", DEPTH_PART, there, 0.0, lambda v: v[there] - known_mm[there, None], raw))
+        tens = e.depth.value[there] / 10.0
+        by = np.concatenate([np.ones_like(tens), tens, tens**2], axis=1)
+        lasting = np.einsum("ni,ij,nj->n", by, np.array(e.tool.doubt.depth), by) + e.tool.doubt.deeper_mm**2
+        out.append(
+            _Truth(
+                "depth", "depth_mm", DEPTH_PART, there, 0.0, lasting, lambda v: v[there] - known_mm[there, None], raw
+            )
+        )
     moments, seen = e.pictures
     if len(moments):
         before = np.searchsorted(run.time_s, moments, side="right") - 1
         own, raw = e.tool.camera_std_mm**2 / 3.0, {"kinematics": e.kinematic_tip_mm}
         out.append(
-            _Truth("tip", "camera", TIP_PART, before, own, lambda v: at_times(run.time_s, v, moments) - seen, raw)
+            _Truth(
+                "tip",
+                "camera",
+                TIP_PART,
+                before,
+                own,
+                np.zeros(len(before)),
+                lambda v: at_times(run.time_s, v, moments) - seen,
+                raw,
+            )
         )
     return out
 
@@ -116,8 +134,8 @@ def known(e: Estimate) -> list[NeesConsistency]:
         for signal, track in signals.items():
             off, covariance = truth.off(track.value), track.covariance[truth.rows]
             out += [
-                knowledge(off[rows], covariance[rows], truth.own, quantity=truth.quantity, signal=signal,
-                          truth=truth.name, condition=name)
+                knowledge(off[rows], covariance[rows], truth.own, truth.lasting[rows], quantity=truth.quantity,
+                          signal=signal, truth=truth.name, condition=name)
                 for name, rows in conditions.items()
                 if rows.sum() >= _LEAST_ROWS
             ]  # fmt: skip
@@ -130,10 +148,12 @@ def known_of(truths: Sequence[NeesConsistency], quantity: str) -> NeesConsistenc
 
 
 def knowledge(
-    off: Floats, covariance: Floats, of_truth: float = 0.0, *, quantity: str = "depth", signal: str = "filter",
+    off: Floats, covariance: Floats, of_truth: float = 0.0, lasting: Floats | float = 0.0, *,
+    quantity: str = "depth", signal: str = "filter",
     truth: str = "truth", condition: str = "whole run",
 ) -> NeesConsistency:  # fmt: skip
     """From errors (n, k), mm, with stated covariances (n, k, k), mm², against a truth with its own variance, mm².
+    ``lasting`` (n,), mm², of what is stated is one draw for all rows, which may be small by itself.
 
     Rows whose estimate or covariance is no number cover nothing, and are left out of the NEES.
     """
@@ -149,7 +169,9 @@ def knowledge(
     independent = _independent(whitened)
     some = max(int(independent), 1)
     low, high = scipy.stats.chi2.ppf([(1 - NIS_LEVEL) / 2, (1 + NIS_LEVEL) / 2], independent * k) / (independent * k)
-    own = of_truth * k / np.einsum("nii->n", spread)
+    total = np.einsum("nii->n", spread)
+    own = of_truth * k / total
+    low *= float(np.clip(1.0 - np.broadcast_to(lasting, rows)[usable] * k / total, 0.0, 1.0).mean())
     inside = int((squared <= scipy.stats.chi2.ppf(STATED, k)).sum())
     return of(
         coverage=inside / rows, nees=nees, low=float(low), high=float(high),
