@@ -17,6 +17,7 @@ import polars as pl
 
 from ...base import linalg
 from ...base.types import Bools, Floats
+from ...data.called import Columns
 from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from .bench_doubts import against_drawing, robust_gains, wrong_loads
@@ -32,7 +33,8 @@ from .bench_fit import (
     lack_of_fit,
     left_open,
 )
-from .runs import check_unit, numbers_of, table_at
+from .runs import check_unit
+from .tables import NO_NAMES, numbers_of, table_at
 from .tool import ARC, DEFLECTION, DEPTH, FIBRES, FORCE, FlexibleTool, nested
 
 # -- Rows of a load bench -----------------------------------------------------------------------------------------
@@ -78,12 +80,12 @@ class Loads:
         write_table(pl.DataFrame(columns).with_columns(pl.col(DEFLECTION).fill_nan(None)), path)
 
 
-def read_loads(path: str | Path) -> Loads:
+def read_loads(path: str | Path, columns: Columns = NO_NAMES) -> Loads:
     """Reads the rows of a load bench, whose depths stand in ``depth_mm``, or in ``arc_mm`` where they are lengths of
-    shaft.
+    shaft; ``columns`` are names of the file by ours.
 
     Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row."""
-    frame = table_at(Path(path))
+    frame = table_at(Path(path), columns)
     by_arc = ARC in frame.columns and DEPTH not in frame.columns
     depth = ARC if by_arc else DEPTH
     needed = (*FORCE, depth, *FIBRES)

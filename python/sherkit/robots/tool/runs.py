@@ -5,7 +5,6 @@ what its numbers cannot be.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,13 +14,14 @@ import numpy as np
 import polars as pl
 
 from ...base import linalg
-from ...base.figures import closest, listed
+from ...base.figures import listed
 from ...base.types import Bools, Floats
+from ...data.called import Columns
 from ...data.columns import TIME
-from ...data.reader import checked
-from ...data.tables import read_table, write_table
+from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from .frozen import Frozen, frozen_pose, frozen_stretches, repeats, rows_of, sentences
+from .tables import NO_NAMES, numbers_of, table_at
 from .tool import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN, rotation_of
 
 # -- What numbers cannot be: other units, another clock, another tool, a camera that saw something else -----------
@@ -179,40 +179,6 @@ def check_camera(robot_mm: Floats, seen_mm: Floats, source: str) -> None:
         )  # fmt: skip
 
 
-# -- Columns of the tool's tables as numbers ------------------------------------------------------------------------
-
-
-def table_at(path: Path) -> pl.DataFrame:
-    """Rows of a file. Raises :class:`~sherkit.errors.MeasurementError`."""
-    try:
-        return read_table(checked(path))
-    except pl.exceptions.PolarsError as error:
-        raise MeasurementError(f"{path}: is not a table: {str(error).splitlines()[0]}") from None
-
-
-def numbers_of(frame: pl.DataFrame, needed: Iterable[str], known: Iterable[str], source: str) -> dict[str, Floats]:
-    """Columns (n,) of a frame by name, NaN where a cell is empty: all that are ``needed``, and those ``known`` that it
-    has. Raises :class:`~sherkit.errors.MeasurementError` naming column and row, counted from 1."""
-    known = tuple(known)
-    for name in needed:
-        if name not in frame.columns:
-            near = closest(name, [c for c in frame.columns if c not in known])
-            hint = f"; is '{near}' meant to be it?" if near else f"; it has {listed(frame.columns, 24)}"
-            raise MeasurementError(f"{source}: column '{name}' is missing{hint}")
-    columns: dict[str, Floats] = {}
-    for name in (c for c in known if c in frame.columns):
-        column = frame[name]
-        try:
-            columns[name] = column.cast(pl.Float64).to_numpy().astype(float)
-        except pl.exceptions.PolarsError:
-            bad = column.cast(pl.String).cast(pl.Float64, strict=False).is_null() & column.is_not_null()
-            row = int(bad.arg_max() or 0)
-            raise MeasurementError(
-                f"{source}: row {row + 1}, column '{name}': '{column[row]}' is not a number"
-            ) from None
-    return columns
-
-
 # -- The run ---------------------------------------------------------------------------------------------------------
 
 _LEAST = 3
@@ -337,13 +303,14 @@ class ToolRun:
         write_table(frame.with_columns(pl.col(pl.Float64).fill_nan(None)), path)
 
 
-def read_tool_run(path: str | Path) -> ToolRun:
-    """Reads a run. A row may hold the robot (pose and wavelengths), the camera, or both.
+def read_tool_run(path: str | Path, columns: Columns = NO_NAMES) -> ToolRun:
+    """Reads a run. A row may hold the robot (pose and wavelengths), the camera, or both; ``columns`` are names of the
+    file by ours, as a tool has them from ``[columns]`` of its file.
 
     Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row for what is missing, half there, not a
     number, or out of the order of time.
     """
-    return tool_run_of(table_at(Path(path)), str(path))
+    return tool_run_of(table_at(Path(path), columns), str(path))
 
 
 def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
@@ -409,10 +376,10 @@ def warn_frozen(run: ToolRun) -> None:
         warnings.warn(f"{run.source}: {sentence[0].lower()}{sentence[1:]}", SherkitWarning, stacklevel=3)
 
 
-def read_free_motion(path: str | Path) -> ToolRun:
+def read_free_motion(path: str | Path, columns: Columns = NO_NAMES) -> ToolRun:
     """A run in which the free tool was led around before its camera, as :func:`read_tool_run`. Raises as
     :func:`require_camera`, and warns of streams that froze."""
-    run = read_tool_run(path)
+    run = read_tool_run(path, columns)
     require_camera(run)
     warn_frozen(run)
     return run

@@ -12,25 +12,25 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from ....base.figures import closest
 from ....base.types import Floats
 from ....cli import output
-from ....data.columns import TIME
+from ....data.called import header_unit
+from ....data.columns import TIME, bare
 from ....errors import SherkitError, SherkitWarning
 from ..bench_doubts import against_drawing
-from ..calibration import calibrate_tool, check_loads, loaded_rows, read_loads
+from ..calibration import Loads, calibrate_tool, check_loads, loaded_rows, read_loads
 from ..checks import checks
 from ..consistency import judge, known
 from ..filters import estimate
-from ..runs import check_clocks, check_turn, check_wavelengths, read_tool_run, table_at
+from ..runs import check_clocks, check_turn, check_wavelengths, read_tool_run
+from ..tables import instead, table_at
 from ..tool import ARC, DEFLECTION, DEPTH, FIBRES, FORCE, KNOWN, POSITION, TURN, FlexibleTool
 
 
 def check_table(tool: FlexibleTool, of: Path, table: Path, *, as_json: bool) -> None:
     """Lists all that is wrong with a run or a bench of a tool; ends with 1 where there is anything."""
-    frame = table_at(table)
-    is_bench = any(name in frame.columns for name in FORCE)
-    wrong = wrong_with(tool, table, frame, is_bench=is_bench)
+    frame = table_at(table, tool.columns)
+    wrong, is_bench = wrong_with(tool, table, frame), _is_bench(frame)
     what = "a bench of known loads" if is_bench else "a run"
     if as_json:
         output.print_json({
@@ -50,8 +50,15 @@ def check_table(tool: FlexibleTool, of: Path, table: Path, *, as_json: bool) -> 
         sys.exit(1)
 
 
-def wrong_with(tool: FlexibleTool, table: Path, frame: pl.DataFrame, *, is_bench: bool) -> list[str]:
+def _is_bench(frame: pl.DataFrame) -> bool:
+    """Whether it has columns of a bench, in whatever unit, and none of a robot's."""
+    names = {header_unit(name)[0].lower() for name in frame.columns}
+    return bool(names & set(map(bare, (*FORCE, ARC, DEFLECTION)))) and not names & set(map(bare, POSITION))
+
+
+def wrong_with(tool: FlexibleTool, table: Path, frame: pl.DataFrame) -> list[str]:
     """Sentences: first on its columns, then on their numbers, last on what a tool makes of them."""
+    is_bench = _is_bench(frame)
     depth = ARC if ARC in frame.columns and DEPTH not in frame.columns else DEPTH
     needed = (*FORCE, depth, *FIBRES) if is_bench else (TIME, *POSITION, *TURN, *FIBRES)
     told = list(_columns(frame, needed, (*needed, DEFLECTION) if is_bench else KNOWN))
@@ -65,11 +72,9 @@ def wrong_with(tool: FlexibleTool, table: Path, frame: pl.DataFrame, *, is_bench
 
 def _columns(frame: pl.DataFrame, needed: tuple[str, ...], known: tuple[str, ...]) -> Iterator[str]:
     """What is missing, and what holds other things than numbers."""
-    spare = [name for name in frame.columns if name not in known]
     for name in needed:
         if name not in frame.columns:
-            near = closest(name, spare)
-            yield f"column '{name}' is missing" + (f"; is '{near}' meant to be it?" if near else "")
+            yield f"column '{name}' is missing{instead(name, frame.columns, known)}"
     for name in (one for one in known if one in frame.columns):
         cells = frame[name].cast(pl.String)
         bad = cells.cast(pl.Float64, strict=False).is_null() & cells.is_not_null()
@@ -104,12 +109,12 @@ def _of_run(tool: FlexibleTool, table: Path, frame: pl.DataFrame) -> list[Callab
     waves = _numbers(frame, FIBRES)
 
     def contradicts() -> list[str]:
-        e = estimate(tool, read_tool_run(table))
+        e = estimate(tool, read_tool_run(table, tool.columns))
         truths = known(e)
         judge(e)
         return [sentence for one in checks(e, truths) for sentence in one.sentences]
 
-    asked: list[Callable[[], Any]] = [lambda: read_tool_run(table)]
+    asked: list[Callable[[], Any]] = [lambda: read_tool_run(table, tool.columns)]
     if len(robot) > 1:
         asked += [lambda: check_clocks(robot[:, 0], None, source), lambda: check_turn(robot[:, 4:], source)]
     return [*asked, lambda: check_wavelengths(waves, np.array(tool.reference_nm), source), contradicts]
@@ -118,10 +123,10 @@ def _of_run(tool: FlexibleTool, table: Path, frame: pl.DataFrame) -> list[Callab
 def _of_bench(tool: FlexibleTool, table: Path) -> list[Callable[[], Any]]:
     """Whether loads can calibrate the tool, and what they have wrong beside its drawing."""
 
-    def beside_drawing() -> list[str]:
-        loads = read_loads(table)
-        return against_drawing(tool, loaded_rows(loads, np.array(tool.reference_nm)))
+    def loads() -> Loads:
+        return read_loads(table, tool.columns)
 
-    return [
-        lambda: check_loads(tool, read_loads(table)), beside_drawing, lambda: calibrate_tool(tool, read_loads(table)),
-    ]  # fmt: skip
+    def beside_drawing() -> list[str]:
+        return against_drawing(tool, loaded_rows(loads(), np.array(tool.reference_nm)))
+
+    return [lambda: check_loads(tool, loads()), beside_drawing, lambda: calibrate_tool(tool, loads())]

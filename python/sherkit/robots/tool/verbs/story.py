@@ -56,10 +56,12 @@ def tool_story(
         output.require_view()
     with output.steps(16) as step:
         step("reading")
-        loads, led, recorded = read_loads(bench), read_free_motion(free), read_tool_run(run)
+        drawn = load_tool(drawing) if drawing else FlexibleTool()
+        named = drawn.columns
+        loads, led, recorded = read_loads(bench, named), read_free_motion(free, named), read_tool_run(run, named)
         require_camera(recorded)
         step("gains, stiffness and length")
-        calibration = run_calibration(load_tool(drawing) if drawing else FlexibleTool(), loads)
+        calibration = run_calibration(drawn, loads)
         step("the camera's frame and clock")
         found = align_run(led, longest_delay_s)
         step("unloaded seconds")

@@ -66,7 +66,8 @@ class ToolFile:
         """The tool in one run, and where the camera saw its tip."""
         if len(runs) > 1:
             raise SherkitError(f"{runs[1]}: runs of a flexible tool are diagnosed one at a time")
-        self.model = ToolModel(load_tool(self.path), read_tool_run(runs[0]))
+        tool = load_tool(self.path)
+        self.model = ToolModel(tool, read_tool_run(runs[0], tool.columns))
         return model_of(self.model), self.model.readings
 
     def told(self, runs: Sequence[Path]) -> tuple[Path, ...]:
@@ -99,7 +100,8 @@ class ToolFile:
         )
         if destination is not None:
             require_kind(destination, "--output", (TOOL,))
-        result = calibrate_tool(load_tool(self.path), read_loads(loads))
+        drawn = load_tool(self.path)
+        result = calibrate_tool(drawn, read_loads(loads, drawn.columns))
         if destination is not None:
             result.tool.save(destination)
         if as_json:
