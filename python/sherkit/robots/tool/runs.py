@@ -21,6 +21,7 @@ from ...data.columns import TIME
 from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from .frozen import Frozen, frozen_pose, frozen_stretches, repeats, rows_of, sentences
+from .leaps import Leaps, leaps_of
 from .tables import NO_NAMES, numbers_of, table_at
 from .tool import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN, rotation_of
 
@@ -237,7 +238,18 @@ class ToolRun:
     @cached_property
     def present(self) -> Bools:
         """Rows (n,) with all wavelengths of sections I and II that are :meth:`new_readings`."""
-        return self.new_readings(np.asarray(np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1)))
+        return self.new_readings(np.asarray(np.isfinite(self.believed_nm[:, :6]).all(axis=1)))
+
+    @cached_property
+    def leaps(self) -> Leaps:
+        """Single readings that are off, and gratings that jump for good."""
+        read = np.asarray(np.isfinite(self.wavelengths_nm).any(axis=1)) & ~self.again
+        return leaps_of(self.time_s, self.wavelengths_nm, self.new_readings(read))
+
+    @cached_property
+    def believed_nm(self) -> Floats:
+        """Wavelengths (n, 9), NaN where they froze or leap off for once."""
+        return np.where(self.lost_fibres[:, None] | self.leaps.single, np.nan, self.wavelengths_nm)
 
     def new_readings(self, read: Bools) -> Bools:
         """Those of the rows ``read`` (n,) that hold no reading which an earlier one has already, where the robot's pose
