@@ -16,38 +16,66 @@ from ....base.types import Floats
 from ....cli import output
 from ....data.called import header_unit
 from ....data.columns import TIME, bare
+from ....data.tables import write_table
 from ....errors import SherkitError, SherkitWarning
 from ..bench_doubts import against_drawing
 from ..calibration import Loads, calibrate_tool, check_loads, loaded_rows, read_loads
 from ..checks import checks
 from ..consistency import judge, known
 from ..filters import estimate
-from ..runs import check_clocks, check_turn, check_wavelengths, read_tool_run
+from ..runs import check_clocks, check_turn, check_wavelengths, tool_run_of
 from ..tables import instead, table_at
 from ..tool import ARC, DEFLECTION, DEPTH, FIBRES, FORCE, KNOWN, POSITION, TURN, FlexibleTool
 
 
-def check_table(tool: FlexibleTool, of: Path, table: Path, *, as_json: bool) -> None:
-    """Lists all that is wrong with a run or a bench of a tool; ends with 1 where there is anything."""
-    frame = table_at(table, tool.columns)
+def check_table(tool: FlexibleTool, of: Path, table: Path, destination: Path | None, *, as_json: bool) -> None:
+    """Lists all that is wrong with a run or a bench of a tool, and writes its rows where they can be mended; ends with
+    1 where there is anything that was not."""
+    frame, mended = _in_order(table_at(table, tool.columns))
     wrong, is_bench = wrong_with(tool, table, frame), _is_bench(frame)
     what = "a bench of known loads" if is_bench else "a run"
+    written = destination is not None and not wrong
+    if destination is not None and written:
+        write_table(frame, destination)
     if as_json:
         output.print_json({
-            "format": "sherkit check 1", "source": str(table), "read_as": what, "good": not wrong, "rows": len(frame),
-            "wrong": [{"said": one} for one in wrong],
+            "format": "sherkit check 1", "source": str(table), "read_as": what, "good": not (wrong or mended),
+            "rows": len(frame),
+            "wrong": [*({"said": one, "mended": True} for one in mended), *({"said": one} for one in wrong)],
         })  # fmt: skip
     else:
         output.say(f"{table}: {len(frame)} rows, read as {what} of a flexible tool")
-        for one in wrong:
+        for one in (*mended, *wrong):
             output.warn(one)
-        if not wrong:
-            then = ("sherkit", "calibrate" if is_bench else "estimate", str(of), str(table))
-            output.say(f"nothing is wrong with it\nNext:\n     {shlex.join(then)}")
-    if wrong:
+        if written:
+            output.say(f"{destination}: {len(frame)} rows, mended")
+        elif mended and not wrong:
+            output.say(f"All of it can be mended:\n     {shlex.join(('sherkit', 'check', str(table), str(of)))} "
+                       "--write clean.csv")  # fmt: skip
+        elif not wrong:
+            output.say("nothing is wrong with it")
+        if written or not (wrong or mended):
+            then = ("sherkit", "calibrate" if is_bench else "estimate", str(of), str(destination if written else table))
+            output.say(f"Next:\n     {shlex.join(then)}")
+    if wrong or (mended and not written):
         if not as_json:
-            output.fail(f"{table}: cannot be trusted as it is")
+            why = "not all of it can be mended, nothing was written" if destination else "cannot be trusted as it is"
+            output.fail(f"{table}: {why}")
         sys.exit(1)
+
+
+def _in_order(frame: pl.DataFrame) -> tuple[pl.DataFrame, list[str]]:
+    """A run's rows by their time, each once, and what was done to them."""
+    time = frame[TIME] if TIME in frame.columns else None
+    if time is None or not time.dtype.is_numeric() or time.null_count():
+        return frame, []
+    told, earlier = [], int((time < time.cum_max()).sum())
+    if earlier:
+        frame = frame.sort(TIME, maintain_order=True)
+        told.append(f"{earlier} rows stand behind later ones: they are put in the order of {TIME}")
+    if twice := len(frame) - len(frame := frame.unique(maintain_order=True)):
+        told.append(f"{twice} rows are there twice, to the last digit: each is left once")
+    return frame, told
 
 
 def _is_bench(frame: pl.DataFrame) -> bool:
@@ -64,7 +92,7 @@ def wrong_with(tool: FlexibleTool, table: Path, frame: pl.DataFrame) -> list[str
     told = list(_columns(frame, needed, (*needed, DEFLECTION) if is_bench else KNOWN))
     lacking = any(name not in frame.columns for name in needed)
     if not lacking:
-        asked = _of_bench(tool, table) if is_bench else _of_run(tool, table, frame)
+        asked = _of_bench(tool, table) if is_bench else _of_run(tool, str(table), frame)
         for one in asked:
             told += [sentence.removeprefix(f"{table}: ") for sentence in _said_by(one)]
     return list(dict.fromkeys(told))
@@ -102,19 +130,19 @@ def _numbers(frame: pl.DataFrame, names: tuple[str, ...]) -> Floats:
     return np.column_stack([one.to_numpy().astype(float) for one in cast])
 
 
-def _of_run(tool: FlexibleTool, table: Path, frame: pl.DataFrame) -> list[Callable[[], Any]]:
+def _of_run(tool: FlexibleTool, source: str, frame: pl.DataFrame) -> list[Callable[[], Any]]:
     """Units and clocks each for itself, so that one that is wrong hides no other; then what a run says of itself."""
-    pose, source = _numbers(frame, (TIME, *POSITION, *TURN)), str(table)
+    pose = _numbers(frame, (TIME, *POSITION, *TURN))
     robot = pose[np.isfinite(pose).all(axis=1)]
     waves = _numbers(frame, FIBRES)
 
     def contradicts() -> list[str]:
-        e = estimate(tool, read_tool_run(table, tool.columns))
+        e = estimate(tool, tool_run_of(frame, source))
         truths = known(e)
         judge(e)
-        return [sentence for one in checks(e, truths) for sentence in one.sentences]
+        return [*(sentence for one in checks(e, truths) for sentence in one.sentences), *map(str, e.faults)]
 
-    asked: list[Callable[[], Any]] = [lambda: read_tool_run(table, tool.columns)]
+    asked: list[Callable[[], Any]] = [lambda: tool_run_of(frame, source)]
     if len(robot) > 1:
         asked += [lambda: check_clocks(robot[:, 0], None, source), lambda: check_turn(robot[:, 4:], source)]
     return [*asked, lambda: check_wavelengths(waves, np.array(tool.reference_nm), source), contradicts]

@@ -90,9 +90,9 @@ class ToolFile:
 
     # -- verbs in a way of its own -----------------------------------------------------------------------
 
-    def _check(self, table: Path, *, as_json: bool) -> None:
-        refuse_given("run", "robot", "as_json", why="tables of a flexible tool are mended by hand")
-        check_table(load_tool(self.path), self.path, table, as_json=as_json)
+    def _check(self, table: Path, destination: Path | None, *, as_json: bool) -> None:
+        refuse_given("run", "robot", "destination", "as_json", why="is not for tables of a flexible tool")
+        check_table(load_tool(self.path), self.path, table, destination, as_json=as_json)
 
     def _calibrate(self, loads: Path, destination: Path | None, *, as_json: bool) -> None:
         refuse_given(
