@@ -14,7 +14,7 @@ import pytest
 from second_tool import CONDITIONS
 from sherkit.errors import FitError, MeasurementError, RobotError, SherkitWarning
 from sherkit.fit.identify import identify
-from sherkit.robots.tool.alignment import align
+from sherkit.robots.tool.alignment import align, align_run
 from sherkit.robots.tool.calibration import calibrate_tool, read_loads
 from sherkit.robots.tool.consistency import judge
 from sherkit.robots.tool.filters import estimate
@@ -191,6 +191,18 @@ def test_a_camera_that_saw_something_else_is_not_registered(
     with pytest.raises(FitError, match=says) as refused:
         align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm, source=run.source)
     assert str(refused.value).startswith("free.csv")
+
+
+@pytest.mark.parametrize("seconds", [6.0, 20.0])
+def test_places_of_the_flange_register_no_camera(seconds: float) -> None:
+    """Catches a frame that is off by millimetres since the robot's places are those of the flange, and a refusal that
+    blames the motion; and a sound camera that is refused."""
+    free = VirtualTool(TOOL).free_motion(seconds=seconds)
+    assert align_run(free, 0.5, TOOL.length_mm).registration.mean_error_mm < 0.5
+    with pytest.raises(FitError, match="are those of the flange, and not of the unbent tip 60 mm further on"):
+        align_run(free.further_on(-TOOL.length_mm), 0.5, TOOL.length_mm)
+    with pytest.warns(SherkitWarning, match="did something touch the tool"):
+        align_run(free.further_on(-20.0), 0.5, TOOL.length_mm)
 
 
 def test_fibres_are_not_read_from_the_future(tmp_path: Path) -> None:

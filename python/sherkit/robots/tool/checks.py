@@ -267,12 +267,7 @@ _ANYHOW: dict[str, Callable[[ToolRun], ToolRun]] = {
 def _undone(tool: FlexibleTool) -> dict[str, Callable[[ToolRun], ToolRun]]:
     """Each mistake that a run may have with what undoes it."""
     said = f"{listed(POSITION)} are those of the flange, and not of the unbent tip {tool.length_mm:.3g} mm further on"
-    return {**_ANYHOW, said: partial(_along_shaft, tool.length_mm)}
-
-
-def _along_shaft(by_mm: float, run: ToolRun) -> ToolRun:
-    """With places so much further on towards the tip."""
-    return replace(run, position_mm=run.position_mm + by_mm * run.rotations[:, :, 2])
+    return {**_ANYHOW, said: lambda run: run.further_on(tool.length_mm)}
 
 
 def exchanged(e: Estimate, truths: list[NeesConsistency]) -> list[str]:

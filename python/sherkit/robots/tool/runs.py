@@ -5,7 +5,7 @@ what its numbers cannot be.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -297,6 +297,10 @@ class ToolRun:
     def froze(self) -> list[str]:
         """A sentence on each stream that stood still while the others went on."""
         return sentences(self.frozen_fibres, self.frozen_pose)
+
+    def further_on(self, by_mm: float) -> ToolRun:
+        """With places so much further on along the shaft, towards the tip."""
+        return replace(self, position_mm=self.position_mm + by_mm * self.rotations[:, :, 2])
 
     def save(self, path: str | Path) -> None:
         """Writes CSV or Parquet that :func:`read_tool_run` reads: rows of the robot and of the camera by time."""

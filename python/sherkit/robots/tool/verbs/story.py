@@ -63,7 +63,7 @@ def tool_story(
         step("gains, stiffness and length")
         calibration = run_calibration(drawn, loads)
         step("the camera's frame and clock")
-        found = align_run(led, longest_delay_s)
+        found = align_run(led, longest_delay_s, calibration.tool.length_mm)
         step("unloaded seconds")
         tares = _tared(found.in_tool(calibration.tool), led, recorded)
         hole = TipPlaces(tares[-1].tool, recorded, recorded.time_s[:1]).hole
