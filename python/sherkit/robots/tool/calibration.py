@@ -20,7 +20,7 @@ from ...base.types import Bools, Floats
 from ...data.called import Columns
 from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
-from .bench_doubts import against_drawing, robust_gains, wrong_loads
+from .bench_doubts import against_drawing, drawn_gains, wrong_loads
 from .bench_fit import (
     AS_GOOD,
     CONVENTIONS,
@@ -142,7 +142,7 @@ def check_loads(tool: FlexibleTool, loads: Loads) -> None:
 def check_sizes(tool: FlexibleTool, rows: LoadRows, slope_mn_mm2: float | None, source: str) -> None:
     """Whether the gains of rows and the stiffness by their slope are of a size with the tool file's. Raises
     :class:`~sherkit.errors.MeasurementError`: a factor of 100 and more is another unit."""
-    gain = float(np.linalg.norm(robust_gains(tool, rows)) / np.linalg.norm(tool.gains))
+    gain = float(np.linalg.norm(drawn_gains(tool, rows)) / np.linalg.norm(tool.gains))
     stiffness = 1.0 if slope_mn_mm2 is None else slope_mn_mm2 / tool.stiffness_mn_mm2
     for what, ratio, unit in (
         ("gains are", gain, "are forces in mN?"),
@@ -224,21 +224,16 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     check_loads(tool, loads)
     loaded = loads.loaded
     count = int((~loaded).sum())
-    reference, noise = np.array(tool.reference_nm), tool.noise_nm
+    reference, noise = reference_of(tool, loads), tool.noise_nm
     if count >= LEAST_UNLOADED:
-        rest = loads.wavelengths_nm[~loaded]
-        reference = rest.mean(axis=0)
         # warmth moves all fibres alike, and is no noise
-        within = rest - reference
+        within = loads.wavelengths_nm[~loaded] - reference
         within = within - within.mean(axis=1, keepdims=True)
         noise = float(np.sqrt((within**2).sum() / ((count - 1) * 8))) or tool.noise_nm
     rows = loaded_rows(loads, reference)
-    bad, larger = wrong_loads(tool, rows)
-    noticed = [
-        f"row {np.flatnonzero(loaded)[i] + 1}: its force of {rows.size_mn[i]:.4g} mN is not the one that its gratings "
-        f"feel, {larger[i]:.2g} times as large; it is left out"
-        for i in np.flatnonzero(bad)
-    ]
+    bad, told = wrong_loads(tool, rows)
+    wrong = np.flatnonzero(loaded)[bad] + 1
+    noticed = [f"row {row}: {one}; it is left out" for row, one in zip(wrong, told, strict=True)]
     rows = rows.some(~bad)
     noticed += against_drawing(tool, rows)
     enough = int(rows.bent.sum()) >= LEAST_LOADED
@@ -300,12 +295,18 @@ def strange(scatter: Scatter) -> list[str]:
     return told
 
 
+def reference_of(tool: FlexibleTool, loads: Loads) -> Floats:
+    """Wavelengths (9,) of the unloaded rows; the tool's where there are too few."""
+    rest = loads.wavelengths_nm[~loads.loaded]
+    return np.asarray(rest.mean(axis=0) if len(rest) >= LEAST_UNLOADED else tool.reference_nm)
+
+
 def loaded_rows(loads: Loads, reference_nm: Floats) -> LoadRows:
     """The loaded rows."""
     on = loads.loaded
     force = loads.force_mn[on]
     size = np.linalg.norm(force, axis=1)
-    shifts = loads.wavelengths_nm[on, :6] - reference_nm[:6]
+    shifts = loads.wavelengths_nm[on] - reference_nm
     return LoadRows(size, force / size[:, None], loads.depth_mm[on], shifts, loads.deflection_mm[on])
 
 

@@ -19,7 +19,7 @@ from ....data.columns import TIME, bare
 from ....data.tables import write_table
 from ....errors import SherkitError, SherkitWarning
 from ..bench_doubts import against_drawing
-from ..calibration import Loads, calibrate_tool, check_loads, loaded_rows, read_loads
+from ..calibration import Loads, calibrate_tool, check_loads, loaded_rows, read_loads, reference_of
 from ..checks import checks
 from ..consistency import judge, known
 from ..filters import estimate
@@ -155,6 +155,7 @@ def _of_bench(tool: FlexibleTool, table: Path) -> list[Callable[[], Any]]:
         return read_loads(table, tool.columns)
 
     def beside_drawing() -> list[str]:
-        return against_drawing(tool, loaded_rows(loads(), np.array(tool.reference_nm)))
+        check_loads(tool, loads())
+        return against_drawing(tool, loaded_rows(loads(), reference_of(tool, loads())))
 
-    return [lambda: check_loads(tool, loads()), beside_drawing, lambda: calibrate_tool(tool, loads())]
+    return [beside_drawing, lambda: calibrate_tool(tool, loads())]
