@@ -145,6 +145,10 @@ def judged(run: ToolRun) -> None:
     ("change", "says"),
     [
         (lambda f: f.with_columns(C("time_s") * 1000), "is time_s in another unit?"),
+        (
+            lambda f: f.with_columns(time_s=C("time_s") + 1.7e9 * (C("time_s") > 3.0)),
+            "leaps by 1.7e+09 s behind 3 s: is it that of another clock",
+        ),
         (lambda f: f.with_columns(fbg_time_s=C("time_s") * 1000), "fbg_time_s lies 3e+03 s from time_s"),
         (lambda f: f.with_columns(fbg_time_s=C("time_s") + 1.7e9), "expected seconds by the robot's clock"),
         (lambda f: f.with_columns(C(*TURN) * 180 / np.pi), "are they degrees?"),

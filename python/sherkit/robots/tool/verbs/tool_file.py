@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -77,11 +78,12 @@ class ToolFile:
     def require_writable(self, destination: Path | None) -> None:
         """A tool's file holds what was named."""
 
-    def write(self, destination: Path, found: Diagnosis) -> list[str]:
+    def write(self, destination: Path, found: Diagnosis) -> tuple[Diagnosis, list[str]]:
         """The tool with what was named."""
         told = mended(self.model, found)
         told.tool.save(destination)
-        return [*sentences_of(told), f"the tool is in {destination}"]
+        go_on = f"sherkit estimate {shlex.quote(str(destination))} RUN"
+        return found.added(go_on), [*sentences_of(told), f"the tool is in {destination}"]
 
     def report(self, path: Path, found: Diagnosis, *, sources: Sequence[Path], **_: Any) -> None:
         """The story of the run, with what was named written into the tool."""
