@@ -32,7 +32,7 @@ _UNITS = {"pm": 1e3, "um": 1e-3, "m": 1e-9}
 OUT_OF_REACH_NM = 8.0
 #: Rows of a robot are no further apart, and readings no further from their rows, s.
 _SLOWEST_S, _STRANGE_CLOCK_S = 0.5, 1.0
-#: No filter goes on over more, s.
+#: Rows of one run are no further apart, s.
 _LONGEST_S = 3600.0
 #: Rows are missing where none came for so long, s, and for so many usual steps.
 _GAP_S, _GAP_STEPS = 0.5, 20.0
@@ -91,7 +91,7 @@ def check_clocks(time_s: Floats, later_s: Floats | None, source: str) -> None:
         at = int(np.argmax(np.diff(time_s)))
         raise MeasurementError(
             f"{source}: time_s leaps by {leap:.3g} s behind {time_s[at]:.9g} s: is it that of another clock from there "
-            "on? No filter goes on over an hour: rows before and behind are runs of their own"
+            "on? Rows before and behind are runs of their own"
         )
     apart = float(np.median(np.abs(later_s))) if later_s is not None and len(later_s) else 0.0
     if apart > _STRANGE_CLOCK_S:
