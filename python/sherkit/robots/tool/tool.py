@@ -56,7 +56,7 @@ class OwnNames:
     def from_table(cls, table: Table) -> OwnNames:
         """Reads ``[columns]``."""
         known = (*KNOWN, *FORCE, ARC, DEFLECTION)
-        return cls(tuple((name, table.words(name)) for name in known if table.has(name)))
+        return cls(tuple((name, said) for name in known if (said := table.words(name, ""))))
 
     def to_table(self) -> dict[str, str]:
         """What :meth:`from_table` reads."""
