@@ -107,10 +107,10 @@ def _orders() -> Iterator[tuple[str, Ints]]:
         "the gratings stand by fibres (sections I, II, III of the first, then of the next), not by sections",
         nine.T.ravel(),
     )
-    for order in permutations(range(3)):
-        if order != (0, 1, 2):
-            named = listed(("I", "II", "III")[k] for k in np.argsort(order))
-            yield f"the gratings stand in the order of sections {named}", nine[list(order)].ravel()
+    for sections in permutations(range(3)):
+        if sections != (0, 1, 2):
+            named = listed(("I", "II", "III")[k] for k in np.argsort(sections))
+            yield f"the gratings stand in the order of sections {named}", nine[list(sections)].ravel()
 
 
 def _out_of_order(tool: FlexibleTool, moments: Floats, rows: LoadRows) -> list[str]:
