@@ -43,7 +43,7 @@ def test_a_sound_bench_has_nothing_wrong(sound: Loads) -> None:
     assert said(sound) == ([], [], [])
 
 
-@pytest.mark.parametrize(("times", "says"), [(1.3, "times as large"), (-1.0, "the other way: has it a wrong")])
+@pytest.mark.parametrize(("times", "says"), [(1.3, "times as large"), (-1.0, "the other way: its sign seems wrong")])
 def test_one_wrong_load_is_named(sound: Loads, times: float, says: str) -> None:
     """Catches one force of eighty that is 1.3 times too large: it was never named, took the wrong convention in half of
     the benches and the stiffness with it; and a wrong sign that is "1 times as large"."""

@@ -53,7 +53,7 @@ def wrong_loads(tool: FlexibleTool, rows: LoadRows) -> tuple[Bools, list[str]]:
         + (
             f"{times:.2g} times as large"
             if along > -0.5 * times
-            else "which points the other way: has it a wrong sign?"
+            else "which points the other way: its sign seems wrong"
         )
         for force, along, times in zip(rows.size_mn[bad], feels[bad], larger[bad], strict=True)
     ]
