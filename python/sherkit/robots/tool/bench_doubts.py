@@ -80,7 +80,7 @@ def against_drawing(tool: FlexibleTool, rows: LoadRows) -> list[str]:
         return [*told, _within_a_section(tool, gains, turns.index(min(turns)))]
     if _apart(gains, drawn) < _UNLIKE:
         return told
-    for what, undone in _undone(moments, rows, gains):
+    for what, undone in _undone(gains):
         if _apart(undone, drawn) < _LIKE:
             return [*told, f"{what}: with that undone the gains are the drawing's"]
     if max(turns) < 0.0:
@@ -155,16 +155,11 @@ def _within_a_section(tool: FlexibleTool, gains: Floats, s: int) -> str:
     return told
 
 
-def _undone(moments: Floats, rows: LoadRows, gains: Floats) -> Iterator[tuple[str, Floats]]:
+def _undone(gains: Floats) -> Iterator[tuple[str, Floats]]:
     """Mistakes, and the gains with each undone."""
     yield "force_x_mn and force_y_mn are exchanged", gains[:, ::-1]
     yield "force_y_mn has the other sign: its axis is mirrored", gains * np.array([[1.0], [-1.0]])
     yield "force_x_mn has the other sign: its axis is mirrored", gains * np.array([[-1.0], [1.0]])
-    for s, (a, b) in ((s, pair) for s in range(2) for pair in combinations(range(3), 2)):
-        order = np.arange(9)
-        order[[3 * s + a, 3 * s + b]] = 3 * s + b, 3 * s + a
-        swapped = robust_gains(moments, replace(rows, shifts_nm=rows.shifts_nm[:, order]))
-        yield f"{FIBRES[3 * s + a]} and {FIBRES[3 * s + b]} are exchanged", swapped
 
 
 def _apart(gains: Floats, drawn: Floats) -> float:
