@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,15 @@ import pytest
 from second_tool import CONDITIONS
 from sherkit.errors import FitError, MeasurementError, RobotError, SherkitWarning
 from sherkit.fit.identify import identify
-from sherkit.robots.tool.alignment import align
+from sherkit.robots.tool.alignment import align, align_run
 from sherkit.robots.tool.calibration import calibrate_tool, read_loads
 from sherkit.robots.tool.consistency import judge
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.model import ToolModel, applied
-from sherkit.robots.tool.runs import ToolRun, tool_run_of
+from sherkit.robots.tool.runs import ToolRun, read_tool_run, tool_run_of
+from sherkit.robots.tool.tables import table_at
 from sherkit.robots.tool.tool import CAMERA, FIBRES, FORCE, POSITION, TURN, FlexibleTool, load_tool
+from sherkit.robots.tool.verbs.check import wrong_with
 from sherkit.robots.tool.virtual import VirtualTool
 from tool_honesty import run_of, tool_of
 
@@ -72,6 +75,60 @@ def test_loads_that_calibrate_nothing_are_refused(
     assert says in str(refused.value)
 
 
+FOREIGN = {
+    "time_s": ("t [ms]", 1e3), "robot_x_mm": ("X [m]", 1e-3), "robot_rz_rad": ("C (deg)", 180.0 / np.pi),
+    "fbg4_nm": ("peak 4", 1.0), "force_x_mn": ("Fx [gf]", 1.0 / 9.80665), "deflection_mm": ("bend_um", 1e3),
+}  # fmt: skip
+
+
+def test_a_tool_file_says_what_columns_are_called(tables: dict[str, pl.DataFrame], tmp_path: Path) -> None:
+    """Catches a needle's logger whose files must be written anew, units that are lost on the way, names that a tool
+    loses where it is written, and a file in our own names that a tool with others cannot read."""
+    foreign = {ours: theirs for ours, (theirs, _) in FOREIGN.items()}
+    text = "\n".join(f'{ours} = "{theirs}"' for ours, theirs in foreign.items())
+    TOOL.save(tmp_path / "drawn.toml")
+    with (tmp_path / "drawn.toml").open("a") as file:
+        file.write(f"\n[columns]\n{text}\n")
+    load_tool(tmp_path / "drawn.toml").save(tmp_path / "tool.toml")
+    tool = load_tool(tmp_path / "tool.toml")
+    assert tool.columns == foreign
+    for name, read in (("bench", read_loads), ("run", read_tool_run)):
+        there = {ours: by for ours, (_, by) in FOREIGN.items() if ours in tables[name].columns}
+        theirs = tables[name].with_columns(C(ours) * by for ours, by in there.items())
+        theirs.rename({ours: foreign[ours] for ours in there}).write_csv(tmp_path / "theirs.csv")
+        tables[name].write_csv(tmp_path / "ours.csv")
+        with pytest.warns(SherkitWarning, match="converted from the units of the header"):
+            one = read(tmp_path / "theirs.csv", tool.columns)
+        other = read(tmp_path / "ours.csv", tool.columns)
+        for field in fields(other):
+            if isinstance(value := getattr(other, field.name), np.ndarray):
+                np.testing.assert_allclose(getattr(one, field.name), value, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("table", "change", "says"),
+    [
+        ("run", lambda f: f.rename({"robot_x_mm": "robot_x_m"}), "has 'robot_x_m': convert it to mm, or let [columns]"),
+        ("run", lambda f: f.rename({"robot_rx_rad": "robot_rx_deg"}), "has 'robot_rx_deg': convert it to rad, or let"),
+        ("run", lambda f: f.rename({one: f"robot_q{k}" for one, k in zip(TURN, "xyz", strict=True)}), "quaternions to"),
+        ("run", lambda f: f.rename({"time_s": "time_ms"}), "has 'time_ms': convert it to s, or let [columns]"),
+        ("run", lambda f: f.rename({"fbg1_nm": "FBG1_NM"}), "is 'FBG1_NM' meant to be it? Then [columns]"),
+        ("bench", lambda f: f.rename({"force_x_mn": "force_x_gf"}), "has 'force_x_gf': convert it to mN, or let [col"),
+        ("bench", lambda f: f.rename({"force_x_mn": "force_x_N"}), "has 'force_x_N': convert it to mN, or let [col"),
+    ],
+)  # fmt: skip
+def test_a_column_in_another_unit_is_no_slip_of_the_finger(
+    table: str, change: Change, says: str, tables: dict[str, pl.DataFrame], tmp_path: Path
+) -> None:
+    """Catches "is it meant?" of metres, degrees, gram-force and quaternions, which invites to rename what must be
+    converted; and a bench in gram-force that `check` takes for a run."""
+    path = tmp_path / "table.csv"
+    change(tables[table]).write_csv(path)
+    with pytest.raises(MeasurementError, match=re.escape(says)):
+        read_loads(path) if table == "bench" else read_tool_run(path)
+    assert any(says in one for one in wrong_with(TOOL, path, table_at(path)))
+
+
 def test_a_bench_without_unloaded_rows_says_what_stays(tables: dict[str, pl.DataFrame], tmp_path: Path) -> None:
     """Catches references of a tool file that are taken for those of the bench in silence."""
     tables["bench"].filter(C("force_x_mn") != 0).write_csv(tmp_path / "bench.csv")
@@ -88,6 +145,10 @@ def judged(run: ToolRun) -> None:
     ("change", "says"),
     [
         (lambda f: f.with_columns(C("time_s") * 1000), "is time_s in another unit?"),
+        (
+            lambda f: f.with_columns(time_s=C("time_s") + 1.7e9 * (C("time_s") > 3.0)),
+            "leaps by 1.7e+09 s behind 3 s: is it that of another clock",
+        ),
         (lambda f: f.with_columns(fbg_time_s=C("time_s") * 1000), "fbg_time_s lies 3e+03 s from time_s"),
         (lambda f: f.with_columns(fbg_time_s=C("time_s") + 1.7e9), "expected seconds by the robot's clock"),
         (lambda f: f.with_columns(C(*TURN) * 180 / np.pi), "are they degrees?"),
@@ -134,6 +195,18 @@ def test_a_camera_that_saw_something_else_is_not_registered(
     with pytest.raises(FitError, match=says) as refused:
         align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm, source=run.source)
     assert str(refused.value).startswith("free.csv")
+
+
+@pytest.mark.parametrize("seconds", [6.0, 20.0])
+def test_places_of_the_flange_register_no_camera(seconds: float) -> None:
+    """Catches a frame that is off by millimetres since the robot's places are those of the flange, and a refusal that
+    blames the motion; and a sound camera that is refused."""
+    free = VirtualTool(TOOL).free_motion(seconds=seconds)
+    assert align_run(free, 0.5, TOOL.length_mm).registration.mean_error_mm < 0.5
+    with pytest.raises(FitError, match="are those of the flange, and not of the unbent tip 60 mm further on"):
+        align_run(free.further_on(-TOOL.length_mm), 0.5, TOOL.length_mm)
+    with pytest.warns(SherkitWarning, match="did something touch the tool"):
+        align_run(free.further_on(-20.0), 0.5, TOOL.length_mm)
 
 
 def test_fibres_are_not_read_from_the_future(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool
     cannot be read as it is, or what is asked for cannot be written.
     """
     if robot is not None and (own_way := own_way_of(robot, "check")) is not None:
-        own_way(run, as_json=as_json)
+        own_way(run, destination, as_json=as_json)
         return
     if robot is not None:
         nominal, _ = robot_at(robot)

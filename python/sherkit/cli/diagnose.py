@@ -67,10 +67,12 @@ def diagnose(
         freed = [name.strip() for name in free.split(",") if name.strip()]
         fit = identify(model, data, free=freed, effects=effects_by_name(model.known_effects, added, every))
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
+        said: list[str] = []
+        if written is not None:
+            found, said = machine.write(written, found)
         if report is not None:
             step("writing the report")
             machine.report(report, found, own=own, added=added, seed=seed, sources=(robot, *runs, *files))
-    said = [] if written is None else machine.write(written, found)
     if as_json:
         output.print_json(in_json(found.to_json(), shlex.join(map(str, machine.told(runs)))))
     else:

@@ -79,7 +79,7 @@ class RobotFile:
                 "--output: is for a flexible tool; sherkit calibrate --effect NAME -o writes a calibration"
             )
 
-    def write(self, destination: Path, found: Diagnosis) -> list[str]:
+    def write(self, destination: Path, found: Diagnosis) -> tuple[Diagnosis, list[str]]:
         """Never: :meth:`require_writable` refuses."""
         raise NotImplementedError
 
@@ -158,8 +158,9 @@ class MachineFile(Protocol):
         """Refuses a file ``--output`` of a diagnosis where a diagnosis writes none."""
         ...
 
-    def write(self, destination: Path, found: Diagnosis) -> list[str]:
-        """Writes what was named into a file of the next run; sentences on what was written."""
+    def write(self, destination: Path, found: Diagnosis) -> tuple[Diagnosis, list[str]]:
+        """Writes what was named into a file of the next run: the diagnosis, which goes on from there, and sentences on
+        what was written."""
         ...
 
     def report(

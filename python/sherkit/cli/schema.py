@@ -36,16 +36,18 @@ def _robots() -> Schema:
     out = []
     for kind in known_kinds().values():
         if kind.example is not None:
-            # tables that a file may leave out are asked for all the same
-            inner: dict[str, Any] = {
-                name: {} for name, one in getattr(kind.robot, "TABLES", {}).items() if isinstance(one, Inner)
-            }
-            whole = inner | kind.example.to_tables()
+            whole = _whole(kind.example)
             ways = [whole, *({**whole, **one} for one in kind.spelt)]
             out.append(_of_kind(kind.name, merged([asked(one, kind.robot.from_table) for one in ways]), columns))
     for name, other in other_machines().items():
-        out.append(_of_kind(name, asked(other.example.to_tables(), type(other.example).from_table), {}))
+        out.append(_of_kind(name, asked(_whole(other.example), type(other.example).from_table), {}))
     return {"oneOf": out}
+
+
+def _whole(example: Any) -> dict[str, Any]:
+    """Its tables; those that a file may leave out are asked for all the same."""
+    inner: dict[str, Any] = {name: {} for name, one in getattr(example, "TABLES", {}).items() if isinstance(one, Inner)}
+    return inner | example.to_tables()
 
 
 def _of_kind(name: str, asked: Schema, more: Schema) -> Schema:

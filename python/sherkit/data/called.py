@@ -62,7 +62,7 @@ Columns = Mapping[str, str]
 _HEADER = re.compile(r"^(?P<stem>.*?)[\s_]*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$")
 #: How much of the unit of a column is one of another, by what they measure.
 _BY_UNIT: tuple[dict[str, float], ...] = (
-    {"m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3, "nm": 1e-6, "in": 25.4},
+    {"m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3, "nm": 1e-6, "pm": 1e-9, "in": 25.4},
     {
         "rad": 1.0,
         "mrad": 1e-3,
@@ -74,7 +74,7 @@ _BY_UNIT: tuple[dict[str, float], ...] = (
     {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     {"px": 1.0},
     {"c": 1.0},
-    {"N": 1e3, "mN": 1.0},
+    {"N": 1e3, "cN": 10.0, "mN": 1.0, "gf": 9.80665},
 )
 #: Cells of a row of units beside columns that have none.
 _BARE = ("", "-", "1", "%", "k", "kg", "hpa", "mbar", "count", "counts", "text", "string")
@@ -82,7 +82,9 @@ _BARE = ("", "-", "1", "%", "k", "kg", "hpa", "mbar", "count", "counts", "text",
 _TIMES = ("t", "time", "timestamp", "zeit", "temps", "tempo")
 _SPELT = {"µm": "um", "μm": "um", "micron": "um", "inch": "in", "°": "deg", "degree": "deg", "degrees": "deg",
           "µrad": "urad", "μrad": "urad", "sec": "s", "µs": "us", "pixel": "px", "pixels": "px", "°C": "c", "C": "c",
-          "degC": "c"}  # fmt: skip
+          "degC": "c", "mn": "mN"}  # fmt: skip
+#: At the end of a name these are units too, beside lengths and angles.
+_ENDS = ("_nm", "_pm", "_ms", "_N", "_cN", "_gf")
 
 
 def header_unit(header: str) -> tuple[str, str]:
@@ -92,11 +94,11 @@ def header_unit(header: str) -> tuple[str, str]:
         unit = (found["square"] if found["square"] is not None else found["round"]).strip()
         return found["stem"].strip(), _known_unit(unit) or unit
     if unit := unit_in(header):
-        return bare(header), unit
+        return bare(header), _SPELT.get(unit, unit)
     stem, _, end = header.rpartition("_")
     unit = _known_unit(end)
-    # lengths and angles in other units than ours, or all in capitals
-    return (stem, unit) if stem and f"_{unit}" in (*LENGTHS, *ANGLES) else (header, "")
+    # in other units than ours, or all in capitals
+    return (stem, unit) if stem and f"_{unit}" in (*LENGTHS, *ANGLES, *_ENDS) else (header, "")
 
 
 def _known_unit(text: str) -> str:
@@ -114,7 +116,8 @@ def is_unit(text: str) -> bool:
 def factor(unit: str, wanted: str) -> float | None:
     """What turns a number in ``unit``, as people write it, into one in the ``wanted`` unit; None where they measure
     different things."""
-    if (unit := _SPELT.get(unit, unit)) == wanted:
+    unit, wanted = _SPELT.get(unit, unit), _SPELT.get(wanted, wanted)
+    if unit == wanted:
         return 1.0
     return next((kind[unit] / kind[wanted] for kind in _BY_UNIT if unit in kind and wanted in kind), None)
 

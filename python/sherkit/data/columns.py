@@ -160,7 +160,7 @@ def is_known(layout: Layout) -> bool:
 
 
 #: Units that end the name of a column.
-_ENDINGS = ("mm", "um", "rad", "mrad", "deg", "px", "mN", "nm", "kg", "s")
+_ENDINGS = ("mm", "um", "rad", "mrad", "deg", "px", "mN", "mn", "nm", "kg", "s")
 
 
 #: Columns whose owner says that they end in their unit, whatever it is.

@@ -15,6 +15,7 @@ from ..model.sensor_pose import SLIP
 from .next_poses import times_as_often
 from .outliers import sentences
 from .result import (  # fmt: skip
+    ADD_IT,
     APART,
     AS_DRAWN,
     FEW,
@@ -341,7 +342,7 @@ def _steps_next(d: Diagnosis) -> Iterator[tuple[str, str]]:
         named = " ".join(f"--effect {e}" for e in d.effects)
         # a model of another sort may say itself where what is named is written to
         into = getattr(getattr(d.fit.model, "plain", None), "writes", None)
-        yield "add it", f"sherkit {into or f'calibrate {FILES} {named} -o calibrated.toml'}"
+        yield ADD_IT, f"sherkit {into or f'calibrate {FILES} {named} -o calibrated.toml'}"
     elif _is_of_instrument(d):
         yield "take the mean of both (two faces, two heads), or record in a column which of them read each row", ""
     elif (own := _own_that_helps(d)) is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,6 +28,7 @@ AS_DRAWN, DIGITS, DECLARED = "as_drawn", "digits", "noise_as_declared"
 #: The check that rows that are wrong lie as accidents do.
 FEW, SINGLY = "gross_errors", "apart"
 #: What comes next where the verdict has already said that the model holds.
+ADD_IT = "add it"
 NOTHING = "nothing; go on with the model as it is"
 #: The check that repeats differ by noise alone.
 REPEATS = "repeats_are_noise"
@@ -369,6 +370,13 @@ class Diagnosis(Shown):
             table = pl.DataFrame([sk.diagnose(robot, run).row() for run in runs])
         """
         return self.summary.row()
+
+    def added(self, command: str) -> Diagnosis:
+        """The same where what it says to add has been added: what comes next is a command."""
+        return replace(self, findings=tuple(
+            replace(one, answer="go on with it", command=command) if one.answer == ADD_IT else one
+            for one in self.findings
+        ))  # fmt: skip
 
     @cached_property
     def answer(self) -> Answer:

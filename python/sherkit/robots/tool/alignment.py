@@ -4,6 +4,8 @@ clouds of points, and how well these are known.
 
 from __future__ import annotations
 
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -15,10 +17,11 @@ from scipy.linalg import cho_solve
 import sherkit._core as _core
 
 from ...base import linalg
+from ...base.figures import listed
 from ...base.types import Floats
-from ...errors import FitError, ShapeError
+from ...errors import FitError, ShapeError, SherkitWarning
 from .runs import ToolRun, check_shapes, likeness
-from .tool import FlexibleTool, nested
+from .tool import POSITION, FlexibleTool, nested
 
 # -- The rigid transform between two clouds of points ----------------------------------------------------------------
 
@@ -245,8 +248,42 @@ def align(
     )  # fmt: skip
 
 
-def align_run(free: ToolRun, longest_s: float) -> Aligned:
-    """The same from a run in which the unbent tool was led around freely."""
+#: Smooth errors of so many times the noise are none of a camera; where the robot's places are told otherwise, less than
+#: this part of what was left is left.
+_NO_CAMERA, _NEARER = 4.0, 0.3
+
+
+def align_run(free: ToolRun, longest_s: float, length_mm: float) -> Aligned:
+    """The same from a run in which the unbent tool, of this free length, was led around freely. Raises
+    :class:`~sherkit.errors.FitError` as well for places of the flange, and warns of other places than the camera's."""
+    refused, found, on = None, None, None
+    try:
+        found = _aligned(free, longest_s)
+    except FitError as error:
+        refused = error
+    if found is not None and found.errors.size_mm < _NO_CAMERA * found.errors.noise_mm:
+        return found
+    with suppress(FitError):
+        on = _aligned(free.further_on(length_mm), longest_s)
+    if on is not None and (found is None or on.rms_mm < _NEARER * found.rms_mm):
+        now = "no frame of the camera fits" if found is None else f"it is {found.registration.mean_error_mm:.2f} mm"
+        raise FitError(
+            f"{free.source}: {listed(POSITION)} are those of the flange, and not of the unbent tip {length_mm:.3g} mm "
+            f"further on: with that undone the mean error is {on.registration.mean_error_mm:.2f} mm, now {now}"
+        )
+    if found is None:
+        raise refused or FitError(free.source)
+    off = found.registration.mean_error_mm
+    warnings.warn(
+        f"{free.source}: the camera sees the tip {off:.2f} mm from where the robot has it, and its pictures "
+        f"scatter by {found.errors.noise_mm:.2f} mm an axis: did something touch the tool, or are "
+        f"{listed(POSITION)} of another place than the unbent tip? A frame from them is off by as much",
+        SherkitWarning, stacklevel=2,
+    )  # fmt: skip
+    return found
+
+
+def _aligned(free: ToolRun, longest_s: float) -> Aligned:
     return align(
         free.time_s, free.position_mm, free.camera_time_s, free.camera_mm, longest_s=longest_s, source=free.source
     )

@@ -38,6 +38,8 @@ _STIFFNESS = 0.3
 _ROUNDS = 4
 #: How well rows must tell a term that the model lacks, of the largest that is expected.
 _TOLD = 0.05
+#: And by so many times what readings that are off make of it.
+_BEYOND = 2.0
 _STEP = 1e-4
 #: For a derivative by where a load stands, mm.
 _ELSEWHERE_MM = 1e-3
@@ -79,7 +81,7 @@ class Scatter:
 
 @dataclass(frozen=True, eq=False)
 class LoadRows:
-    """Loads (n,) as read: ``size_mn`` along ``way`` (n, 2) at ``depth_mm``, ``shifts_nm`` (n, 6) of sections I and II,
+    """Loads (n,) as read: ``size_mn`` along ``way`` (n, 2) at ``depth_mm``, ``shifts_nm`` (n, 9),
     ``deflection_mm`` (NaN: not read)."""
 
     size_mn: Floats
@@ -95,7 +97,7 @@ class LoadRows:
     @cached_property
     def differences_nm(self) -> Floats:
         """Of the fibres of sections I and II (n, 2, 2)."""
-        return np.asarray(np.einsum("dk,nsk->nsd", DIFFERENCES, self.shifts_nm.reshape(-1, 2, 3)))
+        return np.asarray(np.einsum("dk,nsk->nsd", DIFFERENCES, self.shifts_nm[:, :6].reshape(-1, 2, 3)))
 
     @cached_property
     def bent(self) -> Floats:
@@ -304,8 +306,8 @@ def _outer(v: Floats) -> Floats:
 @dataclass(frozen=True)
 class Lack:
     """What rows do that the model has no term for: ``what`` (a section's moments or the deflections), what goes with
-    load
-    and depth, over what was expected (n,), the ``most`` of it in ``unit``, and the p-value."""
+    load and depth, over what was expected (n,), the ``most`` of it in ``unit`` that parameters leave, and the
+    p-value."""
 
     what: str
     unit: str
@@ -336,18 +338,24 @@ def lack_of_fit(fit: BenchFit) -> tuple[Lack, ...]:
         largest = np.abs(expected[rows]).max()
         scaled = expected / largest
         more = np.stack([scaled**2, scaled**3, scaled * deep], axis=1) * rows[:, None]
+        # what a reading is off goes into the terms as well as into what is left
+        by_reading = np.stack([2.0 * scaled**2, 3.0 * scaled**3, scaled * deep], axis=1) * rows[:, None]
+        by_reading *= float(np.median(np.abs(fit.left[rows, column])) / np.median(np.abs(expected[rows])))
+        into, chance = (np.einsum("ni,nk->nik", by[:, :, column], one).reshape(-1, 3) for one in (more, by_reading))
         white = np.zeros((len(fun), 3))
-        white[: by[:, 0].size] = np.einsum("ni,nk->nik", by[:, :, column], more).reshape(-1, 3)
+        white[: len(into)] = into
         white = white - jac @ linalg.lstsq(jac, white, rcond=None)[0]
-        # loads at few depths show less than three terms
+        # loads at few depths, or of one size, show less than three terms
         left, seen, terms = linalg.svd(white * largest, full_matrices=False)
-        told = seen > 1.0 / _TOLD
+        told = seen > np.maximum(1.0 / _TOLD, _BEYOND * largest * np.linalg.norm(chance @ terms.T, axis=0))
         if not told.any():
             continue
         by_term = -left[:, told].T @ fun
         found = largest * more @ (terms[told].T @ (by_term / seen[told]))
         p = float(scipy.stats.chi2.sf(by_term @ by_term, told.sum()))
-        out.append(Lack(what, unit, found / np.where(expected != 0, expected, 1.0), float(np.abs(found).max()), p))
+        # parameters take most of it: what they leave is what rows show
+        shown = linalg.solve(by, (left[:, told] @ by_term)[: len(into)].reshape(-1, 5, 1))[:, column, 0]
+        out.append(Lack(what, unit, found / np.where(expected != 0, expected, 1.0), float(np.abs(shown).max()), p))
     return tuple(out)
 
 
@@ -399,8 +407,8 @@ def left_open(fit: BenchFit, lacks: Sequence[Lack]) -> ToolDoubt:
 
 
 #: Of conventions whose deviance differs by less the paper's own is taken; one that differs by less than the second of
-#: these is as good.
-_THE_SAME, AS_GOOD = 1.0, 6.0
+#: these may be it: each has a scatter of its own, and by chance the true one is less likely by as much.
+_THE_SAME, AS_GOOD = 1.0, 10.0
 
 
 def fit_as_reads_best(
@@ -408,10 +416,15 @@ def fit_as_reads_best(
 ) -> tuple[BenchFit, dict[Convention, float]]:
     """The best fit under the conventions that were not told otherwise (``"any"``), and by how much χ² of each is larger
     than the likeliest's: twice the difference of the logarithms of their likelihoods, each with a scatter of its own.
-    Of those that are the same the paper's own reading comes first."""
+    Of those that are the same the paper's own reading comes first; the covariance counts how far others that may be it
+    lie from it."""
     depth, force = told
     tried = [c for c in CONVENTIONS if depth in ("any", c.depth) and force in ("any", c.force)]
     fits = [fit_bench(BenchModel(rows, drawn, c, noise_nm)) for c in tried]
     least = min(f.deviance for f in fits)
     best = next(f for f in fits if f.deviance < least + _THE_SAME)
-    return best, {f.model.convention: f.deviance - least for f in fits}
+    covariance = best.covariance.copy()
+    for other in fits:
+        if (less := other.deviance - least) < AS_GOOD:
+            covariance += np.exp(-less / 4.0) * np.outer(other.x - best.x, other.x - best.x)
+    return replace(best, covariance=covariance), {f.model.convention: f.deviance - least for f in fits}

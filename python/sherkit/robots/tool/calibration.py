@@ -17,9 +17,10 @@ import polars as pl
 
 from ...base import linalg
 from ...base.types import Bools, Floats
+from ...data.called import Columns
 from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
-from .bench_doubts import against_drawing, robust_gains, wrong_loads
+from .bench_doubts import against_drawing, drawn_gains, wrong_loads
 from .bench_fit import (
     AS_GOOD,
     CONVENTIONS,
@@ -32,7 +33,8 @@ from .bench_fit import (
     lack_of_fit,
     left_open,
 )
-from .runs import check_unit, numbers_of, table_at
+from .runs import check_unit
+from .tables import NO_NAMES, numbers_of, table_at
 from .tool import ARC, DEFLECTION, DEPTH, FIBRES, FORCE, FlexibleTool, nested
 
 # -- Rows of a load bench -----------------------------------------------------------------------------------------
@@ -78,12 +80,12 @@ class Loads:
         write_table(pl.DataFrame(columns).with_columns(pl.col(DEFLECTION).fill_nan(None)), path)
 
 
-def read_loads(path: str | Path) -> Loads:
+def read_loads(path: str | Path, columns: Columns = NO_NAMES) -> Loads:
     """Reads the rows of a load bench, whose depths stand in ``depth_mm``, or in ``arc_mm`` where they are lengths of
-    shaft.
+    shaft; ``columns`` are names of the file by ours.
 
     Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row."""
-    frame = table_at(Path(path))
+    frame = table_at(Path(path), columns)
     by_arc = ARC in frame.columns and DEPTH not in frame.columns
     depth = ARC if by_arc else DEPTH
     needed = (*FORCE, depth, *FIBRES)
@@ -140,7 +142,7 @@ def check_loads(tool: FlexibleTool, loads: Loads) -> None:
 def check_sizes(tool: FlexibleTool, rows: LoadRows, slope_mn_mm2: float | None, source: str) -> None:
     """Whether the gains of rows and the stiffness by their slope are of a size with the tool file's. Raises
     :class:`~sherkit.errors.MeasurementError`: a factor of 100 and more is another unit."""
-    gain = float(np.linalg.norm(robust_gains(tool, rows)) / np.linalg.norm(tool.gains))
+    gain = float(np.linalg.norm(drawn_gains(tool, rows)) / np.linalg.norm(tool.gains))
     stiffness = 1.0 if slope_mn_mm2 is None else slope_mn_mm2 / tool.stiffness_mn_mm2
     for what, ratio, unit in (
         ("gains are", gain, "are forces in mN?"),
@@ -222,21 +224,16 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     check_loads(tool, loads)
     loaded = loads.loaded
     count = int((~loaded).sum())
-    reference, noise = np.array(tool.reference_nm), tool.noise_nm
+    reference, noise = reference_of(tool, loads), tool.noise_nm
     if count >= LEAST_UNLOADED:
-        rest = loads.wavelengths_nm[~loaded]
-        reference = rest.mean(axis=0)
         # warmth moves all fibres alike, and is no noise
-        within = rest - reference
+        within = loads.wavelengths_nm[~loaded] - reference
         within = within - within.mean(axis=1, keepdims=True)
         noise = float(np.sqrt((within**2).sum() / ((count - 1) * 8))) or tool.noise_nm
     rows = loaded_rows(loads, reference)
-    bad, larger = wrong_loads(tool, rows)
-    noticed = [
-        f"row {np.flatnonzero(loaded)[i] + 1}: its force of {rows.size_mn[i]:.4g} mN is not the one that its gratings "
-        f"feel, {larger[i]:.2g} times as large; it is left out"
-        for i in np.flatnonzero(bad)
-    ]
+    bad, told = wrong_loads(tool, rows)
+    wrong = np.flatnonzero(loaded)[bad] + 1
+    noticed = [f"row {row}: {one}; it is left out" for row, one in zip(wrong, told, strict=True)]
     rows = rows.some(~bad)
     noticed += against_drawing(tool, rows)
     enough = int(rows.bent.sum()) >= LEAST_LOADED
@@ -298,12 +295,18 @@ def strange(scatter: Scatter) -> list[str]:
     return told
 
 
+def reference_of(tool: FlexibleTool, loads: Loads) -> Floats:
+    """Wavelengths (9,) of the unloaded rows; the tool's where there are too few."""
+    rest = loads.wavelengths_nm[~loads.loaded]
+    return np.asarray(rest.mean(axis=0) if len(rest) >= LEAST_UNLOADED else tool.reference_nm)
+
+
 def loaded_rows(loads: Loads, reference_nm: Floats) -> LoadRows:
     """The loaded rows."""
     on = loads.loaded
     force = loads.force_mn[on]
     size = np.linalg.norm(force, axis=1)
-    shifts = loads.wavelengths_nm[on, :6] - reference_nm[:6]
+    shifts = loads.wavelengths_nm[on] - reference_nm
     return LoadRows(size, force / size[:, None], loads.depth_mm[on], shifts, loads.deflection_mm[on])
 
 

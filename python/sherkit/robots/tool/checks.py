@@ -39,7 +39,9 @@ def checks(e: Estimate, truths: list[NeesConsistency]) -> tuple[RunCheck, ...]:
     """All that a run is asked, the causes before what follows from them."""
     return (
         _robot(e), _columns(e, truths), _check("the run began where the tool file says", began(e)),
-        _check("no stream froze", e.run.froze, _AGAIN), _motion(e), _gratings(e), _camera(e, truths),
+        _check("no stream froze", e.run.froze, _AGAIN),
+        _check("no grating jumped", list(map(str, e.run.leaps.jumps)), "use the seconds before, or measure again"),
+        _check("wavelengths scatter as the tool file says", _scatter(e)), _motion(e), _gratings(e), _camera(e, truths),
     )  # fmt: skip
 
 
@@ -90,6 +92,8 @@ def _motion(e: Estimate) -> RunCheck:
     run, what = e.run, "the robot's motion explains how the depth goes"
     std = e.fibre_depth_std_mm
     told = np.isfinite(e.fibre_depth_mm) & np.isfinite(std) & ~e.faulty_sections[:, :2].any(axis=1)
+    # what a jump makes of the depth is said with it
+    told &= run.time_s < min((one.at_s for one in run.leaps.jumps), default=np.inf)
     if told.sum() < _LEAST_ROWS or (run.position_mm == run.position_mm[0]).all():
         return RunCheck(what, None)
     weight = 1.0 / (std[told] ** 2 + _FINEST_MM**2)
@@ -123,6 +127,20 @@ def _motion(e: Estimate) -> RunCheck:
 
 
 # -- The gratings beside each other -----------------------------------------------------------------------------------
+
+#: Readings that scatter by so many times noise_nm are none of those that the tool file is for.
+_NOISIER = 2.0
+
+
+def _scatter(e: Estimate) -> list[str]:
+    scatter, known = e.run.leaps.scatter_nm, e.tool.noise_nm
+    if not scatter > _NOISIER * known:
+        return []
+    return [
+        f"Wavelengths scatter by {scatter:.2g} nm from reading to reading, and noise_nm of [gratings] is {known:.2g}: "
+        "write there what this interrogator does"
+    ]
+
 
 #: So many gratings of a section that were left out at once leave nothing that the others check, in this part of the
 #: run.
@@ -249,12 +267,7 @@ _ANYHOW: dict[str, Callable[[ToolRun], ToolRun]] = {
 def _undone(tool: FlexibleTool) -> dict[str, Callable[[ToolRun], ToolRun]]:
     """Each mistake that a run may have with what undoes it."""
     said = f"{listed(POSITION)} are those of the flange, and not of the unbent tip {tool.length_mm:.3g} mm further on"
-    return {**_ANYHOW, said: partial(_along_shaft, tool.length_mm)}
-
-
-def _along_shaft(by_mm: float, run: ToolRun) -> ToolRun:
-    """With places so much further on towards the tip."""
-    return replace(run, position_mm=run.position_mm + by_mm * run.rotations[:, :, 2])
+    return {**_ANYHOW, said: lambda run: run.further_on(tool.length_mm)}
 
 
 def exchanged(e: Estimate, truths: list[NeesConsistency]) -> list[str]:

@@ -33,7 +33,9 @@ class ToolEffect(Effect):
     tool: ToolWith | None = field(default=None, repr=False)
 
 
-#: Two patterns of three fibres without a common part.
+#: Two patterns of three fibres without a common part: the first against the second, both against the third. None is a
+#: limb, of which a name would end in its number.
+_NAMES = ("1_and_2_apart", "3_below")
 _PATTERNS = np.array([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]])
 
 
@@ -125,7 +127,7 @@ _EFFECTS = (
     _effect(
         "fbg_bias",
         "sensor",
-        *(_p(f"{s}_{k}", "nm", 0.01) for s in ("I", "II") for k in (1, 2)),
+        *(_p(f"{s}_{k}", "nm", 0.01) for s in ("I", "II") for k in _NAMES),
         physics="Wavelengths of the unloaded tool have crept: a force is felt where there is none.",
         residuals="Constant in the tool's frame where the tool is free, and a wrong depth where forces are small.",
         remedy="Read the unloaded tool before each run and take that as reference_nm.",
@@ -134,7 +136,7 @@ _EFFECTS = (
     _effect(
         "fbg_temperature",
         "sensor",
-        *(_p(f"{s}_{k}", "nm/nm", 0.1) for s in ("I", "II") for k in (1, 2)),
+        *(_p(f"{s}_{k}", "nm/nm", 0.1) for s in ("I", "II") for k in _NAMES),
         physics="The three fibres of a section answer unlike to warmth: taking out what is common leaves a rest.",
         residuals="Follow the common shift of the wavelengths: slow, as the tool warms in the eye.",
         remedy="Warm the unloaded tool and watch the moments; wait until it is warm before the run.",

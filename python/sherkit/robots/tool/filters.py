@@ -280,10 +280,10 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     """Runs sensing and the filters over a recorded run.
 
     A reading is used at the time it was taken: its stamp where the run has one, less the delay of the fibres.
-    Rows without wavelengths are predicted over, as are those of wavelengths that froze, and those in
-    which the robot's pose stood while the tool moved: there deviations are of how far this robot goes in as much time.
-    Raises :class:`~sherkit.errors.MeasurementError` for a run in which no
-    row has wavelengths, or whose wavelengths are in another unit or of another tool.
+    Rows without wavelengths are predicted over, as are those of wavelengths that froze or leap off for once, and those
+    in which the robot's pose stood while the tool moved: there deviations are of how far this robot goes in as much
+    time. Raises :class:`~sherkit.errors.MeasurementError` for a run in which no row has wavelengths, or whose
+    wavelengths are in another unit or of another tool.
     """
     waves, stamps, reading = _readings(tool, run)
     if not reading.any():
@@ -308,10 +308,10 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
 
 
 def _readings(tool: FlexibleTool, run: ToolRun) -> tuple[Floats, Floats, Bools]:
-    """Wavelengths (n, 9) without those that froze, when they were taken (n,), s, and rows (n,) that bring new ones."""
-    waves = np.where(run.lost_fibres[:, None], np.nan, run.wavelengths_nm)
+    """Wavelengths (n, 9) that are believed, when they were taken (n,), s, and rows (n,) that bring new ones."""
+    waves = run.believed_nm
     stamps = np.ascontiguousarray(run.fibre_times_s - tool.fibre_delay_s)
-    return waves, stamps, run.new_readings(np.asarray(np.isfinite(run.wavelengths_nm).any(axis=1)))
+    return waves, stamps, run.new_readings(np.asarray(np.isfinite(waves).any(axis=1)))
 
 
 def tracked(tool: FlexibleTool, run: ToolRun) -> dict[str, Any]:

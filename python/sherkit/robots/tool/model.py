@@ -251,8 +251,12 @@ class ToolModel(Saved):
 
     @cached_property
     def _places(self) -> TipPlaces:
-        waves = np.where(self.dead[:, None], np.nan, self.run.wavelengths_nm)
-        run = replace(self.run, wavelengths_nm=waves) if self.dead.any() else self.run
+        lost = self.dead[:, None] | self.run.leaps.single
+        run = (
+            replace(self.run, wavelengths_nm=np.where(lost, np.nan, self.run.wavelengths_nm))
+            if lost.any()
+            else self.run
+        )
         return TipPlaces(self.tool, run, self.moments_s)
 
     @staticmethod
@@ -304,11 +308,45 @@ def mended(model: ToolModel, found: Diagnosis) -> Applied:
                 f"{after.effect} is not written: with it the error on poses that the fit had not seen falls only from "
                 f"{before.error.rms:.3g} to {after.error.rms:.3g} {unit}"
             )
-    if not idle:
-        return applied(model, found.fit)
-    kept = [e for e in found.fit.model.effects if e.name not in idle]
-    told = applied(model, identify(model, found.fit.data, effects=kept))
-    return replace(told, kept_out=(*told.kept_out, *idle), why=(*told.why, *idle.values()))
+    fit = found.fit
+    if idle:
+        fit = identify(model, fit.data, effects=[e for e in fit.model.effects if e.name not in idle])
+    told = applied(model, fit)
+    why = (*told.why, *idle.values(), *_references(model.tool, told.tool))
+    return replace(told, tool=_left_open(model, found, told), kept_out=(*told.kept_out, *idle), why=why)
+
+
+def _references(before: FlexibleTool, after: FlexibleTool) -> list[str]:
+    """A sentence on the fibres whose references were written anew."""
+    moved = 1e3 * (np.array(after.reference_nm) - np.array(before.reference_nm))
+    named = [f"{name} {by:+.0f} pm" for name, by in zip(FIBRES, moved, strict=True) if abs(by) > 0.5]
+    return [f"reference_nm moved, but for what a section has in common: {listed(named, 9)}"] if named else []
+
+
+def _left_open(model: ToolModel, found: Diagnosis, told: Applied) -> FlexibleTool:
+    """The tool that was written, with what it leaves open in its ``doubt``: where the tip tells stiffness from length
+    as little as a clamp that stands elsewhere from a tip that does, the beam is either, and the depth may be, which
+    counts from the tip."""
+    named = {*told.written}
+    for tie in found.indistinguishable:
+        named |= {*tie} if named & {*tie} else set()
+    if "tool_length" not in named:
+        return told.tool
+    at, tool = model._places, told.tool
+    beam = np.array(tool.doubt.beam)
+    for one in found.candidates:
+        if one.effect in ("tool_length", "tool_stiffness") and one.effect in named - {*told.written}:
+            of = TOOL_CATALOGUE[one.effect].tool
+            assert of is not None
+            other = of(model.tool, np.array([p["value"] for p in one.parameters]))
+            off = np.array([other.length_mm - tool.length_mm, other.stiffness_mn_mm2 - tool.stiffness_mn_mm2])
+            beam += np.outer(off, off)
+    longer = replace(model.tool, length_mm=model.tool.length_mm + 1.0,
+                     distances_mm=nested(np.array(model.tool.distances_mm) + 1.0))  # fmt: skip
+    moved, by_mm = (at.tip(one, at.feel(one)) - at.tip_mm for one in (tool, longer))
+    deeper = float((moved * by_mm).sum() / (by_mm**2).sum())
+    doubt = replace(tool.doubt, beam=nested(beam), deeper_mm=float(np.hypot(tool.doubt.deeper_mm, deeper)))
+    return replace(tool, doubt=doubt)
 
 
 @linalg.one_thread()

@@ -5,8 +5,7 @@ what its numbers cannot be.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,13 +14,15 @@ import numpy as np
 import polars as pl
 
 from ...base import linalg
-from ...base.figures import closest, listed
+from ...base.figures import listed
 from ...base.types import Bools, Floats
+from ...data.called import Columns
 from ...data.columns import TIME
-from ...data.reader import checked
-from ...data.tables import read_table, write_table
+from ...data.tables import write_table
 from ...errors import FitError, MeasurementError, SherkitWarning
 from .frozen import Frozen, frozen_pose, frozen_stretches, repeats, rows_of, sentences
+from .leaps import Leaps, leaps_of
+from .tables import NO_NAMES, numbers_of, table_at
 from .tool import CAMERA, DEPTH, FIBRE_TIME, FIBRES, KNOWN, POSITION, TURN, rotation_of
 
 # -- What numbers cannot be: other units, another clock, another tool, a camera that saw something else -----------
@@ -31,6 +32,8 @@ _UNITS = {"pm": 1e3, "um": 1e-3, "m": 1e-9}
 OUT_OF_REACH_NM = 8.0
 #: Rows of a robot are no further apart, and readings no further from their rows, s.
 _SLOWEST_S, _STRANGE_CLOCK_S = 0.5, 1.0
+#: Rows of one run are no further apart, s.
+_LONGEST_S = 3600.0
 #: Rows are missing where none came for so long, s, and for so many usual steps.
 _GAP_S, _GAP_STEPS = 0.5, 20.0
 _LONGEST_TURN_RAD = 2.0 * np.pi + 0.1
@@ -83,6 +86,12 @@ def check_clocks(time_s: Floats, later_s: Floats | None, source: str) -> None:
         raise MeasurementError(
             f"{source}: rows of the robot are {step:g} s apart; expected {_SLOWEST_S:g} s or less: is time_s in "
             "another unit?"
+        )
+    if (leap := float(np.diff(time_s).max())) >= _LONGEST_S:
+        at = int(np.argmax(np.diff(time_s)))
+        raise MeasurementError(
+            f"{source}: time_s leaps by {leap:.3g} s behind {time_s[at]:.9g} s: is it that of another clock from there "
+            "on? Rows before and behind are runs of their own"
         )
     apart = float(np.median(np.abs(later_s))) if later_s is not None and len(later_s) else 0.0
     if apart > _STRANGE_CLOCK_S:
@@ -179,40 +188,6 @@ def check_camera(robot_mm: Floats, seen_mm: Floats, source: str) -> None:
         )  # fmt: skip
 
 
-# -- Columns of the tool's tables as numbers ------------------------------------------------------------------------
-
-
-def table_at(path: Path) -> pl.DataFrame:
-    """Rows of a file. Raises :class:`~sherkit.errors.MeasurementError`."""
-    try:
-        return read_table(checked(path))
-    except pl.exceptions.PolarsError as error:
-        raise MeasurementError(f"{path}: is not a table: {str(error).splitlines()[0]}") from None
-
-
-def numbers_of(frame: pl.DataFrame, needed: Iterable[str], known: Iterable[str], source: str) -> dict[str, Floats]:
-    """Columns (n,) of a frame by name, NaN where a cell is empty: all that are ``needed``, and those ``known`` that it
-    has. Raises :class:`~sherkit.errors.MeasurementError` naming column and row, counted from 1."""
-    known = tuple(known)
-    for name in needed:
-        if name not in frame.columns:
-            near = closest(name, [c for c in frame.columns if c not in known])
-            hint = f"; is '{near}' meant to be it?" if near else f"; it has {listed(frame.columns, 24)}"
-            raise MeasurementError(f"{source}: column '{name}' is missing{hint}")
-    columns: dict[str, Floats] = {}
-    for name in (c for c in known if c in frame.columns):
-        column = frame[name]
-        try:
-            columns[name] = column.cast(pl.Float64).to_numpy().astype(float)
-        except pl.exceptions.PolarsError:
-            bad = column.cast(pl.String).cast(pl.Float64, strict=False).is_null() & column.is_not_null()
-            row = int(bad.arg_max() or 0)
-            raise MeasurementError(
-                f"{source}: row {row + 1}, column '{name}': '{column[row]}' is not a number"
-            ) from None
-    return columns
-
-
 # -- The run ---------------------------------------------------------------------------------------------------------
 
 _LEAST = 3
@@ -271,7 +246,18 @@ class ToolRun:
     @cached_property
     def present(self) -> Bools:
         """Rows (n,) with all wavelengths of sections I and II that are :meth:`new_readings`."""
-        return self.new_readings(np.asarray(np.isfinite(self.wavelengths_nm[:, :6]).all(axis=1)))
+        return self.new_readings(np.asarray(np.isfinite(self.believed_nm[:, :6]).all(axis=1)))
+
+    @cached_property
+    def leaps(self) -> Leaps:
+        """Single readings that are off, and gratings that jump for good."""
+        read = np.asarray(np.isfinite(self.wavelengths_nm).any(axis=1)) & ~self.again
+        return leaps_of(self.time_s, self.wavelengths_nm, self.new_readings(read))
+
+    @cached_property
+    def believed_nm(self) -> Floats:
+        """Wavelengths (n, 9), NaN where they froze or leap off for once."""
+        return np.where(self.lost_fibres[:, None] | self.leaps.single, np.nan, self.wavelengths_nm)
 
     def new_readings(self, read: Bools) -> Bools:
         """Those of the rows ``read`` (n,) that hold no reading which an earlier one has already, where the robot's pose
@@ -320,6 +306,10 @@ class ToolRun:
         """A sentence on each stream that stood still while the others went on."""
         return sentences(self.frozen_fibres, self.frozen_pose)
 
+    def further_on(self, by_mm: float) -> ToolRun:
+        """With places so much further on along the shaft, towards the tip."""
+        return replace(self, position_mm=self.position_mm + by_mm * self.rotations[:, :, 2])
+
     def save(self, path: str | Path) -> None:
         """Writes CSV or Parquet that :func:`read_tool_run` reads: rows of the robot and of the camera by time."""
         robot = pl.DataFrame(
@@ -337,13 +327,14 @@ class ToolRun:
         write_table(frame.with_columns(pl.col(pl.Float64).fill_nan(None)), path)
 
 
-def read_tool_run(path: str | Path) -> ToolRun:
-    """Reads a run. A row may hold the robot (pose and wavelengths), the camera, or both.
+def read_tool_run(path: str | Path, columns: Columns = NO_NAMES) -> ToolRun:
+    """Reads a run. A row may hold the robot (pose and wavelengths), the camera, or both; ``columns`` are names of the
+    file by ours, as a tool has them from ``[columns]`` of its file.
 
     Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row for what is missing, half there, not a
     number, or out of the order of time.
     """
-    return tool_run_of(table_at(Path(path)), str(path))
+    return tool_run_of(table_at(Path(path), columns), str(path))
 
 
 def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
@@ -409,10 +400,10 @@ def warn_frozen(run: ToolRun) -> None:
         warnings.warn(f"{run.source}: {sentence[0].lower()}{sentence[1:]}", SherkitWarning, stacklevel=3)
 
 
-def read_free_motion(path: str | Path) -> ToolRun:
+def read_free_motion(path: str | Path, columns: Columns = NO_NAMES) -> ToolRun:
     """A run in which the free tool was led around before its camera, as :func:`read_tool_run`. Raises as
     :func:`require_camera`, and warns of streams that froze."""
-    run = read_tool_run(path)
+    run = read_tool_run(path, columns)
     require_camera(run)
     warn_frozen(run)
     return run

@@ -46,6 +46,23 @@ FORCE = ("force_x_mn", "force_y_mn")
 DEFLECTION = "deflection_mm"
 
 
+@dataclass(frozen=True)
+class OwnNames:
+    """What a laboratory calls these columns in its files: pairs of our name and its own."""
+
+    pairs: tuple[tuple[str, str], ...] = ()
+
+    @classmethod
+    def from_table(cls, table: Table) -> OwnNames:
+        """Reads ``[columns]``."""
+        known = (*KNOWN, *FORCE, ARC, DEFLECTION)
+        return cls(tuple((name, said) for name in known if (said := table.words(name, ""))))
+
+    def to_table(self) -> dict[str, str]:
+        """What :meth:`from_table` reads."""
+        return dict(self.pairs)
+
+
 # -- The tool -----------------------------------------------------------------------------------------------------
 
 Triple = tuple[float, float, float]
@@ -130,7 +147,7 @@ class FlexibleTool(Declared, Saved):
     A run starts at ``start_depth_mm`` within ``start_std_mm``; None where nobody knows: outside, or far inside.
     ``clearance_mm`` is how much wider than the shaft the hole is (radius), as far as that is known before it is felt.
     ``bench`` says how its table of loads is to be read, depth and force (see :mod:`.bench_fit`); ``"any"``: as fits
-    best.
+    best. ``names`` are those of the columns in its tables, where they are not ours.
     ``noise`` names what the filters trust:
     ``"propagated"`` follows the force and the calibration's ``doubt``, with ``per_second_mm2`` (depth, tip; the depth's
     is the least, faster motion of the eye is learnt) and, for the filters of Eqs. 8 and 14, ``floor_mm2``; the others
@@ -163,6 +180,7 @@ class FlexibleTool(Declared, Saved):
     clearance_std_mm: float = 1.0
     bench: tuple[str, str] = ("any", "any")
     doubt: ToolDoubt = ToolDoubt()
+    names: OwnNames = OwnNames()
     kind: str = field(default=KIND, init=False)
 
     TABLES: ClassVar = {
@@ -205,6 +223,7 @@ class FlexibleTool(Declared, Saved):
             "force": key(Table.text, ("across", "normal", "weight", "any")).of("bench", 1),
         },
         "doubt": Inner(ToolDoubt, "doubt"),
+        "columns": Inner(OwnNames, "names"),
     }
 
     @classmethod
@@ -230,6 +249,11 @@ class FlexibleTool(Declared, Saved):
     def save(self, path: str | Path) -> None:
         """Writes a tool file that :func:`load_tool` reads."""
         write_whole(path, tomli_w.dumps(self.to_tables()))
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """What columns of its tables are called, by our names."""
+        return self.names.to_table()
 
     # -- the compiled parts ------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from ...base.figures import listed
 from .checks import RunCheck, checks
 from .consistency import NeesConsistency, known_of
 from .filters import Estimate
+from .tool import FIBRES
 
 #: Without a truth: a mean of squared innovations over their variances beyond which deviations are too small.
 _TOO_FAR = 1.5
@@ -76,7 +77,8 @@ def _judged(e: Estimate, truths: list[NeesConsistency]) -> tuple[str, str, str]:
         c = e.depth.consistency
         verdict = "unknown" if not np.isfinite(c.ratio) else ("overconfident" if c.ratio > _TOO_FAR else "trusted")
         nothing = "no truth is in this run" if tip is None else "no depth_mm is in this run"
-        told = f"innovations squared are {c.ratio:.2f} of what is stated, ± {std:.2f} mm; {nothing}"
+        said = f"innovations squared are {c.ratio:.2f} of what is stated, ± {std:.2f} mm"
+        told = f"{said if np.isfinite(c.ratio) else 'no force was felt that tells the depth'}; {nothing}"
     if tip is None or tip.verdict == "unknown":
         return verdict, "depth", told
     told += f"; {100 * tip.coverage:.0f} % of the pictures lie where the tip is stated to be, NEES {tip.nees:.2f}"
@@ -90,6 +92,9 @@ def _judged(e: Estimate, truths: list[NeesConsistency]) -> tuple[str, str, str]:
 
 def _noticed(e: Estimate) -> list[str]:
     out = []
+    if (single := e.run.leaps.single.sum(axis=0)).any():
+        where = listed((f"{name}: {count}" for name, count in zip(FIBRES, single, strict=True) if count), 9)
+        out.append(f"{single.sum()} single readings leap off what is before and after them and are left out ({where})")
     if gaps := e.run.gaps:
         spans = listed((f"{a:.2f} to {b:.2f} s" for a, b in gaps), 4)
         out.append(
@@ -111,7 +116,7 @@ def _noticed(e: Estimate) -> list[str]:
             "tool` finds the delay of the fibres, which the tool file holds ([gratings] delay_s)"
         )
     lags = float(np.median(e.lags))
-    if lags > _LAGS:
+    if lags > _LAGS and np.isfinite(e.fibre_depth_mm).any():
         out.append(
             f"Fibres lag behind their bends, by about {100 * lags:.1f} % of the bend, which the bench did not show: "
             "the deviation is larger for it. A bench that loads from all sides, up and down, would say so"

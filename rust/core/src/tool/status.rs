@@ -44,7 +44,7 @@ impl Status {
     /// The pose is not finite, or its rotation no turn: the state stood still, and its covariance does not know how far
     /// it is off.
     pub const NO_MOTION: Self = Self(1 << 5);
-    /// The step's time is not finite or lies before the state's: nothing was done at all.
+    /// The step's time is not finite, before the state's or 1e6 s after it: nothing was done. A new clock: start anew.
     pub const CLOCK: Self = Self(1 << 6);
     /// The measurement contradicts the state or itself, and was not used.
     pub const GATED: Self = Self(1 << 7);

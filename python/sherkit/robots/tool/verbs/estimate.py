@@ -57,7 +57,7 @@ def estimate(
     made = load_tool(tool)
     if which is not None:
         made = made.with_noise(_FILTERS[which])
-    result = run_filters(made, read_tool_run(run))
+    result = run_filters(made, read_tool_run(run, made.columns))
     judged, truths = judge(result), known(result)
     if destination is not None:
         write_table(_frame(result, both=both), destination)

@@ -25,7 +25,7 @@ from ..tool import load_tool
 def register(tool: Path, run: Path, destination: Path | None, longest_delay_s: float, as_json: bool) -> None:
     """Frame and clock of the camera from RUN, in which the unbent TOOL was led around freely."""
     made = load_tool(tool)
-    found = align_run(read_free_motion(run), longest_delay_s)
+    found = align_run(read_free_motion(run, made.columns), longest_delay_s, made.length_mm)
     if destination is not None:
         found.in_tool(made).save(destination)
     if as_json:

@@ -56,12 +56,14 @@ def tool_story(
         output.require_view()
     with output.steps(16) as step:
         step("reading")
-        loads, led, recorded = read_loads(bench), read_free_motion(free), read_tool_run(run)
+        drawn = load_tool(drawing) if drawing else FlexibleTool()
+        named = drawn.columns
+        loads, led, recorded = read_loads(bench, named), read_free_motion(free, named), read_tool_run(run, named)
         require_camera(recorded)
         step("gains, stiffness and length")
-        calibration = run_calibration(load_tool(drawing) if drawing else FlexibleTool(), loads)
+        calibration = run_calibration(drawn, loads)
         step("the camera's frame and clock")
-        found = align_run(led, longest_delay_s)
+        found = align_run(led, longest_delay_s, calibration.tool.length_mm)
         step("unloaded seconds")
         tares = _tared(found.in_tool(calibration.tool), led, recorded)
         hole = TipPlaces(tares[-1].tool, recorded, recorded.time_s[:1]).hole

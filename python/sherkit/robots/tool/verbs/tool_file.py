@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -66,7 +67,8 @@ class ToolFile:
         """The tool in one run, and where the camera saw its tip."""
         if len(runs) > 1:
             raise SherkitError(f"{runs[1]}: runs of a flexible tool are diagnosed one at a time")
-        self.model = ToolModel(load_tool(self.path), read_tool_run(runs[0]))
+        tool = load_tool(self.path)
+        self.model = ToolModel(tool, read_tool_run(runs[0], tool.columns))
         return model_of(self.model), self.model.readings
 
     def told(self, runs: Sequence[Path]) -> tuple[Path, ...]:
@@ -76,11 +78,12 @@ class ToolFile:
     def require_writable(self, destination: Path | None) -> None:
         """A tool's file holds what was named."""
 
-    def write(self, destination: Path, found: Diagnosis) -> list[str]:
+    def write(self, destination: Path, found: Diagnosis) -> tuple[Diagnosis, list[str]]:
         """The tool with what was named."""
         told = mended(self.model, found)
         told.tool.save(destination)
-        return [*sentences_of(told), f"the tool is in {destination}"]
+        go_on = f"sherkit estimate {shlex.quote(str(destination))} RUN"
+        return found.added(go_on), [*sentences_of(told), f"the tool is in {destination}"]
 
     def report(self, path: Path, found: Diagnosis, *, sources: Sequence[Path], **_: Any) -> None:
         """The story of the run, with what was named written into the tool."""
@@ -89,9 +92,9 @@ class ToolFile:
 
     # -- verbs in a way of its own -----------------------------------------------------------------------
 
-    def _check(self, table: Path, *, as_json: bool) -> None:
-        refuse_given("run", "robot", "as_json", why="tables of a flexible tool are mended by hand")
-        check_table(load_tool(self.path), self.path, table, as_json=as_json)
+    def _check(self, table: Path, destination: Path | None, *, as_json: bool) -> None:
+        refuse_given("run", "robot", "destination", "as_json", why="is not for tables of a flexible tool")
+        check_table(load_tool(self.path), self.path, table, destination, as_json=as_json)
 
     def _calibrate(self, loads: Path, destination: Path | None, *, as_json: bool) -> None:
         refuse_given(
@@ -99,7 +102,8 @@ class ToolFile:
         )
         if destination is not None:
             require_kind(destination, "--output", (TOOL,))
-        result = calibrate_tool(load_tool(self.path), read_loads(loads))
+        drawn = load_tool(self.path)
+        result = calibrate_tool(drawn, read_loads(loads, drawn.columns))
         if destination is not None:
             result.tool.save(destination)
         if as_json:
