@@ -111,10 +111,12 @@ def _fitted(nothing: Suspect, sets: list[tuple[Effect, ...]]) -> list[Suspect]:
 
 
 def _leading(nothing: Suspect, tried: list[Suspect], *, significant: bool) -> tuple[Suspect, ...]:
+    # one of many is better by chance, where no diagnosis says that anything is left
+    clearly = _CLEARLY + (0.0 if significant else 2.0 * float(np.log(max(len(tried), 1))))
     # who would have to be absurdly far off is none while somebody else would not
     tried = [s for s in tried if s.is_plausible] or tried
     better = [
-        s for s in tried if s.priced < nothing.priced - _CLEARLY or (significant and s.alone < nothing.alone - _fair(s))
+        s for s in tried if s.priced < nothing.priced - clearly or (significant and s.alone < nothing.alone - _fair(s))
     ]
     if not better:
         return ()
