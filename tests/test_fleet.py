@@ -174,19 +174,19 @@ def test_ten_thousand_verdicts_are_one_table() -> None:
 def test_the_command_prints_and_writes_the_same(
     runs: list[str], found: Fleet, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a table without the failed run or its sentence, a pattern that no shell has spread, and other JSON."""
+    """Catches a table without the failed run or its sentence, who alone lacks an effect and is not named, a pattern that no shell has spread, and other JSON."""
     monkeypatch.chdir(Path(runs[0]).parent)
     for arguments in ([], ["--json"]):
         with pytest.raises(SystemExit) as ended:
-            main(["fleet", "machine_[345].csv", "--robot", "robot.toml", "--workers", "1", *arguments])
+            main(["fleet", "machine_[0345].csv", "--robot", "robot.toml", "--workers", "1", *arguments])
         assert not ended.value.code
     text, _, data = capsys.readouterr().out.partition("{\n")
     assert "failed: machine_5.csv: column 'q3_mm' is missing" in text
-    assert "rail_lean is missing in 1 of 2" in text
+    assert "rail_lean is missing in 1 of 3: machine_3.csv" in text
     assert "from 4 machines on" in text
     said = json.loads("{" + data)
-    assert [m["verdict"] for m in said["machines"]] == [m.verdict for m in found.machines[3:]]
-    assert said["machines"][0]["values"] == found.machines[3].values
+    assert [m["verdict"] for m in said["machines"]] == [found.machines[k].verdict for k in (0, 3, 4, 5)]
+    assert said["machines"][1]["values"] == found.machines[3].values
 
 
 def test_a_fleet_of_which_no_run_can_be_used_is_no_success(runs: list[str], capsys: pytest.CaptureFixture[str]) -> None:

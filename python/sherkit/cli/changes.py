@@ -11,7 +11,7 @@ from typing import TypeVar
 import click
 from rich.markup import escape
 
-from ..base.figures import CALIBRATED, in_people_units, sized
+from ..base.figures import CALIBRATED, in_people_units, listed, sized
 from ..base.workers import processes
 from ..changes import Comparison, History
 from ..changes import compare as compare_runs
@@ -224,14 +224,15 @@ def _print(found: Fleet) -> None:
             output.warn(remark if remark.startswith(m.run) else f"{m.run}: {remark}")
     many = len(found.diagnosed)
     for name, runs in found.shared.items():
-        output.say(f"{name} is missing in {len(runs)} of {many}")
+        few = f": {listed(runs)}" if 2 * len(runs) < many else ""
+        output.say(f"{name} is missing in {len(runs)} of {many}{few}")
     if many < FEWEST:
         output.say(f"who stands out is told from {FEWEST} machines on")
         return
     for one in found.stands_out:
         output.say(str(one))
     if not found.stands_out:
-        output.say("no machine stands out")
+        output.say("no machine stands out in its numbers")
     columns = ("", "median", "from machine to machine", "unit", "machines")
     spread = output.table("What the machines have in common", *columns)
     for c in found.common:
