@@ -174,7 +174,8 @@ def test_ten_thousand_verdicts_are_one_table() -> None:
 def test_the_command_prints_and_writes_the_same(
     runs: list[str], found: Fleet, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a table without the failed run or its sentence, who alone lacks an effect and is not named, a pattern that no shell has spread, and other JSON."""
+    """Catches a table without the failed run or its sentence, who alone lacks an effect and is not named, a pattern
+    that no shell has spread, and other JSON."""
     monkeypatch.chdir(Path(runs[0]).parent)
     for arguments in ([], ["--json"]):
         with pytest.raises(SystemExit) as ended:
