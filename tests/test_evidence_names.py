@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import worlds
 from sherkit.base.types import Floats
+from sherkit.evidence import names
 from sherkit.evidence.base import Base
 from sherkit.evidence.family import Family
 from sherkit.evidence.fitted_run import FittedRun
@@ -85,3 +88,21 @@ def with_residual(base: Base, residual: Floats) -> Base:
     """The same model of other readings."""
     left = residual - base.basis @ (base.basis.T @ residual)
     return Base(base.family, base.basis, left, base.left, base.family.columns.products(left[:, None])[:, 0])
+
+
+def test_what_is_no_robots_is_no_tie(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches "cannot tell thermal_shift from thermal_growth" where growth has rails lean by 11°, 47 usual sizes:
+    beside a lead that is none itself that is no tie, however well it fits."""
+    monkeypatch.setattr(names, "is_plausible", lambda run, effect, most: run.times <= most)
+
+    def a_set(times: float) -> Any:
+        block = SimpleNamespace(effect=object())
+        return SimpleNamespace(
+            blocks=(block,), value=100.0, rest=-3.0, explains=True, plausible=times <= 5.0,
+            base=SimpleNamespace(rss=100.0, free=100), run=SimpleNamespace(of=SimpleNamespace(times=times)),
+        )  # fmt: skip
+
+    sets: Any = SimpleNamespace(counted=lambda one: 1)
+    sound, large, far = a_set(1.0), a_set(9.0), a_set(47.0)
+    assert names._ties(sets, sound, [sound, large, far]) == (large,)
+    assert names._ties(sets, large, [sound, large, far]) == (sound, far)

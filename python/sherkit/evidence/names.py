@@ -13,10 +13,12 @@ from .base import Base, log_bayes
 from .blocks import Block
 from .made import TURN
 from .sets import MOST, EffectSet, Sets, ShapeDescription
-from .thresholds import ALARM, COUNTS, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, times_plausible
+from .thresholds import ALARM, COUNTS, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, is_plausible, times_plausible
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
+#: Plausible sizes from which on an effect is no alternative to others, however well it fits.
+_FAR = 20.0
 #: Waves over the range of a joint from which on it is seen that they repeat.
 _REPEATS = 1.5
 #: Beginnings of a description that takes the place of an effect.
@@ -229,8 +231,13 @@ def _bends(base: Base, shape: Block) -> bool:
     return float(np.ptp(base.family.run.view.stood[shape.pattern])) < _REPEATS * shape.period
 
 
+def _is_no_robots(one: EffectSet) -> bool:
+    return not all(is_plausible(one.run.of, block.effect, _FAR) for block in one.blocks if block.effect)
+
+
 def _ties(sets: Sets, lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSet, ...]:
-    """Sets of no more effects that say as much, or are no more and come as near the data, and leave as little."""
+    """Sets of no more effects that say as much, or are no more and come as near the data, and leave as little; beside a
+    plausible lead none of numbers that are beyond all doubt no robot's."""
     equivalent_models = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
     return tuple(
         one
@@ -242,4 +249,5 @@ def _ties(sets: Sets, lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSe
             or (one.explains and one.base.rss < equivalent_models and sets.counted(one) <= sets.counted(lead))
         )
         and one.rest < max(lead.rest, ALARM) + TIED
+        and not (lead.plausible and _is_no_robots(one))
     )
