@@ -272,7 +272,8 @@ def test_compare_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], bumped: DeltaPair) -> None:
     """Catches a bumped machine that is called valid, one that is as it was called invalid, an exit code that a nightly
-    job cannot use, a promise that is said to be all that calibrate prints, and poses outside of the workspace."""
+    job cannot use, a promise that is said to be all that calibrate prints, an instrument that was moved without a
+    word, and poses outside of the workspace."""
     found = json.loads(said(capsys, 3, "verify", "calibrated.toml", "after.csv", "--json", "--fail-if-invalid"))
     assert found["verdict"] == "not valid"
     assert "base_angle_2" in {*found["changed"], *(name for tie in found["indistinguishable"] for name in tie)}
@@ -287,6 +288,12 @@ def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], 
     assert "would have shown" in text
     # what calibrate prints is larger by what could hide between the poses
     assert "the accuracy that calibrate prints also counts what that run could not show" in " ".join(text.split())
+    # a shift of all of it is no change, and may not go without a word where places are counted from the instrument
+    assert "stands elsewhere than in the run" not in text
+    moved = pl.read_csv(folder / "again.csv").with_columns(x_mm=pl.col("x_mm") + 0.5)
+    moved.write_csv(folder / "moved.csv")
+    text = said(capsys, 0, "verify", "calibrated.toml", "moved.csv", "--fail-if-invalid")
+    assert "the robot stands elsewhere than in the run of the calibration: shift_x 0.5 mm" in " ".join(text.split())
     poses = json.loads(said(capsys, 0, "plan", "calibrated.toml", "--verify", "--poses", "9", "--json"))["poses"]
     assert len(poses) == 9
     assert {"pose", "q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm"} == set(poses[0])

@@ -20,10 +20,11 @@ from ..adaptive.task import Region, planned
 from ..base import linalg
 from ..base.answer import AFTER, TARGET, Answer, Bar, ToDo
 from ..base.arguments import Count, Seed, validate_arguments
-from ..base.figures import finite, listed, number
+from ..base.figures import finite, listed, number, sized
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
+from ..data.columns import unit_in
 from ..data.doubts import copied
 from ..data.reader import RunLike
 from ..errors import FitError
@@ -105,6 +106,15 @@ class Verification(Shown):
         return [f"these rows cannot tell an error of {_SURE:g} × the promise: {found}, {number(least / promised)} × it"]
 
     @property
+    def _elsewhere(self) -> str:
+        """How far the robot stands elsewhere, seen from the instrument, where that is more than what was promised."""
+        by = {name: value for name, value in self.stand.items() if unit_in(name) == "mm"}
+        far = 1e3 * float(np.linalg.norm(list(by.values()))) if by else 0.0
+        if self.unit != "µm" or far <= (self.error["promised"] or np.inf):
+            return ""
+        return ", ".join(f"{name.rpartition('_')[0]} {sized(by, unit_in(name))}" for name, by in self.stand.items())
+
+    @property
     def answer(self) -> Answer:
         """What it says for whoever reads nothing else."""
         told = [*self.sees, *told_ties(self.indistinguishable)]
@@ -115,6 +125,12 @@ class Verification(Shown):
                 "The promise is what the run of the calibration shows of its accuracy at these places: within "
                 f"{within} µm in 95 of 100 cases; the accuracy that calibrate prints also counts what that run could "
                 "not show"
+            )
+        if off := self._elsewhere:
+            told.append(
+                "Seen from the instrument the robot stands elsewhere than in the run of the calibration: "
+                f"{off}. These rows do not tell whether one or the other moved, and it counts for nothing above; places "
+                "in the frame of the sensor are off by it where the instrument was not set up anew"
             )
         told.append(f"These poses would have shown, at its plausible size: {listed(self.would_show, 12) or 'nothing'}")
         if self.would_not:

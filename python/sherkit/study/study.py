@@ -298,7 +298,9 @@ class Study(Shown):
         """
         which = self.left_out if rows is None else self._rows(rows)
         if not len(which):
-            raise MeasurementError(f"{self.data.source}: no row is left out as a gross error")
+            marked = np.flatnonzero(self.data.outlier).tolist()
+            by_number = f"; those that were marked are put back by number: put_back({marked})" if marked else ""
+            raise MeasurementError(f"{self.data.source}: no row is left out as a gross error{by_number}")
         if not self.data.outlier[which].all():
             there = self.data.line[which[~self.data.outlier[which]]]
             raise MeasurementError(f"{self.data.source}: {self.data.counted} {listed(there)} is not left out")
