@@ -129,8 +129,8 @@ class Verification(Shown):
         if off := self._elsewhere:
             told.append(
                 "Seen from the instrument the robot stands elsewhere than in the run of the calibration: "
-                f"{off}. These rows do not tell whether one or the other moved, and it counts for nothing above; places "
-                "in the frame of the sensor are off by it where the instrument was not set up anew"
+                f"{off}. These rows do not tell which of the two moved, and it counts for nothing above; places in the "
+                "frame of the sensor are off by it where the instrument was not set up anew"
             )
         told.append(f"These poses would have shown, at its plausible size: {listed(self.would_show, 12) or 'nothing'}")
         if self.would_not:

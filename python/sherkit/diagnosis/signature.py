@@ -112,11 +112,14 @@ _TOLD = 3.0
 
 def bends_in_words(judged: Names | None, names: Sequence[str], readings: Sequence[str]) -> str:
     """Bends that a run cannot tell from waves which are named; empty where there is none."""
-    told = [] if judged is None else judged.told
+    told = {} if judged is None else {one.name: one.bend for one in judged.told}
+    # a tie that rows held out are nearer with is named in the place of one that was told, and is as little seen
+    instead = next((name for name in names if name not in told), None)
+    bends = {name if name in names else instead: bend for name, bend in told.items() if bend is not None}
     return "; ".join(
-        f"it may as well be that {course(numbers_of(one.bend, readings))}: of {one.name} too little is seen to tell it "
+        f"it may as well be that {course(numbers_of(bend, readings))}: of {name} too little is seen to tell it "
         "from a bend"
-        for one in told if one.bend is not None and one.name in names
+        for name, bend in bends.items() if name is not None
     )  # fmt: skip
 
 
