@@ -97,10 +97,11 @@ def test_the_way_there_that_repeats_show_is_a_finding(order: Order) -> None:
     assert "theta" in check(d, "repeats_are_noise").result
 
 
-@pytest.mark.parametrize(("ratio", "said"), [(10.0, True), (0.1, True), (1.5, False)])
+@pytest.mark.parametrize(("ratio", "said"), [(10.0, True), (0.1, True), (0.5, True), (0.95, False), (1.5, False)])
 def test_declared_noise_that_repeats_contradict_is_said(ratio: float, said: bool) -> None:
     """Catches 0.03 mm declared where repeats show 3 µm and "adequate" without a word, by the declared one: a cycle
-    would not show beside it. And a word where they agree. Thirty times as much is another unit: `test_table.py`."""
+    would not show beside it; and half of what they show, the instrument's alone, which was "unexplained" in 23 of 24
+    deltas. And a word where they agree. Thirty times as much is another unit: `test_table.py`."""
     columns = filmed(3, "shuffled", PLANS["small"])
     # joints that are read: commanded ones beside so much scatter are a mistake of the set-up of its own
     jitter = np.random.default_rng(1).normal(size=(2, len(columns["u_px"]))) * 1e-9

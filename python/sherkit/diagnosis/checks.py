@@ -18,7 +18,7 @@ from ..fit.constant_columns import frozen
 from ..fit.identify import ABSURD
 from ..fit.set_up import Mistake
 from .held_out import PRAISE, Elimination, HeldOutGain
-from .repeats import Repeats, Rounded, rounded
+from .repeats import CONTRADICTS, Repeats, Rounded, rounded
 from .result import (  # fmt: skip
     AS_DRAWN,
     DECLARED,
@@ -274,7 +274,11 @@ def _as_declared(final: FittedRun, contradicted: Mapping[str, tuple[float, float
     told = f"{each}: {ratio:.2g} times apart; all that is said here is by what repeats show"
     return Check(
         DECLARED, tested, rows, told, holds=False, decisive=False,
-        fails=f"the declared noise is not what repeats show ({told}): are the deviations in the unit of their column?",
+        fails=f"the declared noise is not what repeats show ({told}): "
+        + (
+            "are the deviations in the unit of their column?" if ratio >= CONTRADICTS
+            else "is what was declared the instrument's alone, without what the robot scatters by when it comes back?"
+        ),
     )  # fmt: skip
 
 

@@ -28,8 +28,10 @@ from .template import course
 
 # -- What repeats hold -------------------------------------------------------------------------------------------------
 
-#: Declared noise and what repeats show may differ by this factor.
-_CONTRADICTS = 3.0
+#: Declared noise and what repeats show may differ by this factor; repeats may show more by this one, and by chance by
+#: what one run in so many does.
+CONTRADICTS = 3.0
+_MORE, _BY_CHANCE = 1.15, 1e-6
 #: Visits beyond the first of each pose without which nothing is told of noise.
 _FEWEST = 5
 #: Part of the noise below which there is plainly less of it.
@@ -125,7 +127,11 @@ def contradicted(run: FittedRun, repeats: Repeats) -> Mapping[str, tuple[float, 
         if not np.isfinite(each).all() or not each.any():
             continue
         said, shown = float(np.sqrt(np.mean(each**2))), float(repeats.noise[a])
-        if not 1.0 / _CONTRADICTS <= shown / said <= _CONTRADICTS:
+        told = run.fit.repeatability
+        free = 0 if told is None else told.degrees_of_freedom.get(run.data.layout.readings[a], 0)
+        chance = np.sqrt(scipy.special.chdtri(free, _BY_CHANCE) / free) if free >= _FEWEST else np.inf
+        most = min(CONTRADICTS, max(_MORE, float(chance)))
+        if not 1.0 / CONTRADICTS <= shown / said <= most:
             out[bare(run.names[a])] = (run.per_unit * said, run.per_unit * shown)
     return out
 
