@@ -52,11 +52,11 @@ def judged(family: str, seed: int, experiment: str) -> Judged:
         truth = world.run(experiment, seconds=SECONDS)
         tool, run = tool_of(world), run_of(truth)
         e = estimate(tool, run)
-    bits = (e.faulty[np.isfinite(run.wavelengths_nm).all(axis=1), None] >> np.arange(9)) & 1
+    out = e.left_out[np.isfinite(run.wavelengths_nm).all(axis=1)]
     both = e.together
     return Judged(
         family, seed, experiment, scored(run, truth, both.value, both.covariance),
-        scored(run, truth, plain(tool, run), None), float(bits.mean(axis=0).max()), said(e),
+        scored(run, truth, plain(tool, run), None), float(out.mean(axis=0).max()), said(e),
     )  # fmt: skip
 
 

@@ -220,6 +220,11 @@ class ToolRun:
         return f"ToolRun({self.source}: {len(self)} rows, {len(self.camera_time_s)} of the camera)"
 
     @cached_property
+    def step_s(self) -> float:
+        """From row to row, as it usually is."""
+        return float(np.median(np.diff(self.time_s)))
+
+    @cached_property
     def rotations(self) -> Floats:
         """Tool to base (n, 3, 3)."""
         return rotation_of(self.turn_rad)
@@ -298,7 +303,7 @@ class ToolRun:
     def gaps(self) -> list[tuple[float, float]]:
         """Spans, s, in which no row of the robot came though some should have."""
         step = np.diff(self.time_s)
-        after = np.flatnonzero(step > max(_GAP_S, _GAP_STEPS * float(np.median(step))))
+        after = np.flatnonzero(step > max(_GAP_S, _GAP_STEPS * self.step_s))
         return [(float(self.time_s[k]), float(self.time_s[k + 1])) for k in after]
 
     @property
@@ -421,7 +426,7 @@ def summary(run: ToolRun) -> dict[str, Any]:
     return {
         "rows": len(run),
         "seconds": span,
-        "robot_hz": 1.0 / float(np.median(np.diff(run.time_s))) if span > 0 else float("nan"),
+        "robot_hz": 1.0 / run.step_s if span > 0 else float("nan"),
         "pictures": len(run.camera_time_s),
         "without_fibres": int((~run.present).sum()),
     }
