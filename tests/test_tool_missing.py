@@ -26,7 +26,7 @@ from sherkit.robots.tool.tare import tare
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool
 from test_tool import KNOWING, TOOL
-from tool_honesty import honest, run_of, tool_of
+from tool_honesty import honest, run_of, tool_of, without_camera
 
 SECONDS = 40.0
 #: Of the camera, per axis.
@@ -199,9 +199,8 @@ def test_values_are_those_that_were_planted() -> None:
 
 def test_a_run_without_pictures_is_refused() -> None:
     """Catches a diagnosis of nothing."""
-    run = replace(VirtualTool(TOOL).run("vessels", seconds=3.0), camera_time_s=np.zeros(0), camera_mm=np.zeros((0, 3)))
     with pytest.raises(MeasurementError, match="holds no place of the camera"):
-        ToolModel(TOOL, run)
+        ToolModel(TOOL, without_camera(VirtualTool(TOOL).run("vessels", seconds=3.0)))
 
 
 @pytest.mark.parametrize(("name", "seed"), [("shaft_bend", 2), ("camera_delay", 2)])

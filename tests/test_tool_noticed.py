@@ -24,7 +24,7 @@ from sherkit.robots.tool.filters import Estimate, estimate
 from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import load_tool
 from sherkit.robots.tool.trust import trust
-from tool_honesty import run_of, tool_of
+from tool_honesty import run_of, told, tool_of, without_camera
 from wide_honesty import run_of as wide_run_of
 from wide_honesty import tool_of as wide_tool_of
 
@@ -132,10 +132,9 @@ def test_the_hole_tells_how_a_tool_is_held(mistake: str, says: str) -> None:
     elif mistake == "quarter":
         turned = Rotation.from_rotvec(run.turn_rad) * Rotation.from_rotvec([0.0, 0.0, 0.5 * np.pi])
         run = replace(run, turn_rad=turned.as_rotvec())
-    e = estimate(tool, run)
-    told = trust(e, known(e))
-    assert (told.verdict in ("trusted", "too careful")) != bool(says)
-    assert says in " ".join(sentence for check in told.checks for sentence in check.sentences)
+    said = told(tool, run)
+    assert (said.verdict in ("trusted", "too careful")) != bool(says)
+    assert says in " ".join(sentence for check in said.checks for sentence in check.sentences)
 
 
 def test_the_depth_is_called_once() -> None:
@@ -143,19 +142,12 @@ def test_the_depth_is_called_once() -> None:
     world = CONDITIONS["exact_rod_pivot"]
     recorded = world.run("phantom", seconds=20.0, seed=1)
     tool, run = tool_of(world, 1), run_of(recorded)
-    e = estimate(tool, run)
-    told = trust(e, known(e))
-    assert told.verdict in ("trusted", "too careful")
-    assert told.answer.to_do[0].sentence == told.to_do
-    sure = estimate(replace(tool, gains=(np.array(tool.gains) * [[[1.02]], [[1.0]]]).tolist()), run)
-    assert trust(sure, known(sure)).verdict == "overconfident"
-    without = estimate(tool, replace(run, depth_mm=None))
-    assert "no depth_mm is in this run" in trust(without, known(without)).sentence
-
-
-def without_camera(run: ToolRun) -> ToolRun:
-    """The same run, which no camera saw."""
-    return replace(run, camera_time_s=run.camera_time_s[:0], camera_mm=run.camera_mm[:0])
+    said = told(tool, run)
+    assert said.verdict in ("trusted", "too careful")
+    assert said.answer.to_do[0].sentence == said.to_do
+    sure = replace(tool, gains=(np.array(tool.gains) * [[[1.02]], [[1.0]]]).tolist())
+    assert told(sure, run).verdict == "overconfident"
+    assert "no depth_mm is in this run" in told(tool, replace(run, depth_mm=None)).sentence
 
 
 @pytest.mark.parametrize("seeds", [(60,), pytest.param((61,), marks=pytest.mark.slow)])
