@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from second_tool import CONDITIONS, FAULTS, Honesty, Recorded, World, honesty, pooled, write_csv
 from sherkit.errors import MeasurementError, SherkitWarning
+from sherkit.fit.identify import Fit, identify
 from sherkit.robots.tool.calibration import Loads, read_loads
 from sherkit.robots.tool.consistency import known
 from sherkit.robots.tool.filters import Estimate, estimate
+from sherkit.robots.tool.model import ToolModel
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
 from sherkit.robots.tool.tare import tare
 from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool
@@ -48,6 +50,11 @@ def told(tool: FlexibleTool, run: ToolRun) -> Trust:
     """What is said of a run."""
     e = estimate(tool, run)
     return trust(e, known(e))
+
+
+def fitted(model: ToolModel, *names: str) -> Fit:
+    """A model fitted with these effects."""
+    return identify(model, model.readings, effects=[e for e in model.candidates if e.name in names])
 
 
 def tool_of(world: World, seed: int = 0) -> FlexibleTool:
