@@ -15,8 +15,7 @@ from sherkit.robots.tool.tool import FIBRES, FlexibleTool
 from sherkit.robots.tool.trust import Trust
 from sherkit.robots.tool.virtual import VirtualTool
 from tool_families import EXPERIMENTS
-from tool_honesty import told, without_camera
-from wide_honesty import run_of as wide_run_of
+from tool_honesty import run_of, told, without_camera
 
 TOOL = FlexibleTool()
 
@@ -113,7 +112,7 @@ def test_no_sound_grating_of_any_family_is_accused(name: str) -> None:
     0, 1."""
     for seed in range(2):
         for experiment in EXPERIMENTS:
-            run = wide_run_of(FAMILIES[name](seed).run(experiment, seconds=20.0))
+            run = run_of(FAMILIES[name](seed).run(experiment, seconds=20.0))
             assert (run.leaps.single.sum(), run.leaps.jumps) == (0, ())
             g = np.random.default_rng(seed + len(name))
             k, at = int(g.integers(9)), int(g.integers(1000, len(run) - 1000))

@@ -14,7 +14,6 @@ from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.trust import Trust
 from tool_honesty import run_of, told, tool_of, without_camera
-from wide_honesty import run_of as wide_run_of
 from wide_honesty import tool_of as wide_tool_of
 
 WORLD = replace(CONDITIONS["exact_rod_pivot"], pivot_rad=0.3)
@@ -129,7 +128,7 @@ def test_another_tools_file_is_never_trusted() -> None:
     """Catches sections that are left out all the run, or depths that go otherwise than the robot, and a depth 15 mm off
     that is trusted."""
     world = Wide(21)
-    seen = wide_run_of(world.run("phantom", seconds=30.0))
+    seen = run_of(world.run("phantom", seconds=30.0))
     tool, run = wide_tool_of(world), replace(without_camera(seen), depth_mm=None)
     assert failed(told(tool, run)) == set()
     reference, rng = np.array(tool.reference_nm), np.random.default_rng(3)

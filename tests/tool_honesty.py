@@ -11,13 +11,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import polars as pl
 import tomli_w
 from numpy.typing import NDArray
 
-from second_tool import CONDITIONS, FAULTS, Honesty, Recorded, World, honesty, pooled, write_csv
+from second_tool import CONDITIONS, FAULTS, Honesty, Recorded, WideRun, World, honesty, pooled, write_csv
 from sherkit.errors import MeasurementError, SherkitWarning
 from sherkit.fit.identify import Fit, identify
 from sherkit.robots.tool.calibration import Loads, read_loads
@@ -30,7 +31,22 @@ from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool
 from sherkit.robots.tool.trust import Trust, trust
 
 
-def run_of(recorded: Recorded, source: str = "run") -> ToolRun:
+def tool_from(tables: dict[str, Any]) -> FlexibleTool:
+    """The tool of a file with these tables."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "tool.toml"
+        path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+        return load_tool(path)
+
+
+def loads_from(bench: dict[str, NDArray[np.float64]]) -> Loads:
+    """The loads of a file with these columns."""
+    with TemporaryDirectory() as folder:
+        write_csv(bench, Path(folder) / "bench.csv")
+        return read_loads(Path(folder) / "bench.csv")
+
+
+def run_of(recorded: Recorded | WideRun, source: str = "run") -> ToolRun:
     """What the reader makes of a recorded run."""
     frame = pl.DataFrame(recorded.columns())
     return tool_run_of(frame.with_columns(pl.col(pl.Float64).fill_nan(None)), source)
@@ -59,10 +75,7 @@ def fitted(model: ToolModel, *names: str) -> Fit:
 
 def tool_of(world: World, seed: int = 0) -> FlexibleTool:
     """The tool as its file says, with the world's own bending and the doubt by which its file was drawn."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "tool.toml"
-        path.write_text(tomli_w.dumps(world.file(seed)), encoding="utf-8")
-        tool = load_tool(path)
+    tool = tool_from(world.file(seed))
     doubt = ToolDoubt(
         depth=_of_depth(world, np.array(tool.gains)), turn_rad=0.0, force=world.gain_error,
         reference_nm=world.reference_error_nm, mean=0.003,
@@ -97,9 +110,7 @@ def warmed_of(world: World, seed: int = 0) -> FlexibleTool:
 
 def loads_of(world: World, seed: int = 0, **bench: float) -> Loads:
     """A bench of known loads."""
-    with TemporaryDirectory() as folder:
-        write_csv(world.bench(seed=seed, **bench), Path(folder) / "bench.csv")  # type: ignore[arg-type]
-        return read_loads(Path(folder) / "bench.csv")
+    return loads_from(world.bench(seed=seed, **bench))  # type: ignore[arg-type]
 
 
 def honest(e: Estimate, truth: Recorded) -> dict[str, Honesty]:

@@ -13,22 +13,20 @@ import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-import tomli_w
 from numpy.typing import NDArray
 
 from plain_tool import plain_calibration, plain_filter
-from second_tool import Wide, WideRun, honesty, write_csv
+from second_tool import Wide, WideRun, honesty
 from second_tool.wide import EXPERIMENTS
 from second_tool.wide import FAULTS as FAULTS
 from sherkit.errors import SherkitWarning
-from sherkit.robots.tool.calibration import calibrate_tool, read_loads
+from sherkit.robots.tool.calibration import calibrate_tool
 from sherkit.robots.tool.filters import estimate
-from sherkit.robots.tool.runs import ToolRun, read_tool_run
-from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool
+from sherkit.robots.tool.runs import ToolRun
+from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt
+from tool_honesty import loads_from, run_of, tool_from
 
 Floats = NDArray[np.float64]
 
@@ -44,20 +42,7 @@ _POSE_MM = 2e-3
 @lru_cache(maxsize=4)
 def tool_of(world: Wide) -> FlexibleTool:
     """Calibrated on the world's bench, from file to file."""
-    with TemporaryDirectory() as folder:
-        drawn, bench = Path(folder) / "drawing.toml", Path(folder) / "bench.csv"
-        drawn.write_text(tomli_w.dumps(world.drawing()), encoding="utf-8")
-        write_csv(world.bench(), bench)
-        made = Path(folder) / "tool.toml"
-        calibrate_tool(load_tool(drawn), read_loads(bench)).tool.save(made)
-        return load_tool(made)
-
-
-def run_of(recorded: WideRun) -> ToolRun:
-    """As the reader has it from a file."""
-    with TemporaryDirectory() as folder:
-        write_csv(recorded.columns(), Path(folder) / "run.csv")
-        return read_tool_run(Path(folder) / "run.csv")
+    return tool_from(calibrate_tool(tool_from(world.drawing()), loads_from(world.bench())).tool.to_tables())
 
 
 @dataclass(frozen=True)
@@ -92,10 +77,7 @@ def scored(run: ToolRun, truth: WideRun, value: Floats, covariance: Floats | Non
 
 def plain_of(world: Wide) -> FlexibleTool:
     """The tool as the paper calibrates it, by the drawing and small bends, on the same bench."""
-    with TemporaryDirectory() as folder:
-        drawn = Path(folder) / "drawing.toml"
-        drawn.write_text(tomli_w.dumps(world.drawing()), encoding="utf-8")
-        tool = load_tool(drawn)
+    tool = tool_from(world.drawing())
     bench = world.bench()
     waves = np.column_stack([bench[f"fbg{k + 1}_nm"] for k in range(9)])
     force = np.column_stack([bench["force_x_mn"], bench["force_y_mn"]])
