@@ -229,7 +229,7 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
         within = loads.wavelengths_nm[~loaded] - reference
         within = within - within.mean(axis=1, keepdims=True)
         noise = float(np.sqrt((within**2).sum() / ((count - 1) * 8))) or tool.noise_nm
-    rows = loaded_rows(loads, reference)
+    rows = loaded_rows(tool, loads)
     bad, why = wrong_loads(tool, rows)
     wrong = np.flatnonzero(loaded)[bad] + 1
     noticed = [f"row {row}: {one}; it is left out" for row, one in zip(wrong, why, strict=True)]
@@ -301,12 +301,12 @@ def reference_of(tool: FlexibleTool, loads: Loads) -> Floats:
     return np.asarray(rest.mean(axis=0) if len(rest) >= LEAST_UNLOADED else tool.reference_nm)
 
 
-def loaded_rows(loads: Loads, reference_nm: Floats) -> LoadRows:
-    """The loaded rows."""
+def loaded_rows(tool: FlexibleTool, loads: Loads) -> LoadRows:
+    """The loaded rows, their shifts from the unloaded ones."""
     on = loads.loaded
     force = loads.force_mn[on]
     size = np.linalg.norm(force, axis=1)
-    shifts = loads.wavelengths_nm[on] - reference_nm
+    shifts = loads.wavelengths_nm[on] - reference_of(tool, loads)
     return LoadRows(size, force / size[:, None], loads.depth_mm[on], shifts, loads.deflection_mm[on])
 
 

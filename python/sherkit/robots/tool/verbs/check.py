@@ -19,7 +19,7 @@ from ....data.columns import TIME, bare
 from ....data.tables import write_table
 from ....errors import SherkitError, SherkitWarning
 from ..bench_doubts import against_drawing
-from ..calibration import Loads, calibrate_tool, check_loads, depth_column, loaded_rows, read_loads, reference_of
+from ..calibration import calibrate_tool, check_loads, depth_column, loaded_rows, read_loads
 from ..checks import checks
 from ..consistency import judge, known
 from ..filters import estimate
@@ -150,11 +150,9 @@ def _of_run(tool: FlexibleTool, source: str, frame: pl.DataFrame) -> list[Callab
 def _of_bench(tool: FlexibleTool, table: Path) -> list[Callable[[], Any]]:
     """Whether loads can calibrate the tool, and what they have wrong beside its drawing."""
 
-    def loads() -> Loads:
-        return read_loads(table, tool.columns)
-
     def beside_drawing() -> list[str]:
-        check_loads(tool, loads())
-        return against_drawing(tool, loaded_rows(loads(), reference_of(tool, loads())))
+        loads = read_loads(table, tool.columns)
+        check_loads(tool, loads)
+        return against_drawing(tool, loaded_rows(tool, loads))
 
-    return [beside_drawing, lambda: calibrate_tool(tool, loads())]
+    return [beside_drawing, lambda: calibrate_tool(tool, read_loads(table, tool.columns))]
