@@ -109,7 +109,7 @@ def check_loads(tool: FlexibleTool, loads: Loads) -> None:
     rows, source = loads.loaded, loads.source
     if int(rows.sum()) < LEAST_LOADED:
         raise FitError(f"{source}: {int(rows.sum())} rows with a force; expected {LEAST_LOADED} or more")
-    check_unit(loads.wavelengths_nm, np.array(tool.reference_nm), source)
+    check_unit(loads.wavelengths_nm, tool.reference_nm, source)
     near = tool.distances_mm[0]
     bad = rows & ~((loads.depth_mm >= -_ZERO_MM) & (loads.depth_mm < near))
     if bad.any():

@@ -209,7 +209,7 @@ class Estimate(Shown):
     def faults(self) -> tuple[GratingFault, ...]:
         """Gratings that were left out for a while, and what they did."""
         bits = self.left_out
-        shift = self.run.wavelengths_nm - np.array(self.tool.reference_nm)
+        shift = self.run.wavelengths_nm - self.tool.reference_nm
         found = []
         for k, rows in enumerate(bits.T):
             at = self.run.time_s[rows]
@@ -293,7 +293,7 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     waves, stamps, reading = _readings(tool, run)
     if not reading.any():
         raise MeasurementError(f"{run.source}: no row has wavelengths; there is nothing to estimate from")
-    check_wavelengths(waves, np.array(tool.reference_nm), run.source)
+    check_wavelengths(waves, tool.reference_nm, run.source)
     measured = tool.sensor.measure_batch(stamps, tool.as_if_cold(waves))[0]
     start, pose = float(run.time_s[0]), run.poses[0]
     told = tracked(tool, run)

@@ -47,7 +47,7 @@ _MIRRORED = 0.02
 ELSEWHERE_MM = 60.0
 
 
-def check_unit(wavelengths_nm: Floats, reference_nm: Floats, source: str) -> None:
+def check_unit(wavelengths_nm: Floats, reference_nm: tuple[float, ...], source: str) -> None:
     """Raises :class:`~sherkit.errors.MeasurementError` for wavelengths (n, 9) that are not in nm, or are shifts."""
     known = wavelengths_nm[np.isfinite(wavelengths_nm)]
     if not len(known):
@@ -66,7 +66,7 @@ def check_unit(wavelengths_nm: Floats, reference_nm: Floats, source: str) -> Non
         )
 
 
-def check_wavelengths(wavelengths_nm: Floats, reference_nm: Floats, source: str) -> None:
+def check_wavelengths(wavelengths_nm: Floats, reference_nm: tuple[float, ...], source: str) -> None:
     """As :func:`check_unit`, and for wavelengths of another tool than the one with these references (9,)."""
     check_unit(wavelengths_nm, reference_nm, source)
     shift = np.abs(wavelengths_nm - reference_nm)

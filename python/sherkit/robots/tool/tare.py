@@ -49,7 +49,7 @@ def tare(tool: FlexibleTool, run: ToolRun, *, untouched: bool = False) -> Tare:
         raise MeasurementError(f"{run.source}: no row has wavelengths; the tare needs those of the untouched tool")
     if seconds < _LEAST_S and not untouched:
         return Tare(tool, np.zeros(9), 0.0)
-    shift = run.wavelengths_nm[rows] - np.array(tool.reference_nm)
+    shift = run.wavelengths_nm[rows] - tool.reference_nm
     known = [*np.array(tool.warmth), np.zeros(3)]
     found = [
         _unloaded_section(own, before, tool.doubt.warmth, tool.noise_nm)

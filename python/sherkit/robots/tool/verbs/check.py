@@ -144,7 +144,7 @@ def _of_run(tool: FlexibleTool, source: str, frame: pl.DataFrame) -> list[Callab
     asked: list[Callable[[], Any]] = [lambda: tool_run_of(frame, source)]
     if len(robot) > 1:
         asked += [lambda: check_clocks(robot[:, 0], None, source), lambda: check_turn(robot[:, 4:], source)]
-    return [*asked, lambda: check_wavelengths(waves, np.array(tool.reference_nm), source), contradicts]
+    return [*asked, lambda: check_wavelengths(waves, tool.reference_nm, source), contradicts]
 
 
 def _of_bench(tool: FlexibleTool, table: Path) -> list[Callable[[], Any]]:
