@@ -6,12 +6,11 @@ from pathlib import Path
 
 import hypothesis.strategies as st
 import numpy as np
-import polars as pl
 import pytest
 from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
-from sherkit.errors import FitError, MeasurementError, ShapeError
+from sherkit.errors import FitError, ShapeError
 from sherkit.robots.tool.alignment import align, at_times, register
 from sherkit.robots.tool.calibration import Loads, calibrate_tool, read_loads
 from sherkit.robots.tool.tool import FlexibleTool
@@ -52,22 +51,11 @@ def test_known_loads_calibrate_the_tool(benches: int) -> None:
     assert right[0] == pytest.approx(1.25e6 * 0.943, rel=0.01)
 
 
-def test_bad_loads_are_refused(tmp_path: Path) -> None:
-    """Catches a calibration of nothing, or of loads that all push one way."""
-    loads = VirtualTool(TOOL).bench(loads=5)
-    with pytest.raises(FitError, match="5 rows with a force; expected 12"):
-        calibrate_tool(TOOL, loads)
+def test_loads_are_lossless(tmp_path: Path) -> None:
+    """Catches wavelengths that a table rounds."""
     loads = VirtualTool(TOOL).bench()
     loads.save(tmp_path / "loads.csv")
-    again = read_loads(tmp_path / "loads.csv")
-    np.testing.assert_array_equal(again.wavelengths_nm, loads.wavelengths_nm)
-    table = pl.read_csv(tmp_path / "loads.csv")
-    table.drop("fbg4_nm").write_csv(tmp_path / "bad.csv")
-    with pytest.raises(MeasurementError, match="column 'fbg4_nm' is missing"):
-        read_loads(tmp_path / "bad.csv")
-    table.with_columns(depth_mm=None).write_csv(tmp_path / "bad.csv")
-    with pytest.raises(MeasurementError, match="row 1, column 'depth_mm': expected a finite number"):
-        read_loads(tmp_path / "bad.csv")
+    np.testing.assert_array_equal(read_loads(tmp_path / "loads.csv").wavelengths_nm, loads.wavelengths_nm)
 
 
 def test_the_order_of_loads_decides_nothing() -> None:
@@ -83,14 +71,14 @@ def test_the_order_of_loads_decides_nothing() -> None:
 # -- registration and alignment ------------------------------------------------------------------------------------
 
 
-def camera_off(warp_mm: float, seed: int, seconds: float = 10.0) -> Floats:
+def camera_off(warp_mm: float, seed: int) -> Floats:
     """What :func:`align` misses, in stated deviations: turn, shift, the middle of the field, delay (10,)."""
     rng = np.random.default_rng(seed)
     turn, shift, delay = rng.normal(size=3), 100 * rng.normal(size=3), float(rng.uniform(-0.2, 0.2))
     there = FlexibleTool(
         camera_rotation_rad=tuple(turn), camera_translation_mm=tuple(shift), camera_delay_s=delay  # type: ignore[arg-type]
     )  # fmt: skip
-    run = VirtualTool(there, camera_warp_mm=warp_mm).free_motion(seconds=seconds, seed=seed)
+    run = VirtualTool(there, camera_warp_mm=warp_mm).free_motion(seconds=10.0, seed=seed)
     found = align(run.time_s, run.position_mm, run.camera_time_s, run.camera_mm)
     frame, covariance = found.registration, found.registration.covariance
     truth = Rotation.from_rotvec(turn)
@@ -156,7 +144,7 @@ def test_what_cannot_be_registered_says_why() -> None:
     line = np.outer(np.arange(9.0), [1.0, 2.0, 3.0])
     with pytest.raises(FitError, match="collinear"):
         register(line, line)
-    with pytest.raises(FitError, match="3"):
+    with pytest.raises(FitError, match="at least 3"):
         register(line[:2], line[:2])
     with pytest.raises(ShapeError, match=r"\(9, 3\) and \(8, 3\)"):
         register(line, line[:8])

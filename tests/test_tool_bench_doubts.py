@@ -12,7 +12,7 @@ from sherkit.base.types import Floats
 from sherkit.errors import SherkitWarning
 from sherkit.robots.tool.bench_doubts import against_drawing, wrong_loads
 from sherkit.robots.tool.bench_fit import AS_GOOD, BenchModel, Convention, fit_bench
-from sherkit.robots.tool.calibration import Loads, calibrate_tool, loaded_rows, reference_of
+from sherkit.robots.tool.calibration import Loads, calibrate_tool, loaded_rows
 from sherkit.robots.tool.tool import FIBRES, FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool
 
@@ -28,7 +28,7 @@ def sound() -> Loads:
 
 def said(loads: Loads) -> tuple[list[int], list[str], list[str]]:
     """Rows whose load is wrong, what of them, and what of the columns."""
-    rows = loaded_rows(loads, reference_of(TOOL, loads))
+    rows = loaded_rows(TOOL, loads)
     bad, told = wrong_loads(TOOL, rows)
     return np.flatnonzero(loads.loaded)[bad].tolist(), told, against_drawing(TOOL, rows.some(~bad))
 
@@ -93,7 +93,7 @@ def one_weight(seed: int) -> Loads:
     depth, turn = rng.uniform(1.0, 26.0, 60), 0.5 * np.pi * rng.integers(4, size=60)
     way = np.column_stack([np.cos(turn), np.sin(turn)])
     loads = Loads(100.0 * way, depth, np.tile(tool.reference_nm, (60, 1)), np.zeros(60))
-    model = BenchModel(loaded_rows(loads, np.array(tool.reference_nm)), tool, Convention("axis", "weight"), 1e-3)
+    model = BenchModel(loaded_rows(tool, loads), tool, Convention("axis", "weight"), 1e-3)
     expected = model.residuals(np.append(np.zeros(8), model.drawn_rod))[1]
     shifts = [(expected[:, s, None] * way) @ np.linalg.pinv(np.array(tool.gains[s])).T for s in range(2)]
     rows = np.hstack([*shifts, np.zeros((60, 3))]) + np.array(tool.reference_nm)
@@ -131,11 +131,10 @@ def test_a_bench_of_one_weight_counts_how_it_may_be_read(seed: int) -> None:
 def test_readings_that_may_be_it_widen_the_rest() -> None:
     """Catches deviations of one convention where several are as good."""
     loads = one_weight(0)
-    rows = loaded_rows(loads, np.array(TOOL.reference_nm))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SherkitWarning)
         told = calibrate_tool(TOOL, loads)
     assert sum(v < AS_GOOD for v in told.chi2.values()) > 1
-    alone = fit_bench(BenchModel(rows, TOOL, told.convention, told.tool.noise_nm))
+    alone = fit_bench(BenchModel(loaded_rows(TOOL, loads), TOOL, told.convention, told.tool.noise_nm))
     assert told.length_mm
     assert told.length_mm[1] > 1.2 * np.sqrt(alone.covariance[10, 10])

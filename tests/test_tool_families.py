@@ -8,7 +8,7 @@ import pytest
 from running import slow
 from second_tool.wide import Wide
 from second_tool.wide_families import FAMILIES, Family, creeping, sticking
-from tool_families import EXPERIMENTS, judged
+from tool_families import EXPERIMENTS
 from wide_honesty import faulty, healthy
 
 SHORT_S = 10.0
@@ -51,8 +51,8 @@ def test_a_touch_at_the_tip_bends_all_three_sections() -> None:
 @pytest.mark.parametrize("seed", [21, *slow(22)])
 def test_a_hole_that_goes_along_is_seen_and_one_that_stays_is_not(seed: int) -> None:
     """Catches a share of the wrong sign or size, and a sentence on a hole that stays."""
-    assert "along" not in judged("sound", seed, "phantom").says
-    share = float(judged("goes along", seed, "phantom").says.split("along ")[1].split(" %")[0])
+    assert "along" not in healthy(FAMILIES["sound"](seed), "phantom").says
+    share = float(healthy(FAMILIES["goes along"](seed), "phantom").says.split("along ")[1].split(" %")[0])
     assert 4.0 <= share <= 13.0
 
 
@@ -68,8 +68,8 @@ def test_an_eye_that_drifts_across_is_no_new_measurement_each_time(seed: int) ->
 def test_a_shaft_thought_far_outside_is_found_by_what_it_feels() -> None:
     """Catches a filter that takes a force for none where it believes the tip to stand before the hole, and never comes
     back: it stood 23 mm off its gratings."""
-    h = healthy(21000, "bends", "full")
-    assert h.ours.over(h.plain)[0] < 0.6
+    h = healthy(Wide(21000), "bends")
+    assert h.ratios[0] < 0.6
     assert h.ours.depth_covered > 0.95
 
 
@@ -77,13 +77,13 @@ def test_a_shaft_thought_far_outside_is_found_by_what_it_feels() -> None:
 def test_gratings_off_their_zero_feign_no_touch(name: str) -> None:
     """Catches warmth of single gratings, or glue with play, that passes for a touch at the tip and moves the depth by
     millimetres before the first bend."""
-    j = judged(name, 14003, "vessels")
+    j = healthy(FAMILIES[name](14003), "vessels")
     assert max(j.ratios) < 1.05, j
 
 
 def test_what_play_leaves_in_section_iii_is_no_fault() -> None:
     """Catches a sound grating of section III that is left out for good since the hole passed over glue with play."""
-    j = judged("lags 4 %", 24001, "phantom")
+    j = healthy(FAMILIES["lags 4 %"](24001), "phantom")
     assert j.lost < 0.01, j
     assert j.ours.depth_covered > 0.85, j
 
@@ -100,7 +100,7 @@ def test_the_filter_is_never_worse_than_the_papers(name: str) -> None:
     grating that is left out; seeds 0, 1."""
     for seed in range(2):
         for experiment in EXPERIMENTS:
-            j = judged(name, seed, experiment)
+            j = healthy(FAMILIES[name](seed), experiment)
             depth, tip = j.ratios
             assert depth < _DEPTH.get(name, 1.05), j
             assert tip < 1.05, j

@@ -9,14 +9,13 @@ import pytest
 
 from second_tool.wide_families import FAMILIES
 from sherkit.base.types import Floats
-from sherkit.robots.tool.consistency import known
 from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FIBRES, FlexibleTool
-from sherkit.robots.tool.trust import Trust, trust
+from sherkit.robots.tool.trust import Trust
 from sherkit.robots.tool.virtual import VirtualTool
 from tool_families import EXPERIMENTS
-from wide_honesty import run_of as wide_run_of
+from tool_honesty import run_of, told, without_camera
 
 TOOL = FlexibleTool()
 
@@ -34,8 +33,7 @@ def read(run: ToolRun, wavelengths_nm: Floats) -> ToolRun:
 
 def said(run: ToolRun) -> Trust:
     """What is said of it, without its camera."""
-    e = estimate(TOOL, replace(run, camera_time_s=run.camera_time_s[:0], camera_mm=run.camera_mm[:0]))
-    return trust(e, known(e))
+    return told(TOOL, without_camera(run))
 
 
 def test_sound_gratings_neither_leap_nor_jump(sound: ToolRun) -> None:
@@ -60,10 +58,10 @@ def test_a_jump_comes_before_what_follows_from_it(sound: ToolRun) -> None:
     """Catches a run with a jump that is trusted, or blamed on its tool file."""
     waves = sound.wavelengths_nm.copy()
     waves[1500:, 5] -= 0.05
-    told = said(read(sound, waves))
-    assert told.verdict in ("unknown", "overconfident")
-    assert told.noticed[0].startswith("fbg6_nm jumps by -4")
-    assert "tool file" not in " ".join(told.noticed)
+    after = said(read(sound, waves))
+    assert after.verdict in ("unknown", "overconfident")
+    assert after.noticed[0].startswith("fbg6_nm jumps by -4")
+    assert "tool file" not in " ".join(after.noticed)
 
 
 def test_what_comes_back_is_no_jump_for_good(sound: ToolRun) -> None:
@@ -85,9 +83,9 @@ def test_readings_that_leap_are_left_out_and_counted(sound: ToolRun) -> None:
     single = run.leaps.single
     assert (single & ~hit).sum() == 0
     assert (single & hit).sum() > 0.95 * hit.sum()
-    told, before = said(run), said(sound)
-    assert told.verdict == before.verdict == "trusted"
-    assert told.noticed[0].startswith(f"{single.sum()} single readings leap off")
+    after, before = said(run), said(sound)
+    assert after.verdict == before.verdict == "trusted"
+    assert after.noticed[0].startswith(f"{single.sum()} single readings leap off")
     tip, usual = (estimate(TOOL, one).tip.value for one in (run, sound))
     assert np.abs(tip - usual).max() < 0.2
 
@@ -95,16 +93,16 @@ def test_readings_that_leap_are_left_out_and_counted(sound: ToolRun) -> None:
 def test_an_interrogator_that_is_noisier_than_its_file_is_said(sound: ToolRun) -> None:
     """Catches a filter that is overconfident for a key of its file, and sends the tool back to its bench."""
     noise = np.random.default_rng(2).normal(size=sound.wavelengths_nm.shape)
-    told = said(read(sound, sound.wavelengths_nm + 0.004 * noise))
-    assert any("scatter by 0.0041 nm" in one and "noise_nm of [gratings] is 0.001" in one for one in told.noticed)
+    noisy = said(read(sound, sound.wavelengths_nm + 0.004 * noise)).noticed
+    assert any("scatter by 0.0041 nm" in one and "noise_nm of [gratings] is 0.001" in one for one in noisy)
     assert not any("noise_nm" in one for one in said(sound).noticed)
 
 
 def test_a_run_without_a_force_says_so() -> None:
     """Catches "nan of what is stated" and fibres that lag behind bends that were none."""
-    told = said(VirtualTool(TOOL).free_motion(seconds=4.0))
-    assert told.sentence.startswith("no force was felt")
-    assert not any("lag behind" in one for one in told.noticed)
+    free = said(VirtualTool(TOOL).free_motion(seconds=4.0))
+    assert free.sentence.startswith("no force was felt")
+    assert not any("lag behind" in one for one in free.noticed)
 
 
 @pytest.mark.slow
@@ -114,7 +112,7 @@ def test_no_sound_grating_of_any_family_is_accused(name: str) -> None:
     0, 1."""
     for seed in range(2):
         for experiment in EXPERIMENTS:
-            run = wide_run_of(FAMILIES[name](seed).run(experiment, seconds=20.0))
+            run = run_of(FAMILIES[name](seed).run(experiment, seconds=20.0))
             assert (run.leaps.single.sum(), run.leaps.jumps) == (0, ())
             g = np.random.default_rng(seed + len(name))
             k, at = int(g.integers(9)), int(g.integers(1000, len(run) - 1000))

@@ -26,7 +26,7 @@ from sherkit.robots.tool.tare import tare
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.virtual import VirtualTool
 from test_tool import KNOWING, TOOL
-from tool_honesty import honest, run_of, tool_of
+from tool_honesty import fitted, honest, run_of, tool_of, without_camera
 
 SECONDS = 40.0
 #: Of the camera, per axis.
@@ -68,7 +68,7 @@ def visible(name: str, seed: int, factor: float) -> float:
     """What the effect leaves of the tip's places beside the camera's offset, without noise: RMS per axis, in noise."""
     virtual = replace(planted(name, seed, factor), camera_mm=0.0, noise_nm=1e-6)
     model = ToolModel(FlexibleTool(), virtual.run("vessels", seconds=SECONDS, seed=seed))
-    fit = sk.identify(model, model.readings)
+    fit = fitted(model)
     return float(np.sqrt(np.mean(fit.residuals**2)) / NOISE_MM)
 
 
@@ -81,7 +81,7 @@ def diagnosed(name: str | None, seed: int, ratio: float = 1.0) -> sk.diagnosis.D
             factor *= ratio / visible(name, seed, factor)
     run = planted(name, seed, factor).run("vessels", seconds=SECONDS, seed=seed)
     model = ToolModel(FlexibleTool(), run)
-    return sk.diagnose(sk.identify(model, model.readings))
+    return sk.diagnose(fitted(model))
 
 
 @pytest.mark.parametrize("name", ["tool_stiffness", "shaft_bend", "registration", "camera_delay"])
@@ -121,7 +121,7 @@ def test_a_short_run_without_a_force_is_soon_answered(monkeypatch: pytest.Monkey
     monkeypatch.setattr(tip_places, "calmed", counting)
     run = VirtualTool(FlexibleTool()).free_motion(seconds=2.0, seed=1)
     model = ToolModel(FlexibleTool(), run)
-    assert sk.diagnose(sk.identify(model, model.readings)).verdict in ("adequate", "unexplained", "partly explained")
+    assert sk.diagnose(fitted(model)).verdict in ("adequate", "unexplained", "partly explained")
     assert len(counted) < 10
 
 
@@ -141,7 +141,7 @@ def test_seconds_of_a_dead_grating_are_not_looked_at(shows: float) -> None:
     waves[len(waves) // 2 :, 0] = shows
     with pytest.warns(SherkitWarning, match=r"always the same: fbg1_nm in (49|50)% of the rows"):
         model = ToolModel(FlexibleTool(), replace(run, wavelengths_nm=waves))
-    d = sk.diagnose(sk.identify(model, model.readings))
+    d = sk.diagnose(fitted(model))
     assert (d.verdict, d.effects) == ("adequate", ())
 
 
@@ -151,7 +151,7 @@ def test_wrong_pictures_are_listed() -> None:
     wild = run.camera_mm.copy()
     wild[[50, 120, 200]] += [[3.0, 0.0, 0.0], [0.0, -5.0, 0.0], [1.0, 2.0, 20.0]]
     model = ToolModel(FlexibleTool(), replace(run, camera_mm=wild))
-    d = sk.diagnose(sk.identify(model, model.readings))
+    d = sk.diagnose(fitted(model))
     first = int(np.argmax(model.pictures))
     assert d.outliers.tolist() == [50 - first, 120 - first, 200 - first]
     assert (d.verdict, d.effects) == ("adequate", ())
@@ -163,7 +163,7 @@ def test_a_crept_grating_is_fitted(name: str) -> None:
     """Catches places of the tip that jump as a force falls under a threshold: no fit of them converges; 50 pm."""
     there = planted(name, 0, 5.0)
     model = ToolModel(there.tool, there.run("vessels", seconds=20.0, seed=0))
-    fit = sk.identify(model, model.readings, effects=[e for e in model.candidates if e.name == name])
+    fit = fitted(model, name)
     assert fit.converged
     assert np.sqrt(np.mean(fit.residuals**2)) == pytest.approx(NOISE_MM, rel=0.06)
 
@@ -191,17 +191,15 @@ def test_values_are_those_that_were_planted() -> None:
             "camera_delay": there.true.camera_delay_s,
         }[name]
         model = ToolModel(there.tool, there.run("vessels", seconds=40.0, seed=2))
-        effect = next(e for e in model.candidates if e.name == name)
-        fit = sk.identify(model, model.readings, effects=[effect])
+        fit = fitted(model, name)
         found = fit.by_name[f"{name}.{parameter}"]
         assert abs(found - truth) < max(5 * fit.std_from_readings[-1], 0.02 * abs(truth))
 
 
 def test_a_run_without_pictures_is_refused() -> None:
     """Catches a diagnosis of nothing."""
-    run = replace(VirtualTool(TOOL).run("vessels", seconds=3.0), camera_time_s=np.zeros(0), camera_mm=np.zeros((0, 3)))
     with pytest.raises(MeasurementError, match="holds no place of the camera"):
-        ToolModel(TOOL, run)
+        ToolModel(TOOL, without_camera(VirtualTool(TOOL).run("vessels", seconds=3.0)))
 
 
 @pytest.mark.parametrize(("name", "seed"), [("shaft_bend", 2), ("camera_delay", 2)])
@@ -241,7 +239,7 @@ def test_a_verdict_hangs_on_no_seed() -> None:
             factor *= 2.0 / visible(name, 4, factor)
         run = planted(name, 4, factor).run("vessels", seconds=SECONDS, seed=4)
         model = ToolModel(FlexibleTool(), run)
-        fit = sk.identify(model, model.readings)
+        fit = fitted(model)
         told = [(d.verdict, d.effects) for d in (sk.diagnose(fit, seed=k) for k in range(10))]
         same += [one == max(told, key=told.count) for one in told]
     assert np.mean(same) >= 0.97
@@ -256,10 +254,9 @@ def test_what_was_named_is_written() -> None:
     for name in names:
         there = planted(name, 2)
         model = ToolModel(there.tool, there.run("vessels", seconds=12.0, seed=2))
-        fit = sk.identify(model, model.readings, effects=[e for e in model.candidates if e.name == name])
+        fit = fitted(model, name)
         told = applied(model, fit)
-        again = ToolModel(told.tool, model.run)
-        left = sk.identify(again, again.readings)
+        left = fitted(ToolModel(told.tool, model.run))
         if name == "shaft_bend":
             assert (told.written, told.kept_out) == ((), ("shaft_bend",))
             continue
@@ -273,7 +270,7 @@ def test_what_a_tie_leaves_open_is_doubted() -> None:
     stayed 1 mm off at 0.2, and trusted; and "add it" beside the command that has added it."""
     there = VirtualTool(FlexibleTool(), camera_warp_mm=0.0).changed(length_mm=61.0, distances_mm=(41.0, 51.0))
     model = ToolModel(KNOWING, there.run("vessels", seconds=SECONDS, seed=1))
-    d = sk.diagnose(sk.identify(model, model.readings))
+    d = sk.diagnose(fitted(model))
     assert any({"tool_length", "tool_stiffness"} <= {*tie} for tie in d.indistinguishable)
     told = mended(model, d).tool
     assert told.doubt.deeper_mm == pytest.approx(1.0, abs=0.3)
@@ -286,7 +283,7 @@ def test_what_a_tie_leaves_open_is_doubted() -> None:
 def test_what_is_written_need_not_be_added() -> None:
     """Catches the command that was just run as the next, and fibres of a needle that are called limbs."""
     model = ToolModel(FlexibleTool(), planted("fbg_bias", 2, 2.0).run("vessels", seconds=SECONDS, seed=2))
-    d = sk.diagnose(sk.identify(model, model.readings))
+    d = sk.diagnose(fitted(model))
     assert d.effects == ("fbg_bias",)
     assert "-o with_it.toml" in d.finding("next").command
     assert d.added("sherkit estimate made.toml RUN").answer.to_do[-1].command == "sherkit estimate made.toml RUN"
@@ -299,9 +296,8 @@ def test_what_gains_nothing_held_out_is_not_written() -> None:
     """Catches gains that a long run names for 0.058 instead of 0.057 mm: written, they put the depth 2.4 mm off."""
     there = planted("camera_delay", 2)
     model = ToolModel(there.tool, there.run("vessels", seconds=12.0, seed=2))
-    both = [e for e in model.candidates if e.name in ("camera_delay", "fbg_gain")]
-    fit = sk.identify(model, model.readings, effects=both)
-    found = sk.diagnose(sk.identify(model, model.readings), seed=0)
+    fit = fitted(model, "camera_delay", "fbg_gain")
+    found = sk.diagnose(fitted(model), seed=0)
     before, last = found.steps[0].error, found.error
     for share, written in ((0.99, ("camera_delay",)), (0.9, ("camera_delay", "fbg_gain"))):
         steps = (
@@ -324,7 +320,7 @@ def test_a_late_interrogator_that_does_not_say_so_is_found(ms: int) -> None:
     recorded = world.run("vessels", seconds=30.0, seed=1)
     tool, run = tool_of(world, 1), run_of(recorded)
     model = ToolModel(tool, run)
-    fit = sk.identify(model, model.readings, effects=[e for e in model.candidates if e.name == "fibre_delay"])
+    fit = fitted(model, "fibre_delay")
     told = applied(model, fit)
     assert told.written == ("fibre_delay",)
     assert told.tool.fibre_delay_s == pytest.approx(1e-3 * ms, abs=5e-3)

@@ -5,42 +5,36 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import tomli_w
 from scipy.spatial.transform import Rotation
 
 from running import slow
-from second_tool import CONDITIONS, write_csv
+from second_tool import CONDITIONS
 from second_tool.wide import Wide
 from second_tool.wide_families import FAMILIES
 from sherkit.errors import SherkitWarning
-from sherkit.robots.tool.calibration import ToolCalibration, calibrate_tool, read_loads
+from sherkit.robots.tool.calibration import ToolCalibration, calibrate_tool
 from sherkit.robots.tool.checks import exchanged
 from sherkit.robots.tool.consistency import known
 from sherkit.robots.tool.filters import Estimate, estimate
 from sherkit.robots.tool.runs import ToolRun
-from sherkit.robots.tool.tool import load_tool
 from sherkit.robots.tool.trust import trust
-from tool_honesty import run_of, tool_of
-from wide_honesty import run_of as wide_run_of
+from tool_honesty import loads_from, run_of, told, tool_from, tool_of, without_camera
 from wide_honesty import tool_of as wide_tool_of
 
 Table = dict[str, np.ndarray]
 
 
-def calibrated(folder: Path, change: Callable[[Table], None], seed: int = 101) -> tuple[ToolCalibration, float]:
+def calibrated(change: Callable[[Table], None], seed: int = 101) -> tuple[ToolCalibration, float]:
     """Of a bench with a mistake, and its stiffness over the true one."""
     world = Wide(seed)
     bench = {k: v.copy() for k, v in world.bench().items()}
     change(bench)
-    (folder / "drawing.toml").write_text(tomli_w.dumps(world.drawing()), encoding="utf-8")
-    write_csv(bench, folder / "bench.csv")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SherkitWarning)
-        made = calibrate_tool(load_tool(folder / "drawing.toml"), read_loads(folder / "bench.csv"))
+        made = calibrate_tool(tool_from(world.drawing()), loads_from(bench))
     return made, made.tool.stiffness_mn_mm2 / world.drawn.rod.stiffness_mn_mm2
 
 
@@ -60,13 +54,13 @@ def _scale(names: tuple[str, ...], factor: float) -> Callable[[Table], None]:
 
 
 @pytest.mark.parametrize("seed", [100, *(pytest.param(k, marks=pytest.mark.slow) for k in (101, 102, 103))])
-def test_a_sound_bench_is_not_blamed(tmp_path: Path, seed: int) -> None:
+def test_a_sound_bench_is_not_blamed(seed: int) -> None:
     """Catches a sentence on a bench that has nothing wrong."""
-    made, _ = calibrated(tmp_path, lambda table: None, seed)
+    made, _ = calibrated(lambda table: None, seed)
     assert made.lack_of_fit == ()
 
 
-def test_one_wrong_load_of_eighty_is_left_out(tmp_path: Path) -> None:
+def test_one_wrong_load_of_eighty_is_left_out() -> None:
     """Catches a load ten times too large that moves the stiffness (by 18 % without a word), or a wrong row's number."""
     row = 0
 
@@ -76,7 +70,7 @@ def test_one_wrong_load_of_eighty_is_left_out(tmp_path: Path) -> None:
         for name in ("force_x_mn", "force_y_mn"):
             table[name][row] *= 10.0
 
-    made, stiffness = calibrated(tmp_path, change)
+    made, stiffness = calibrated(change)
     assert len(made.lack_of_fit) == 1
     assert made.lack_of_fit[0].startswith(f"row {row + 1}: its force of")
     assert stiffness == pytest.approx(1.0, abs=0.02)
@@ -94,9 +88,9 @@ def test_one_wrong_load_of_eighty_is_left_out(tmp_path: Path) -> None:
         (_exchange("fbg3_nm", "fbg4_nm"), "fbg3_nm and fbg4_nm are exchanged: loads are off by"),
     ],
 )
-def test_columns_are_held_against_the_drawing(change: Callable[[Table], None], says: str, tmp_path: Path) -> None:
+def test_columns_are_held_against_the_drawing(change: Callable[[Table], None], says: str) -> None:
     """Catches axes, units or gratings that are taken as they come, without a word."""
-    made, _ = calibrated(tmp_path, change)
+    made, _ = calibrated(change)
     assert any(says in sentence for sentence in made.lack_of_fit), made.lack_of_fit
 
 
@@ -132,10 +126,9 @@ def test_the_hole_tells_how_a_tool_is_held(mistake: str, says: str) -> None:
     elif mistake == "quarter":
         turned = Rotation.from_rotvec(run.turn_rad) * Rotation.from_rotvec([0.0, 0.0, 0.5 * np.pi])
         run = replace(run, turn_rad=turned.as_rotvec())
-    e = estimate(tool, run)
-    told = trust(e, known(e))
-    assert (told.verdict in ("trusted", "too careful")) != bool(says)
-    assert says in " ".join(sentence for check in told.checks for sentence in check.sentences)
+    said = told(tool, run)
+    assert (said.verdict in ("trusted", "too careful")) != bool(says)
+    assert says in " ".join(sentence for check in said.checks for sentence in check.sentences)
 
 
 def test_the_depth_is_called_once() -> None:
@@ -143,19 +136,12 @@ def test_the_depth_is_called_once() -> None:
     world = CONDITIONS["exact_rod_pivot"]
     recorded = world.run("phantom", seconds=20.0, seed=1)
     tool, run = tool_of(world, 1), run_of(recorded)
-    e = estimate(tool, run)
-    told = trust(e, known(e))
-    assert told.verdict in ("trusted", "too careful")
-    assert told.answer.to_do[0].sentence == told.to_do
-    sure = estimate(replace(tool, gains=(np.array(tool.gains) * [[[1.02]], [[1.0]]]).tolist()), run)
-    assert trust(sure, known(sure)).verdict == "overconfident"
-    without = estimate(tool, replace(run, depth_mm=None))
-    assert "no depth_mm is in this run" in trust(without, known(without)).sentence
-
-
-def without_camera(run: ToolRun) -> ToolRun:
-    """The same run, which no camera saw."""
-    return replace(run, camera_time_s=run.camera_time_s[:0], camera_mm=run.camera_mm[:0])
+    said = told(tool, run)
+    assert said.verdict in ("trusted", "too careful")
+    assert said.answer.to_do[0].sentence == said.to_do
+    sure = replace(tool, gains=(np.array(tool.gains) * [[[1.02]], [[1.0]]]).tolist())
+    assert told(sure, run).verdict == "overconfident"
+    assert "no depth_mm is in this run" in told(tool, replace(run, depth_mm=None)).sentence
 
 
 @pytest.mark.parametrize("seeds", [(60,), pytest.param((61,), marks=pytest.mark.slow)])
@@ -167,7 +153,7 @@ def test_a_robot_that_is_late_is_said_and_led_on(seeds: tuple[int, ...]) -> None
         for w, late in ((world, true_s), (sound, 0.0)):
             truth = w.run("vessels", seconds=60.0)
             # its camera was not registered
-            e = estimate(wide_tool_of(w), without_camera(wide_run_of(truth)))
+            e = estimate(wide_tool_of(w), without_camera(run_of(truth)))
             assert 0.3 * late - 0.004 < e.late_s[-1] < 1.4 * late + 0.004, (seed, late)
             said = [s for s in trust(e, known(e)).noticed if "later than the gratings" in s]
             assert bool(said) == (late > 0.0)
@@ -190,5 +176,5 @@ def test_a_bend_that_comes_at_once_is_no_exchange_of_peaks() -> None:
     """Catches two peaks that pass each other in a bend of one row, taken for exchanged: the depth was off by 8 mm."""
     world = FAMILIES["softer outwards"](901)
     truth = world.run("vessels", seconds=60.0)
-    e = estimate(wide_tool_of(world), wide_run_of(truth))
+    e = estimate(wide_tool_of(world), run_of(truth))
     assert not e.faulty.any()

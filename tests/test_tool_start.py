@@ -13,7 +13,7 @@ from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.trust import trust
-from tool_honesty import run_of, tool_of
+from tool_honesty import run_of, told, tool_of
 
 WORLD = CONDITIONS["exact_rod_pivot"]
 
@@ -52,8 +52,7 @@ def test_a_run_that_begins_inside(seed: int, felt: bool) -> None:
     if felt:
         # the first reading does not tell which gratings live
         assert e.depth_std_mm[1] < 5.0
-    told = trust(e, known(e))
-    assert not any("began" in s for s in told.noticed)
+    assert not any("began" in s for s in trust(e, known(e)).noticed)
 
 
 @pytest.mark.parametrize("seed", [51, 52])
@@ -62,11 +61,10 @@ def test_a_start_that_the_file_has_wrong_is_said(seed: int) -> None:
     file is right."""
     tool, run, depth = begun(seed, felt=True)
     for start, wrong in ((0.0, True), (float(depth[0]), False)):
-        e = estimate(replace(tool, start_depth_mm=start, start_std_mm=0.5), run)
-        told = trust(e, known(e))
-        said = [s for s in told.noticed if s.startswith("By its first forces")]
-        assert bool(said) == wrong, (start, said)
-        assert (told.verdict == "unknown") == wrong
+        said = told(replace(tool, start_depth_mm=start, start_std_mm=0.5), run)
+        began = [s for s in said.noticed if s.startswith("By its first forces")]
+        assert bool(began) == wrong, (start, began)
+        assert (said.verdict == "unknown") == wrong
 
 
 def test_nobody_knows_where_a_run_begins_unless_the_file_says_so() -> None:

@@ -17,7 +17,7 @@ from sherkit.robots.tool.model import ToolModel
 from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FlexibleTool
 from sherkit.robots.tool.trust import trust
-from tool_honesty import honest, run_of, tool_of, without_fibres
+from tool_honesty import honest, run_of, told, tool_of, without_fibres
 
 WORLD = CONDITIONS["exact_rod_pivot"]
 SINCE_S, UNTIL_S = 6.0, 11.0
@@ -44,9 +44,9 @@ def test_wavelengths_that_froze_count_as_lost(sound: tuple[FlexibleTool, Recorde
     """Catches one reading that counts a thousand times: the depth was covered in 0.6 of the rows, and trusted."""
     tool, recorded, run = sound
     e = estimate(tool, stands(run, "wavelengths_nm", until_s=until_s))
-    told = trust(e, known(e))
-    assert told.verdict == "unknown"
-    assert any(s.startswith("All wavelengths repeat themselves to the last digit from 6.00") for s in told.noticed)
+    said = trust(e, known(e))
+    assert said.verdict == "unknown"
+    assert any(s.startswith("All wavelengths repeat themselves to the last digit from 6.00") for s in said.noticed)
     depth = honest(e, recorded)["depth"]
     assert depth.coverage > 0.95
     lost = honest(estimate(tool, without_fibres(run, e.run.lost_fibres)), recorded)["depth"]
@@ -62,9 +62,9 @@ def test_a_pose_that_froze_is_not_trusted(
     with pytest.warns(SherkitWarning, match="pose repeats itself to the last digit from 6"):
         model = ToolModel(tool, stands(run, *names))
     e = estimate(tool, model.run)
-    told = trust(e, known(e))
-    assert told.verdict != "trusted"
-    assert any("pose repeats itself" in s for s in told.noticed)
+    said = trust(e, known(e))
+    assert said.verdict != "trusted"
+    assert any("pose repeats itself" in s for s in said.noticed)
     off = np.linalg.norm(e.tip.value - recorded.tip_mm, axis=1) / np.sqrt((e.tip.std**2).sum(axis=1))
     assert np.quantile(off, 0.95) < 2.0
     assert off.max() < 5.0
@@ -75,8 +75,8 @@ def test_a_pose_that_froze_is_not_trusted(
 def test_a_pose_that_froze_until_the_end_is_told_by_the_bends(sound: tuple[FlexibleTool, Recorded, ToolRun]) -> None:
     """Catches a recorder of poses that stopped for good, after which nothing jumps."""
     tool, _, run = sound
-    told = trust(e := estimate(tool, stands(run, "position_mm", "turn_rad", until_s=99.0)), known(e))
-    assert any("pose repeats itself" in s for s in told.noticed)
+    said = told(tool, stands(run, "position_mm", "turn_rad", until_s=99.0))
+    assert any("pose repeats itself" in s for s in said.noticed)
 
 
 def test_a_robot_that_holds_still_has_not_frozen() -> None:
@@ -124,6 +124,6 @@ def test_roll_pitch_and_yaw_are_said(order: str, says: str) -> None:
     run = replace(run, position_mm=base.apply(run.position_mm), turn_rad=turned.as_rotvec())
     e = estimate(tool, run)
     assert exchanged(e, known(e)) == []
-    told = trust(e := estimate(tool, replace(run, turn_rad=turned.as_euler(order))), known(e))
-    assert told.verdict != "trusted"
-    assert any(f"roll, pitch and yaw about axes {says}" in s for s in told.noticed), told.noticed
+    said = told(tool, replace(run, turn_rad=turned.as_euler(order)))
+    assert said.verdict != "trusted"
+    assert any(f"roll, pitch and yaw about axes {says}" in s for s in said.noticed), said.noticed

@@ -13,7 +13,6 @@ import pytest
 
 from second_tool import CONDITIONS
 from sherkit.errors import FitError, MeasurementError, RobotError, SherkitWarning
-from sherkit.fit.identify import identify
 from sherkit.robots.tool.alignment import align, align_run
 from sherkit.robots.tool.calibration import calibrate_tool, read_loads
 from sherkit.robots.tool.consistency import judge
@@ -24,11 +23,9 @@ from sherkit.robots.tool.tables import table_at
 from sherkit.robots.tool.tool import CAMERA, FIBRES, FORCE, POSITION, TURN, FlexibleTool, load_tool
 from sherkit.robots.tool.verbs.check import wrong_with
 from sherkit.robots.tool.virtual import VirtualTool
-from tool_honesty import run_of, tool_of
+from test_tool import TOOL
+from tool_honesty import fitted, run_of, tool_of
 
-TOOL = FlexibleTool(
-    camera_rotation_rad=(0.3, -0.2, 1.0), camera_translation_mm=(50.0, -20.0, 300.0), camera_delay_s=0.031
-)
 C = pl.col
 Change = Callable[[pl.DataFrame], pl.DataFrame]
 
@@ -61,6 +58,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pl.DataFrame]:
         (lambda f: f.with_columns(deflection_mm=pl.lit(float("inf"))), "row 1, column 'deflection_mm'"),
         (lambda f: f.with_columns(fbg2_nm=pl.lit("x")), "row 1, column 'fbg2_nm': 'x' is not a number"),
         (lambda f: f.rename({"depth_mm": "depht_mm"}), "is 'depht_mm' meant to be it?"),
+        (lambda f: f.with_columns(depth_mm=None), "row 1, column 'depth_mm': expected a finite number"),
     ],
 )
 def test_loads_that_calibrate_nothing_are_refused(
@@ -157,10 +155,23 @@ def judged(run: ToolRun) -> None:
         (lambda f: f.with_columns(C(*FIBRES) - 1540), "not their shifts"),
         (lambda f: f.with_columns(C(*FIBRES) + 14), "is it the file of this tool?"),
         (lambda f: f.with_columns(camera_x_mm=pl.lit(float("inf"))), "row 1, column 'camera_x_mm': expected a finite"),
+        (lambda f: f.drop("fbg3_nm"), "column 'fbg3_nm' is missing"),
+        (lambda f: f.rename({"robot_x_mm": "robot_x"}), "is 'robot_x' meant to be it?"),
+        (lambda f: f.with_columns(pl.lit("x").alias("fbg1_nm")), "row 1, column 'fbg1_nm': 'x' is not a number"),
+        (lambda f: f.with_columns(robot_y_mm=None), "row 1: a pose needs all of"),
+        (lambda f: f.with_columns(camera_z_mm=None), "a place of the camera needs all of"),
+        (lambda f: f.with_columns(time_s=pl.lit(0.0)), "row 2: the time of the robot does not grow"),
+        (lambda f: f.with_columns(time_s=None), "row 1, column 'time_s': expected a time"),
+        (lambda f: f.head(2), "holds 2 rows with a pose; expected 3 or more"),
+        (
+            lambda f: f.with_columns(fbg_time_s=pl.when(C("time_s") != 0.005).then(C("time_s"))),
+            "row 2, column 'fbg_time_s': expected when its wavelengths were taken",
+        ),
     ],
 )
 def test_runs_that_cannot_be_are_refused(change: Change, says: str, tables: dict[str, pl.DataFrame]) -> None:
-    """Catches milliseconds, degrees, metres, shifts and another tool's wavelengths that give an estimate."""
+    """Catches milliseconds, degrees, metres, shifts and another tool's wavelengths that give an estimate; a traceback,
+    and NaN that travels on."""
     with pytest.raises(MeasurementError) as refused:
         judged(tool_run_of(change(tables["run"]), "run.csv"))
     assert str(refused.value).startswith("run.csv")
@@ -222,7 +233,6 @@ def test_fibres_are_not_read_from_the_future(tmp_path: Path) -> None:
     recorded = run_of(world.run("vessels", seconds=12.0, seed=1))
     early = replace(recorded, wavelengths_nm=np.roll(recorded.wavelengths_nm, -8, axis=0))
     model = ToolModel(tool_of(world, 1), early)
-    fit = identify(model, model.readings, effects=[e for e in model.candidates if e.name == "fibre_delay"])
-    told = applied(model, fit)
+    told = applied(model, fitted(model, "fibre_delay"))
     assert (told.written, told.kept_out) == ((), ("fibre_delay",))
     assert "put their time_s right" in told.why[0]

@@ -10,13 +10,10 @@ import pytest
 
 from second_tool import CONDITIONS
 from second_tool.wide import Wide
-from sherkit.robots.tool.consistency import known
-from sherkit.robots.tool.filters import estimate
 from sherkit.robots.tool.runs import ToolRun
 from sherkit.robots.tool.tool import FlexibleTool
-from sherkit.robots.tool.trust import Trust, trust
-from tool_honesty import run_of, tool_of
-from wide_honesty import run_of as wide_run_of
+from sherkit.robots.tool.trust import Trust
+from tool_honesty import run_of, told, tool_of, without_camera
 from wide_honesty import tool_of as wide_tool_of
 
 WORLD = replace(CONDITIONS["exact_rod_pivot"], pivot_rad=0.3)
@@ -30,27 +27,16 @@ def sound() -> Made:
     return tool_of(WORLD, 5), replace(run_of(WORLD.run("phantom", seconds=20.0, seed=5)), depth_mm=None)
 
 
-def told(tool: FlexibleTool, run: ToolRun) -> Trust:
-    """What is said of it."""
-    e = estimate(tool, run)
-    return trust(e, known(e))
-
-
 def failed(said: Trust) -> set[str]:
     """The checks that did not hold."""
     return {one.what for one in said.checks if one.holds is False}
-
-
-def blind(run: ToolRun) -> ToolRun:
-    """Without its camera."""
-    return replace(run, camera_time_s=run.camera_time_s[:0], camera_mm=run.camera_mm[:0])
 
 
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_sound_run_is_trusted(sound: Made, seen: bool) -> None:
     """Catches a check that blames what is in order."""
     tool, run = sound
-    said = told(tool, run if seen else blind(run))
+    said = told(tool, run if seen else without_camera(run))
     assert (said.verdict, failed(said)) == ("trusted", set())
     assert ("% of the pictures" in said.sentence) == seen
 
@@ -101,7 +87,7 @@ def test_places_that_the_gratings_contradict_are_never_trusted(
 ) -> None:
     """Catches a filter that takes the robot's mistake for an eye that strays: depths 2 to 5 mm off, and trusted."""
     tool, run = sound
-    said = told(tool, wrong(blind(run)))
+    said = told(tool, wrong(without_camera(run)))
     assert said.verdict in ("unknown", "overconfident")
     assert says in said.noticed[0]
     assert said.to_do not in ("", "use the estimate with its deviation")
@@ -110,7 +96,7 @@ def test_places_that_the_gratings_contradict_are_never_trusted(
 def test_forces_of_the_bench_with_the_other_sign_are_said(sound: Made) -> None:
     """Catches a tool that bends to the other side than its file says, by both signs of a bench: a tip 7 mm off."""
     tool, run = sound
-    said = told(replace(tool, gains=(-np.array(tool.gains)).tolist()), blind(run))
+    said = told(replace(tool, gains=(-np.array(tool.gains)).tolist()), without_camera(run))
     assert said.verdict != "trusted"
     assert "or both forces of the bench have the other sign" in said.noticed[0]
 
@@ -142,7 +128,8 @@ def test_another_tools_file_is_never_trusted() -> None:
     """Catches sections that are left out all the run, or depths that go otherwise than the robot, and a depth 15 mm off
     that is trusted."""
     world = Wide(21)
-    tool, run = wide_tool_of(world), replace(blind(wide_run_of(world.run("phantom", seconds=30.0))), depth_mm=None)
+    seen = run_of(world.run("phantom", seconds=30.0))
+    tool, run = wide_tool_of(world), replace(without_camera(seen), depth_mm=None)
     assert failed(told(tool, run)) == set()
     reference, rng = np.array(tool.reference_nm), np.random.default_rng(3)
     # drawn alike: references and fibres are where others were glued

@@ -11,22 +11,42 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import polars as pl
 import tomli_w
 from numpy.typing import NDArray
 
-from second_tool import CONDITIONS, FAULTS, Honesty, Recorded, World, honesty, pooled, write_csv
+from second_tool import CONDITIONS, FAULTS, Honesty, Recorded, WideRun, World, honesty, pooled, write_csv
 from sherkit.errors import MeasurementError, SherkitWarning
+from sherkit.fit.identify import Fit, identify
 from sherkit.robots.tool.calibration import Loads, read_loads
+from sherkit.robots.tool.consistency import known
 from sherkit.robots.tool.filters import Estimate, estimate
+from sherkit.robots.tool.model import ToolModel
 from sherkit.robots.tool.runs import ToolRun, tool_run_of
 from sherkit.robots.tool.tare import tare
 from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool
+from sherkit.robots.tool.trust import Trust, trust
 
 
-def run_of(recorded: Recorded, source: str = "run") -> ToolRun:
+def tool_from(tables: dict[str, Any]) -> FlexibleTool:
+    """The tool of a file with these tables."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "tool.toml"
+        path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+        return load_tool(path)
+
+
+def loads_from(bench: dict[str, NDArray[np.float64]]) -> Loads:
+    """The loads of a file with these columns."""
+    with TemporaryDirectory() as folder:
+        write_csv(bench, Path(folder) / "bench.csv")
+        return read_loads(Path(folder) / "bench.csv")
+
+
+def run_of(recorded: Recorded | WideRun, source: str = "run") -> ToolRun:
     """What the reader makes of a recorded run."""
     frame = pl.DataFrame(recorded.columns())
     return tool_run_of(frame.with_columns(pl.col(pl.Float64).fill_nan(None)), source)
@@ -37,12 +57,25 @@ def without_fibres(run: ToolRun, rows: NDArray[np.bool_]) -> ToolRun:
     return replace(run, wavelengths_nm=np.where(rows[:, None], np.nan, run.wavelengths_nm))
 
 
+def without_camera(run: ToolRun) -> ToolRun:
+    """The same run, which no camera saw."""
+    return replace(run, camera_time_s=run.camera_time_s[:0], camera_mm=run.camera_mm[:0])
+
+
+def told(tool: FlexibleTool, run: ToolRun) -> Trust:
+    """What is said of a run."""
+    e = estimate(tool, run)
+    return trust(e, known(e))
+
+
+def fitted(model: ToolModel, *names: str) -> Fit:
+    """A model fitted with these effects."""
+    return identify(model, model.readings, effects=[e for e in model.candidates if e.name in names])
+
+
 def tool_of(world: World, seed: int = 0) -> FlexibleTool:
     """The tool as its file says, with the world's own bending and the doubt by which its file was drawn."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "tool.toml"
-        path.write_text(tomli_w.dumps(world.file(seed)), encoding="utf-8")
-        tool = load_tool(path)
+    tool = tool_from(world.file(seed))
     doubt = ToolDoubt(
         depth=_of_depth(world, np.array(tool.gains)), turn_rad=0.0, force=world.gain_error,
         reference_nm=world.reference_error_nm, mean=0.003,
@@ -77,25 +110,23 @@ def warmed_of(world: World, seed: int = 0) -> FlexibleTool:
 
 def loads_of(world: World, seed: int = 0, **bench: float) -> Loads:
     """A bench of known loads."""
-    with TemporaryDirectory() as folder:
-        write_csv(world.bench(seed=seed, **bench), Path(folder) / "bench.csv")  # type: ignore[arg-type]
-        return read_loads(Path(folder) / "bench.csv")
+    return loads_from(world.bench(seed=seed, **bench))  # type: ignore[arg-type]
 
 
 def honest(e: Estimate, truth: Recorded) -> dict[str, Honesty]:
     """Of every estimate whose truth is known: depth and tip, by the filter. The first second is the start's."""
     on = truth.time_s >= 1.0
-    told: dict[str, Honesty] = {}
+    found: dict[str, Honesty] = {}
     tips = {"tip": (e.tip.value, e.tip.covariance),
             "tip of both": (e.together.value[:, 1:], e.together.covariance[:, 1:, 1:])}  # fmt: skip
     depths = {"depth": (e.depth.value, e.depth.covariance),
               "depth of both": (e.together.value[:, :1], e.together.covariance[:, :1, :1])}  # fmt: skip
     if truth.depth_mm is not None:
         for name, (value, covariance) in depths.items():
-            told[name] = honesty(value[on], covariance[on], truth.depth_mm[on])
+            found[name] = honesty(value[on], covariance[on], truth.depth_mm[on])
     for name, (value, covariance) in tips.items():
-        told[name] = honesty(value[on], covariance[on], truth.tip_mm[on])
-    return told
+        found[name] = honesty(value[on], covariance[on], truth.tip_mm[on])
+    return found
 
 
 def measured(
@@ -128,14 +159,14 @@ def main() -> None:
         if made is warmed_of and not worlds[name].temperature_c:
             continue
         try:
-            told = measured(worlds[name], asked.seeds, asked.experiment, made=made)
+            found = measured(worlds[name], asked.seeds, asked.experiment, made=made)
         except MeasurementError as refused:
             print(f"{name:<18}{refused}", flush=True)
             continue
         name += ", learnt" if made is warmed_of else ""
         cells = [
             f"{h.coverage:>14.3f}{h.nees:>8.2f}{h.largest:>8.1f}{h.beyond_5:>8}{h.mean_error_mm:>8.3f}"
-            for h in (told[n] for n in names if n in told)
+            for h in (found[n] for n in names if n in found)
         ]
         print(f"{name:<18}" + "".join(cells), flush=True)
 

@@ -13,22 +13,20 @@ import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-import tomli_w
 from numpy.typing import NDArray
 
 from plain_tool import plain_calibration, plain_filter
-from second_tool import Wide, WideRun, honesty, write_csv
+from second_tool import Wide, WideRun, honesty
 from second_tool.wide import EXPERIMENTS
 from second_tool.wide import FAULTS as FAULTS
 from sherkit.errors import SherkitWarning
-from sherkit.robots.tool.calibration import calibrate_tool, read_loads
+from sherkit.robots.tool.calibration import calibrate_tool
 from sherkit.robots.tool.filters import estimate
-from sherkit.robots.tool.runs import ToolRun, read_tool_run
-from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt, load_tool
+from sherkit.robots.tool.runs import ToolRun
+from sherkit.robots.tool.tool import FlexibleTool, ToolDoubt
+from tool_honesty import loads_from, run_of, tool_from
 
 Floats = NDArray[np.float64]
 
@@ -44,20 +42,7 @@ _POSE_MM = 2e-3
 @lru_cache(maxsize=4)
 def tool_of(world: Wide) -> FlexibleTool:
     """Calibrated on the world's bench, from file to file."""
-    with TemporaryDirectory() as folder:
-        drawn, bench = Path(folder) / "drawing.toml", Path(folder) / "bench.csv"
-        drawn.write_text(tomli_w.dumps(world.drawing()), encoding="utf-8")
-        write_csv(world.bench(), bench)
-        made = Path(folder) / "tool.toml"
-        calibrate_tool(load_tool(drawn), read_loads(bench)).tool.save(made)
-        return load_tool(made)
-
-
-def run_of(recorded: WideRun) -> ToolRun:
-    """As the reader has it from a file."""
-    with TemporaryDirectory() as folder:
-        write_csv(recorded.columns(), Path(folder) / "run.csv")
-        return read_tool_run(Path(folder) / "run.csv")
+    return tool_from(calibrate_tool(tool_from(world.drawing()), loads_from(world.bench())).tool.to_tables())
 
 
 @dataclass(frozen=True)
@@ -92,10 +77,7 @@ def scored(run: ToolRun, truth: WideRun, value: Floats, covariance: Floats | Non
 
 def plain_of(world: Wide) -> FlexibleTool:
     """The tool as the paper calibrates it, by the drawing and small bends, on the same bench."""
-    with TemporaryDirectory() as folder:
-        drawn = Path(folder) / "drawing.toml"
-        drawn.write_text(tomli_w.dumps(world.drawing()), encoding="utf-8")
-        tool = load_tool(drawn)
+    tool = tool_from(world.drawing())
     bench = world.bench()
     waves = np.column_stack([bench[f"fbg{k + 1}_nm"] for k in range(9)])
     force = np.column_stack([bench["force_x_mn"], bench["force_y_mn"]])
@@ -118,29 +100,32 @@ def plain(tool: FlexibleTool, run: ToolRun) -> Floats:
 
 @dataclass(frozen=True)
 class Healthy:
-    """A run without a fault; ``lost``: share of rows in which a grating was left out, the worst of nine."""
+    """A run without a fault by both filters on one calibrated tool; ``lost``: share of rows in which a sound grating
+    was left out, the worst of nine; ``says``: what was noticed, in short."""
 
-    seed: int
-    experiment: str
-    size: str
     ours: Score
     plain: Score
     lost: float
+    says: str
+
+    @property
+    def ratios(self) -> tuple[float, float]:
+        """Depth and tip over the paper's."""
+        return self.ours.over(self.plain)
 
 
-def healthy(seed: int, experiment: str, size: str) -> Healthy:
-    """One run of the table."""
-    warnings.simplefilter("ignore", SherkitWarning)
-    world = Wide(seed, size=SIZES[size])
-    truth = world.run(experiment, seconds=SECONDS)
-    tool, run = tool_of(world), run_of(truth)
-    e = estimate(tool, run)
-    bits = (e.faulty[:, None] >> np.arange(9)) & 1
-    both = e.together
-    return Healthy(
-        seed, experiment, size, scored(run, truth, both.value, both.covariance), scored(run, truth, plain(tool, run), None),  # noqa: E501
-        float(bits.mean(axis=0).max()),
-    )  # fmt: skip
+def healthy(world: Wide, experiment: str) -> Healthy:
+    """One run of a world."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SherkitWarning)
+        truth = world.run(experiment, seconds=SECONDS)
+        tool, run = tool_of(world), run_of(truth)
+        e = estimate(tool, run)
+    out = e.left_out[np.isfinite(run.wavelengths_nm).all(axis=1)]
+    along = f"along {100 * e.goes_along[-1]:.0f} %" if e.goes_along[-1] else ""
+    says = "; ".join(x for x in (along, f"lags {100 * float(np.median(e.lags)):.2f} %") if x)
+    ours = scored(run, truth, e.together.value, e.together.covariance)
+    return Healthy(ours, scored(run, truth, plain(tool, run), None), float(out.mean(axis=0).max()), says)
 
 
 @dataclass(frozen=True)
@@ -175,7 +160,7 @@ def faulty(seed: int, experiment: str, fault: str) -> Faulty:
     tool, run, without = tool_of(world), run_of(truth), run_of(sound)
     e, well = estimate(tool, run), estimate(tool, without)
     late = run.time_s >= SINCE_S
-    bits = ((e.faulty[:, None] >> np.arange(9)) & 1 > 0) & late[:, None]
+    bits = e.left_out & late[:, None]
     rows = np.searchsorted(truth.time_s, run.time_s)
     bent = np.linalg.norm(truth.force_mn[rows], axis=1) > 20.0
     # named: left out for most of what is left after it was first left out for good
@@ -185,8 +170,7 @@ def faulty(seed: int, experiment: str, fault: str) -> Faulty:
     exactly = np.array([frozenset(np.flatnonzero(row).tolist()) == bad for row in bits])
     since = np.flatnonzero(late & ~exactly)
     first = int(since[-1]) + 1 if len(since) and bad else int(np.argmax(late))
-    step = np.median(np.diff(run.time_s))
-    after = float((bent & late & (np.arange(len(late)) < first)).sum() * step)
+    after = float((bent & late & (np.arange(len(late)) < first)).sum() * run.step_s)
     score = scored(run, truth, e.together.value, e.together.covariance, SINCE_S)
     return Faulty(
         seed, experiment, fault, named, bad, after, score,
@@ -261,21 +245,22 @@ def _every(function: Callable[..., object], runs: Iterable[tuple[object, ...]]) 
         return pool.starmap(function, list(runs), chunksize=1)
 
 
-def _healthy_runs(first: int, seeds: int) -> list[tuple[object, ...]]:
+def _healthy_runs(first: int, seeds: int) -> list[tuple[int, str, str]]:
     return [(s, e, z) for s in range(first, first + seeds) for z in SIZES for e in EXPERIMENTS]
 
 
 def print_healthy(first: int, seeds: int) -> None:
     """Every run, and the summary by kind."""
-    done: list[Healthy] = _every(healthy, _healthy_runs(first, seeds))  # type: ignore[assignment]
+    runs = _healthy_runs(first, seeds)
+    done: list[Healthy] = _every(healthy, [(Wide(s, size=SIZES[z]), e) for s, e, z in runs])  # type: ignore[assignment]
     print(f"{'':<22}{'depth mm':>9}{'/ paper':>8}{'95 %':>6}{'tip mm':>9}{'/ paper':>8}{'95 %':>6}{'lost':>7}")
-    for h in done:
-        (d, t), o = h.ours.over(h.plain), h.ours
-        print(f"{h.seed:>3} {h.experiment:<10}{h.size:<8}{o.depth_mm:>9.3f}{d:>8.3f}{o.depth_covered:>6.2f}"
+    for (seed, experiment, size), h in zip(runs, done, strict=True):
+        (d, t), o = h.ratios, h.ours
+        print(f"{seed:>3} {experiment:<10}{size:<8}{o.depth_mm:>9.3f}{d:>8.3f}{o.depth_covered:>6.2f}"
               f"{o.tip_mm:>9.4f}{t:>8.3f}{o.tip_covered:>6.2f}{h.lost:>7.3f}")  # fmt: skip
     for kind in EXPERIMENTS:
-        some = [h for h in done if h.experiment == kind]
-        depth, tip = np.array([h.ours.over(h.plain) for h in some]).T
+        some = [h for (_, experiment, _), h in zip(runs, done, strict=True) if experiment == kind]
+        depth, tip = np.array([h.ratios for h in some]).T
         cover = np.array([[h.ours.depth_covered, h.ours.tip_covered] for h in some])
         print(f"{kind}: depth / paper's {np.median(depth):.3f} (worst {depth.max():.3f}), tip {np.median(tip):.3f} "
               f"({tip.max():.3f}); 95 % covers {cover[:, 0].mean():.3f} (least {cover[:, 0].min():.3f}), tip "

@@ -11,11 +11,11 @@ Array = NDArray[np.float64]
 Fault = Callable[[Array, Array], Array]
 
 
-def stuck(fibre: int, since_s: float, until_s: float = np.inf) -> Fault:
+def stuck(fibre: int, since_s: float) -> Fault:
     """Shows the last value again and again."""
 
     def fault(t: Array, waves: Array) -> Array:
-        held = (t >= since_s) & (t < until_s)
+        held = t >= since_s
         if held.any():
             waves[held, fibre] = waves[np.argmax(held), fibre]
         return waves
@@ -23,21 +23,21 @@ def stuck(fibre: int, since_s: float, until_s: float = np.inf) -> Fault:
     return fault
 
 
-def dead(fibre: int, since_s: float, until_s: float = np.inf, reads: float = np.nan) -> Fault:
+def dead(fibre: int, since_s: float, reads: float = np.nan) -> Fault:
     """Shows nothing, or a number that means nothing."""
 
     def fault(t: Array, waves: Array) -> Array:
-        waves[(t >= since_s) & (t < until_s), fibre] = reads
+        waves[t >= since_s, fibre] = reads
         return waves
 
     return fault
 
 
-def swapped(first: int, second: int, since_s: float, until_s: float = np.inf) -> Fault:
+def swapped(first: int, second: int, since_s: float) -> Fault:
     """Two peaks change places: each column shows the other's."""
 
     def fault(t: Array, waves: Array) -> Array:
-        on = (t >= since_s) & (t < until_s)
+        on = t >= since_s
         waves[np.ix_(on, [first, second])] = waves[np.ix_(on, [second, first])]
         return waves
 
@@ -64,7 +64,7 @@ def drifting(fibre: int, since_s: float, nm_per_s: float) -> Fault:
     return fault
 
 
-def jumps(fibre: int, since_s: float, nm: float, until_s: float = np.inf) -> Fault:
+def jumps(fibre: int, since_s: float, nm: float, until_s: float) -> Fault:
     """A neighbour's peak is taken for this one's."""
 
     def fault(t: Array, waves: Array) -> Array:
@@ -74,11 +74,11 @@ def jumps(fibre: int, since_s: float, nm: float, until_s: float = np.inf) -> Fau
     return fault
 
 
-def spikes(share: float, nm: float, seed: int = 0) -> Fault:
+def spikes(share: float, nm: float) -> Fault:
     """Single wild readings of single fibres."""
 
     def fault(t: Array, waves: Array) -> Array:
-        rng = np.random.default_rng([seed, 77])
+        rng = np.random.default_rng([0, 77])
         hit = rng.random(waves.shape) < share
         waves[hit] += nm * rng.standard_normal(int(hit.sum()))
         return waves

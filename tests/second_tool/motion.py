@@ -37,43 +37,42 @@ def path_of(experiment: str, t: Array, rng: np.random.Generator, pivot_rad: floa
         lean *= np.clip(1.6 * np.sin(2 * np.pi * t / (t[-1] / 7.3)) + 0.35, 0.0, 1.0)[:, None]
         return _about_the_hole(t, rng, inside, lean, pivot_rad, 0.05)
     if experiment == "vessels":
-        inside = START_MM + (18.0 + smooth(t, rng, 2.0)) * _ease(t / (0.12 * t[-1]))
+        inside = START_MM + (18.0 + smooth(t, rng, 2.0)[:, 0]) * _ease(t / (0.12 * t[-1]))
         lean = _lean(t, rng, 3.5) * _ease(t / (0.15 * t[-1]))[:, None]
         return _about_the_hole(t, rng, inside, lean, pivot_rad, 2.2)
     if experiment == "bends":
         return _bends(t, rng)
     still = np.zeros((len(t), 3))
     if experiment == "free":
-        place = np.column_stack([smooth(t, rng, 15.0) for _ in range(3)])
-        return Motion(place, _turn(t, rng, 0.3), still, 0.0, touched=False)
+        return Motion(smooth(t, rng, 15.0, 15.0, 15.0), smooth(t, rng, 0.3, 0.3, 0.06), still, 0.0, touched=False)
     if experiment == "warm_up":
         return Motion(still, still, still, 0.0, touched=False)
     raise ValueError(f"experiment: '{experiment}' is none of {EXPERIMENTS}")
 
 
-def smooth(t: Array, rng: np.random.Generator, size: float) -> Array:
-    """A smooth random motion (n,) of that size: six sines of 0.05 to 0.5 Hz that start at zero."""
-    rate, weight, phase = 2 * np.pi * rng.uniform(0.05, 0.5, 6), rng.standard_normal(6), rng.uniform(0, 2 * np.pi, 6)
-    wave = (weight[:, None] * (np.sin(rate[:, None] * t + phase[:, None]) - np.sin(phase)[:, None])).sum(axis=0)
-    return np.asarray(size * wave / np.sqrt(6.0))
+def smooth(t: Array, rng: np.random.Generator, *sizes: float) -> Array:
+    """Smooth random motions (n, k) of these sizes: six sines of 0.05 to 0.5 Hz that start at zero."""
+    out = []
+    for size in sizes:
+        rate, weight = 2 * np.pi * rng.uniform(0.05, 0.5, 6), rng.standard_normal(6)
+        phase = rng.uniform(0, 2 * np.pi, 6)
+        wave = (weight[:, None] * (np.sin(rate[:, None] * t + phase[:, None]) - np.sin(phase)[:, None])).sum(axis=0)
+        out.append(size * wave / np.sqrt(6.0))
+    return np.column_stack(out)
 
 
 def _lean(t: Array, rng: np.random.Generator, size: float) -> Array:
     """Off the hole (n, 2), held to 5 mm: nobody leans harder on an eye."""
-    lean = np.column_stack([smooth(t, rng, size), smooth(t, rng, size)])
+    lean = smooth(t, rng, size, size)
     length = np.linalg.norm(lean, axis=1, keepdims=True)
     return np.asarray(lean * np.tanh(length / 5.0) * 5.0 / np.where(length > 0, length, 1.0))
-
-
-def _turn(t: Array, rng: np.random.Generator, size: float) -> Array:
-    return np.column_stack([smooth(t, rng, size), smooth(t, rng, size), smooth(t, rng, size / 5.0)])
 
 
 def _about_the_hole(
     t: Array, rng: np.random.Generator, inside: Array, lean: Array, pivot_rad: float, clearance_mm: float
 ) -> Motion:  # fmt: skip
     """The tool turns about the hole, which stands in the base's origin where nothing moves it."""
-    turn = _turn(t, rng, pivot_rad)
+    turn = smooth(t, rng, pivot_rad, pivot_rad, pivot_rad / 5.0)
     hole = np.column_stack([lean, -inside])
     return Motion(-Rotation.from_rotvec(turn).apply(hole), turn, hole, clearance_mm)
 

@@ -22,6 +22,7 @@ from .wide_faults import FAULTS, Signals, Spoilt, spoil
 from .wide_fibres import Fibres, fibres
 from .wide_hand import Hand, Led, ease, largest_push
 from .wide_rod import RoughRod, Tissue, Touch
+from .world import rows_by_time
 
 Array = NDArray[np.float64]
 
@@ -67,16 +68,7 @@ class WideRun:
 
     def columns(self) -> dict[str, Array]:
         """Rows of robot and camera by time, as in a file; NaN where a row has no such value."""
-        robot = {"time_s": self.time_s}
-        robot |= {f"robot_{a}_mm": self.place_mm[:, k] for k, a in enumerate("xyz")}
-        robot |= {f"robot_r{a}_rad": self.turn_rad[:, k] for k, a in enumerate("xyz")}
-        robot |= {f"fbg{k + 1}_nm": self.wavelengths_nm[:, k] for k in range(9)}
-        robot |= {"depth_mm": self.l_mm} if self.tells_depth else {}
-        camera = {"time_s": self.camera_time_s} | {f"camera_{a}_mm": self.camera_mm[:, k] for k, a in enumerate("xyz")}
-        order = np.argsort(np.concatenate([self.time_s, self.camera_time_s]), kind="stable")
-        names = list({**robot, **camera})
-        both = {k: [half.get(k, np.full(len(half["time_s"]), np.nan)) for half in (robot, camera)] for k in names}
-        return {k: np.concatenate(halves)[order] for k, halves in both.items()}
+        return rows_by_time(self, {"depth_mm": self.l_mm} if self.tells_depth else {})
 
 
 @dataclass(frozen=True)

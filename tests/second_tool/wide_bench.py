@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from .wide_fibres import Fibres
 from .wide_rod import RoughRod, Touch
+from .world import fibre_columns
 
 Array = NDArray[np.float64]
 
@@ -59,4 +60,4 @@ def rows(
         "deflection_mm": deflection,
     }
     order = np.argsort(np.concatenate([np.arange(loads), np.linspace(0.0, loads, unloaded)]), kind="stable")
-    return {k: v[order] for k, v in table.items()} | {f"fbg{k + 1}_nm": waves[order, k] for k in range(9)}
+    return {k: v[order] for k, v in (table | fibre_columns(waves)).items()}

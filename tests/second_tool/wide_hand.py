@@ -81,9 +81,9 @@ class Hand:
         everywhere, still = np.ones(len(t), dtype=bool), np.zeros((len(t), 3))
         return Led(share * firm[:, None], deep, trembling, turn, everywhere, still, still[:, :2], enters=True)
 
-    def bends(self, t: Array, rng: np.random.Generator, times: int = 6) -> Led:
+    def bends(self, t: Array, rng: np.random.Generator) -> Led:
         """Led in free space, stopped and bent by a needle at random places. ``off_mm`` is yet a share, as above."""
-        n = len(t)
+        n, times = len(t), 6
         share, side, deep, shift = np.zeros((n, 2)), np.zeros((n, 2)), np.full(n, 10.0), np.zeros((n, 3))
         there, calm = np.zeros(n, dtype=bool), np.ones(n)
         turn, here, turned = np.zeros((n, 3)), np.zeros(3), np.zeros(3)
@@ -113,18 +113,16 @@ class Hand:
     def free(self, t: Array, rng: np.random.Generator) -> Led:
         """Led around in front of a camera; nothing is touched."""
         n = len(t)
-        shift = np.column_stack([12.0 * smooth(t, rng, 1.0) for _ in range(3)])
+        shift = 12.0 * smooth(t, rng, 1.0, 1.0, 1.0)
         turn = self._turned(t, rng) * 1.5
         nothing = np.zeros(n, dtype=bool)
         trembling, none = tremor(t, rng, self.tremor_mm / np.sqrt(3.0)), np.zeros((n, 2))
         return Led(none, np.zeros(n), trembling, turn, nothing, shift, none, enters=False)
 
     def _turned(self, t: Array, rng: np.random.Generator) -> Array:
-        each = []
-        for largest in (self.pivot_rad, self.pivot_rad, self.roll_rad):
-            wave = smooth(t, rng, 1.0)
-            each.append(largest * wave / np.abs(wave).max())
-        return np.column_stack(each) + tremor(t, rng, self.shake_rad / np.sqrt(3.0))
+        wave = smooth(t, rng, 1.0, 1.0, 1.0)
+        largest = np.array([self.pivot_rad, self.pivot_rad, self.roll_rad])
+        return largest * wave / np.abs(wave).max(axis=0) + tremor(t, rng, self.shake_rad / np.sqrt(3.0))
 
 
 def largest_push(rod: RoughRod, tissue: Tissue, friction: float, size: float, deep_mm: Array) -> Array:
@@ -179,14 +177,14 @@ def _strokes(
         to = rng.uniform(*range_mm)
         deep += ease((t - at) / (took * rng.uniform(0.6, 1.0))) * (to - here)
         here, at = to, at + took
-    unsteady = smooth(t, rng, 0.3)
+    unsteady = smooth(t, rng, 0.3)[:, 0]
     low = min(start_mm, 1.0)
     return np.asarray((deep + unsteady).clip(low, 25.0))
 
 
 def _swings(t: Array, rng: np.random.Generator, size: float) -> Array:
     """A share (n, 2) of the largest lean that changes sides, less than 1 long."""
-    wave = np.column_stack([smooth(t, rng, size), smooth(t, rng, size)])
+    wave = smooth(t, rng, size, size)
     length = np.linalg.norm(wave, axis=1, keepdims=True)
     return np.asarray(wave * np.tanh(length) / np.where(length > 0.0, length, 1.0))
 

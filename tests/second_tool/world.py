@@ -12,7 +12,7 @@ Gratings. Strain of a fibre is curvature times its distance from the axis; a str
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -132,7 +132,7 @@ class World:
         deflection = bent.across_mm + deflection_std_mm * rng.standard_normal(len(size))
         stands = self.rod.length_mm - bent.along_mm
         return {"force_x_mn": force[:, 0], "force_y_mn": force[:, 1], "depth_mm": stands, "deflection_mm": deflection,
-                **_fibres(waves)}  # fmt: skip
+                **fibre_columns(waves)}  # fmt: skip
 
     def file(self, seed: int = 0) -> dict[str, Any]:
         """Tables of a tool file for this world: exact but for ``gain_error`` and ``reference_error_nm``, which a draw
@@ -240,23 +240,28 @@ class Recorded:
 
     def columns(self) -> dict[str, Array]:
         """Rows of robot and camera by time, as in a file; NaN where a row has no such value."""
-        robot = {"time_s": self.time_s}
-        robot |= {f"robot_{a}_mm": self.place_mm[:, k] for k, a in enumerate("xyz")}
-        robot |= {f"robot_r{a}_rad": self.turn_rad[:, k] for k, a in enumerate("xyz")}
-        robot |= _fibres(self.wavelengths_nm)
-        robot |= {} if self.fibre_time_s is None else {"fbg_time_s": self.fibre_time_s}
-        robot |= {} if self.depth_mm is None else {"depth_mm": self.depth_mm}
-        camera = {"time_s": self.camera_time_s} | {f"camera_{a}_mm": self.camera_mm[:, k] for k, a in enumerate("xyz")}
-        order = np.argsort(np.concatenate([self.time_s, self.camera_time_s]), kind="stable")
-
-        def both(name: str) -> Array:
-            halves: Sequence[Array] = [half.get(name, np.full(len(half["time_s"]), np.nan)) for half in (robot, camera)]
-            return np.concatenate(halves)[order]
-
-        return {name: both(name) for name in {**robot, **camera}}
+        own = {} if self.fibre_time_s is None else {"fbg_time_s": self.fibre_time_s}
+        return rows_by_time(self, own if self.depth_mm is None else own | {"depth_mm": self.depth_mm})
 
 
-def _fibres(waves: Array) -> dict[str, Array]:
+def rows_by_time(run: Any, own: dict[str, Array]) -> dict[str, Array]:
+    """Rows of robot and camera by time, NaN where a row has no such value; ``own`` are further columns of the robot."""
+    robot = {"time_s": run.time_s}
+    robot |= {f"robot_{a}_mm": run.place_mm[:, k] for k, a in enumerate("xyz")}
+    robot |= {f"robot_r{a}_rad": run.turn_rad[:, k] for k, a in enumerate("xyz")}
+    robot |= fibre_columns(run.wavelengths_nm) | own
+    camera = {"time_s": run.camera_time_s} | {f"camera_{a}_mm": run.camera_mm[:, k] for k, a in enumerate("xyz")}
+    order = np.argsort(np.concatenate([run.time_s, run.camera_time_s]), kind="stable")
+
+    def both(name: str) -> Array:
+        halves = [half.get(name, np.full(len(half["time_s"]), np.nan)) for half in (robot, camera)]
+        return np.concatenate(halves)[order]
+
+    return {name: both(name) for name in {**robot, **camera}}
+
+
+def fibre_columns(waves: Array) -> dict[str, Array]:
+    """Wavelengths (n, 9) by column."""
     return {f"fbg{k + 1}_nm": waves[:, k] for k in range(9)}
 
 

@@ -193,6 +193,8 @@ _MISSPELT = 0.8
 #: Units of length that a column may have been written in by mistake.
 LENGTHS = ("_m", "_um", "_µm", "_cm", "_in", "_mm")
 ANGLES = ("_deg", "_mrad", "_urad", "_rad")
+#: What ends our columns, what they may end in by mistake, and what it is to be converted to.
+_WRITTEN_IN = (("_mm", LENGTHS, "millimetres"), ("_rad", ANGLES, "radians"))
 
 
 def check_unique(names: list[str], where: str) -> None:
@@ -231,10 +233,9 @@ def check_columns(names: list[str], where: str, own: Sequence[Layout] = (), *, t
     absent = [n for n in layout.known if n not in names]
     for name in (n for n in names if n not in layout.known):
         stem = name.rsplit("_", 1)[0]
-        if f"{stem}_mm" in absent and name.removeprefix(stem) in LENGTHS:
-            raise MeasurementError(f"{where}: column '{name}': convert it to millimetres and name it '{stem}_mm'")
-        if f"{stem}_rad" in absent and name.removeprefix(stem) in ANGLES:
-            raise MeasurementError(f"{where}: column '{name}': convert it to radians and name it '{stem}_rad'")
+        for ours, units, meant in _WRITTEN_IN:
+            if stem + ours in absent and name.removeprefix(stem) in units:
+                raise MeasurementError(f"{where}: column '{name}': convert it to {meant} and name it '{stem}{ours}'")
         typed = closest(name.lower(), absent, cutoff=_MISSPELT)
         # a reading in capitals is refused
         capitals = typed == name.lower() and typed in (*layout.joints, *layout.readings)
@@ -246,7 +247,7 @@ def check_columns(names: list[str], where: str, own: Sequence[Layout] = (), *, t
 
 def _missing(name: str, names: list[str], where: str, what: str, layout: Layout) -> str:
     stem = name.rsplit("_", 1)[0]
-    for own, units, meant in (("_mm", LENGTHS, "millimetres"), ("_rad", ANGLES, "radians")):
+    for own, units, meant in _WRITTEN_IN:
         for unit in units:
             if stem + unit not in names:
                 continue

@@ -17,7 +17,7 @@ import polars as pl
 from ..base.figures import brief, closest, listed
 from ..errors import FitError, MeasurementError, SherkitWarning
 from .called import Columns, factor, header_unit, is_difference, meanings
-from .columns import POSE, REPEAT, TIME, Layout, bare, known_layouts, unit_in
+from .columns import POSE, REPEAT, TEMPERATURE, TIME, Layout, bare, known_layouts, unit_in
 from .doubts import doubts
 from .frames import clean
 from .raw_table import NOTHING, WITH_UNIT, Problem, RawTable, raw_table
@@ -25,11 +25,9 @@ from .reader import checked
 from .rows import Measurements
 from .tables import PARQUET, is_number, read_parquet
 
-#: The column of the temperature, which effects of warmth ask for.
-_TEMPERATURE = "temperature_c"
 #: What people call what every run may have, in small letters.
 _CALLED = {
-    _TEMPERATURE: ("temperatur", "temperature", "temp", "temperatura", "température", "raumtemperatur", "t_room"),
+    TEMPERATURE: ("temperatur", "temperature", "temp", "temperatura", "température", "raumtemperatur", "t_room"),
     POSE: ("pose", "punkt", "point", "messpunkt", "position nr", "pos", "nr", "no", "nummer"),
     REPEAT: ("repeat", "repetition", "wiederholung", "wdh", "durchgang", "zyklus", "messung"),
 }
@@ -145,7 +143,7 @@ class _Checking:
         layout, columns = self._meanings()
         numbers = [name for name in self.cells if name not in self.words]
         meant = {theirs: ours for ours, theirs in columns.items()}
-        known = {*layout.known, *layout.velocities, *layout.apart, *layout.loads, _TEMPERATURE}
+        known = {*layout.known, *layout.velocities, *layout.apart, *layout.loads, TEMPERATURE}
         further = [name for name in numbers if meant.get(name, name) not in known]
         unused = {name: _could_be(name, {*known} - {*columns}) for name in (*self.words, *further)}
         data, refused = self._read(columns)
@@ -336,10 +334,10 @@ class _Checking:
                 if stem.lower() == bare(ours).lower() and ours not in columns and convertible:
                     columns[ours] = name
                     break
-            if stem.lower() in _CALLED[_TEMPERATURE]:
+            if stem.lower() in _CALLED[TEMPERATURE]:
                 self._in_celsius(name, unit)
             for ours, called in _CALLED.items():
-                whole = ours == _TEMPERATURE or all(re.fullmatch(r"\d*", cell) for cell in self.cells[name])
+                whole = ours == TEMPERATURE or all(re.fullmatch(r"\d*", cell) for cell in self.cells[name])
                 if stem.lower() in called and whole and ours not in columns and ours not in names:
                     columns.setdefault(ours, name)
         return layout, {ours: theirs for ours, theirs in columns.items() if theirs in names}

@@ -17,7 +17,7 @@ from pathlib import Path
 from ..base.figures import brief, spans
 from ..errors import MeasurementError
 from .called import is_unit
-from .tables import MARKS, by_spaces, is_number, nameless, names_given, tabbed
+from .tables import MARKS, NO_LINE, NO_TEXT, by_spaces, is_note, is_number, nameless, names_given, tabbed
 
 #: Cells that say that nothing was read.
 NOTHING = ("---", "--", "-", "n/a", "na", "nan", "#n/a", "#nv", "null", "none", "?", "k.a.", "x", "*", "err", "error")
@@ -81,9 +81,9 @@ def raw_table(path: Path) -> RawTable:
     table at all."""
     wrong: list[Problem] = []
     texts = _text(path, wrong).splitlines()
-    lines = [(n, s) for n, s in enumerate(texts, start=1) if s.strip() and not s.lstrip().startswith("#")]
+    lines = [(n, s) for n, s in enumerate(texts, start=1) if not is_note(s)]
     if not lines:
-        raise MeasurementError(f"{path}: is empty; expected a line of column names and rows of measurements")
+        raise MeasurementError(f"{path}: {NO_LINE}")
     called = names_given()
     lines, separator = _parted(lines)
     cells = list(_cells(path, lines, separator))
@@ -128,7 +128,7 @@ def _text(path: Path, wrong: list[Problem]) -> str:
             wrong.append(Problem("the file is UTF-16", "save it as UTF-8"))
             return content.decode(encoding, errors="replace")
     if b"\0" in content[:4096]:
-        raise MeasurementError(f"{path}: is not text; expected CSV as UTF-8, or Parquet in a file named .parquet")
+        raise MeasurementError(f"{path}: {NO_TEXT}")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

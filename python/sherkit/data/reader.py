@@ -23,7 +23,7 @@ from .called import Columns
 from .files import bag_in, of_demo, refuse_device
 from .frames import clean, from_frame
 from .rows import Measurements
-from .tables import MARKS, PARQUET, by_spaces, head_of, is_number, names_given, read_parquet
+from .tables import MARKS, NO_LINE, NO_TEXT, PARQUET, by_spaces, head_of, is_note, is_number, names_given, read_parquet
 
 # -- Decimal commas, in files whose cells are not parted by commas --------------------------------------------------
 
@@ -237,7 +237,7 @@ def csv_blocks(path: Path, most: int | None = None) -> Iterator[tuple[pl.DataFra
         with path.open(encoding="utf-8-sig", newline="") as file:
             head = head_of(str(path), enumerate(file, start=1))
             if head is None:
-                raise MeasurementError(f"{path}: is empty; expected a line of column names and rows of measurements")
+                raise MeasurementError(f"{path}: {NO_LINE}")
             if "\0" in head.names:
                 raise _not_text(path)
             lines, separator, names = head.lines, head.separator, list(head.called)
@@ -256,11 +256,6 @@ def csv_blocks(path: Path, most: int | None = None) -> Iterator[tuple[pl.DataFra
         raise _not_text(path) from None
     except OSError as error:
         raise MeasurementError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def _data(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, str]]:
-    """Lines that are neither blank nor notes."""
-    return ((n, s) for n, s in lines if s.strip() and not s.lstrip().startswith("#"))
 
 
 def _cells(path: Path, number: int, text: str, lines: Iterator[tuple[int, str]], separator: str) -> list[str]:
@@ -285,7 +280,9 @@ def _block(
             return _frame(text, names, separator), np.arange(part[0][0], part[0][0] + len(part))
     lines, cells = [], []
     own = iter(part)
-    for number, line in _data(own):
+    for number, line in own:
+        if is_note(line):
+            continue
         row = line.rstrip("\r\n").split(separator)
         if '"' in line:
             row = _cells(path, number, line, chain(own, rest), separator)
@@ -322,7 +319,7 @@ def _not_text(path: Path) -> MeasurementError:
                 except UnicodeDecodeError as error:
                     byte = raw[error.start]
                     return MeasurementError(f"{path}: line {number} is not UTF-8 (byte {byte:#04x}); save it as UTF-8")
-    return MeasurementError(f"{path}: is not text; expected CSV as UTF-8, or Parquet in a file named .parquet")
+    return MeasurementError(f"{path}: {NO_TEXT}")
 
 
 # -- A run as a person has it at hand: read already, a file, a frame, or columns by name ---------------------------

@@ -55,8 +55,8 @@ def from_rosbag(
     path = Path(path)
     if not joints:
         raise MeasurementError(f"{path}: joints is empty; expected the names in {joint_states} by our columns")
-    times, readings = _stacked(_read(path, joint_states, _joints_in(path, joint_states, joints)), path, joint_states)
-    seen_at, places = _stacked(_read(path, poses, _position_in(path, poses)), path, poses)
+    times, readings = _read(path, joint_states, _joints_in(path, joint_states, joints))
+    seen_at, places = _read(path, poses, _position_in(path, poses))
     order = np.argsort(times, kind="stable")
     times, readings = times[order], readings[order]
     after = np.searchsorted(times, seen_at)
@@ -132,17 +132,6 @@ def _position_in(path: Path, topic: str) -> Any:
     return position
 
 
-def _stacked(found: list[tuple[float, list[float]]], path: Path, topic: str) -> tuple[Floats, Floats]:
-    if not found:
-        raise MeasurementError(f"{path}: {topic} holds no message")
-    values = np.array([value for _, value in found])
-    if not np.isfinite(values).all():
-        raise MeasurementError(
-            f"{path}: {topic}, message {int(np.argmin(np.isfinite(values).all(axis=1)))} is not finite"
-        )
-    return np.array([time_s for time_s, _ in found]), values
-
-
 def _whole(database: Path) -> None:
     """Raises where a database is not whole: SQLite reads on from a damaged page for minutes, or until memory ends."""
     # some Pythons are built without it, and nobody else needs it
@@ -162,8 +151,8 @@ def _whole(database: Path) -> None:
         )
 
 
-def _read(path: Path, topic: str, values: Any) -> list[tuple[float, list[float]]]:
-    """Time of the header, s, and values of every message of a topic."""
+def _read(path: Path, topic: str, values: Any) -> tuple[Floats, Floats]:
+    """Times of the headers (n,), s, and values (n, k) of every message of a topic."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -181,7 +170,7 @@ def _read(path: Path, topic: str, values: Any) -> list[tuple[float, list[float]]
                 raise MeasurementError(
                     f"{path}: has no topic '{topic}'{nearest(topic, topics)}; it has {listed(topics, 12)}"
                 )
-            out = []
+            times, found = [], []
             for connection, _, raw in reader.messages(connections=chosen):
                 message: Any = reader.deserialize(raw, connection.msgtype)
                 stamp = getattr(getattr(message, "header", None), "stamp", None)
@@ -189,11 +178,17 @@ def _read(path: Path, topic: str, values: Any) -> list[tuple[float, list[float]]
                     raise MeasurementError(
                         f"{path}: {topic} holds {connection.msgtype}, which has no header with a time"
                     )
-                out.append((stamp.sec + stamp.nanosec / _NANOSECONDS, values(message)))
-            return out
+                times.append(stamp.sec + stamp.nanosec / _NANOSECONDS)
+                found.append(values(message))
     except MeasurementError:
         raise
     # rosbags raises errors of its own, of SQLite, of decompression and of YAML
     except Exception as error:
         why = f"{type(error).__name__}: {brief(error, 200)}"
         raise MeasurementError(f"{path}: is no bag that can be read: {why}") from None
+    if not found:
+        raise MeasurementError(f"{path}: {topic} holds no message")
+    finite = np.isfinite(found).all(axis=1)
+    if not finite.all():
+        raise MeasurementError(f"{path}: {topic}, message {int(np.argmin(finite))} is not finite")
+    return np.array(times), np.array(found)

@@ -96,10 +96,11 @@ class Measurements:
         to = stack(layout.to_joints) if layout.to_joints else np.full(joints.shape, np.nan)
         readings = stack(layout.readings)
         taken = np.isfinite(readings)
+        time_s = np.asarray(values[c.TIME], dtype=float) if c.TIME in values else None
         whole = {k: values[k].astype(np.int64) if k in values else None for k in (c.POSE, c.REPEAT)}
         known = set(layout.known)
         rest = {k: v for k, v in values.items() if k not in known}
-        if not {*layout.velocities} & {*rest} and (moving := velocities(joints, values.get(c.TIME))) is not None:
+        if not {*layout.velocities} & {*rest} and (moving := velocities(joints, time_s)) is not None:
             rest |= dict(zip(layout.velocities, moving.T, strict=False))
         if c.SETUP in rest:
             rest[c.SETUP] = set_up_names(rest[c.SETUP], f"{source}: {counted}", line)
@@ -110,7 +111,7 @@ class Measurements:
             taken=taken,
             sigma=stack(layout.sigmas),
             pose_sigma=np.nan_to_num(stack(layout.pose_sigmas)),
-            time_s=np.asarray(values[c.TIME], dtype=float) if c.TIME in values else None,
+            time_s=time_s,
             pose=whole[c.POSE],
             repeat=whole[c.REPEAT],
             outlier=values[c.OUTLIER] != 0 if c.OUTLIER in values else np.zeros(n, dtype=bool),
@@ -120,10 +121,10 @@ class Measurements:
             line=line,
             counted=counted,
             direction=_directions(values, joints),
-            order=order_in_time(values.get(c.TIME), n),
+            order=order_in_time(time_s, n),
             layout=layout,
-            room=Room.of(values.get(c.TIME), values.get(c.TEMPERATURE)),
-            begins_s=begin_of(values.get(c.TIME)),
+            room=Room.of(time_s, values.get(c.TEMPERATURE)),
+            begins_s=begin_of(time_s),
         )
         check_rows(data)
         return data

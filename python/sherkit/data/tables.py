@@ -26,6 +26,9 @@ from .files import write_whole
 # its rows, as ``numpy.savetxt`` writes it.
 
 MARKS = ",;\t"
+#: What to say of a file that holds no line of a table, and of one that is no text.
+NO_LINE = "is empty; expected a line of column names and rows of measurements"
+NO_TEXT = "is not text; expected CSV as UTF-8, or Parquet in a file named .parquet"
 #: Names of columns in the order of the file, for the files that are read now.
 _GIVEN: ContextVar[tuple[str, ...]] = ContextVar("names of columns", default=())
 _NUMBER = re.compile(r"[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?")
@@ -125,7 +128,7 @@ def head_of(source: str, lines: Iterator[tuple[int, str]]) -> Head | None:
     if not all(map(is_number, cells)):
         if not spaced:
             return Head(number, first, (), separator, lines)
-        row = next(((n, s) for n, s in lines if not _is_note(s)), None)
+        row = next(((n, s) for n, s in lines if not is_note(s)), None)
         below = lines if row is None else chain([row], lines)
         if row is None or not by_spaces(row[1]):  # a line of words above another sort of table
             return Head(number, first, (), max(MARKS, key=first.count), below)
@@ -149,13 +152,14 @@ def _first(lines: Iterator[tuple[int, str]]) -> tuple[str, tuple[int, str]]:
     """The last note above the first line that is none, and that line."""
     note = ""
     for number, line in lines:
-        if not _is_note(line):
+        if not is_note(line):
             return note, (number, line)
         note = line.strip().lstrip("#").strip() or note
     return note, (0, "")
 
 
-def _is_note(line: str) -> bool:
+def is_note(line: str) -> bool:
+    """Whether a line is blank or a note."""
     return not line.strip() or line.lstrip().startswith("#")
 
 
@@ -168,7 +172,7 @@ def _is_row(line: str, cells: int) -> bool:
 def _tabs(lines: Iterator[tuple[int, str]], spaced: bool) -> Iterator[tuple[int, str]]:
     if not spaced:
         return lines
-    return ((number, line if _is_note(line) else tabbed(line)) for number, line in lines)
+    return ((number, line if is_note(line) else tabbed(line)) for number, line in lines)
 
 
 # -- Tables ------------------------------------------------------------------------------------------------------------

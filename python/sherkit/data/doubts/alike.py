@@ -29,13 +29,13 @@ _TURNS = 0.3
 _ROUNDS = 4
 
 
-def expected(inputs: Floats, turning: Bools, values: Floats, rows: Bools) -> tuple[Floats, float] | None:
-    """A polynomial in ``inputs`` (n, k), fitted to ``values`` (n,) in these ``rows``: what it gives in all rows, and
-    its robust RMS in those it was fitted to. ``turning`` (k,) tells angles. None where rows are too few.
+def _expected(data: Measurements, values: Floats, rows: Bools) -> tuple[Floats, float] | None:
+    """A polynomial in the joints, fitted to ``values`` (n,) in these ``rows``: what it gives in all rows, and its
+    robust RMS in those it was fitted to. None where rows are too few.
 
     Rows that are far off weigh less (Cauchy), so that a few wild ones do not count.
     """
-    variables = _variables(inputs, turning)
+    variables = _variables(data)
     if not variables:
         return None
     for degree in _DEGREES:
@@ -55,14 +55,14 @@ def expected(inputs: Floats, turning: Bools, values: Floats, rows: Bools) -> tup
     return columns @ x, rms
 
 
-def _variables(inputs: Floats, turning: Bools) -> list[Floats]:
-    """The inputs that move, from -1 to 1, each once."""
+def _variables(data: Measurements) -> list[Floats]:
+    """The joints that move, from -1 to 1, each once."""
     out: list[Floats] = []
-    for column, turns in zip(inputs.T, turning, strict=True):
+    for name, column in zip(data.layout.joints, data.joints.T, strict=True):
         reach = float(np.ptp(column))
         if reach == 0:
             continue
-        if turns and _TURNS < reach < 4 * np.pi:
+        if c.unit_in(name) == "rad" and _TURNS < reach < 4 * np.pi:
             out += [np.sin(column), np.cos(column)]
         else:
             out.append((2.0 * column - column.max() - column.min()) / reach)
@@ -147,11 +147,10 @@ def _inverse(line: tuple[float, float]) -> tuple[float, float]:
 
 def _lacks(data: Measurements, name: str) -> bool:
     """Whether the joints leave more of a reading than joints would, that were all there."""
-    turning = np.array([c.unit_in(joint) == "rad" for joint in data.layout.joints])
     read = [(data.readings[:, k], data.used[:, k]) for k in range(data.coordinates) if data.used[:, k].sum() >= FEWEST]
     # across the plane of a plan a reading hardly moves, and is all noise
     most = max((float(np.std(values[rows])) for values, rows in read), default=0.0)
-    found = [expected(data.joints, turning, values, rows) for values, rows in read]
+    found = [_expected(data, values, rows) for values, rows in read]
     return any(one is not None and one[1] > _UNEXPLAINED * most for one in found)
 
 
@@ -193,10 +192,9 @@ def piled(data: Measurements) -> Iterator[DataWarning]:
     if len(data) < FEWEST or not data.layout.follows:
         return
     few = some(data)
-    turning = np.array([c.unit_in(joint) == "rad" for joint in data.layout.joints])
     told: dict[tuple[str, float], list[tuple[str, int]]] = {}
     for k, name in enumerate(data.layout.coordinates):
-        found = _piled(few.joints, turning, few.readings[:, k], few.used[:, k])
+        found = _piled(few, few.readings[:, k], few.used[:, k])
         if found is not None:
             how, value = found
             count = int((data.used[:, k] & (data.readings[:, k] == value)).sum())
@@ -220,7 +218,7 @@ def piled(data: Measurements) -> Iterator[DataWarning]:
         yield DataWarning(sentence, columns=True)
 
 
-def _piled(joints: Floats, turning: Bools, values: Floats, used: Bools) -> tuple[str, float] | None:
+def _piled(data: Measurements, values: Floats, used: Bools) -> tuple[str, float] | None:
     """How one value is piled up, ``lost`` or ``clipped``, and the value."""
     u = values[used]
     if len(u) < FEWEST:
@@ -235,9 +233,9 @@ def _piled(joints: Floats, turning: Bools, values: Floats, used: Bools) -> tuple
         if often < max(_ROWS, _AT_END * len(u)) or next_most * _ALONE > often:
             continue
         here = used & (values == value)
-        if len(np.unique(joints[here], axis=0)) < _POSES:
+        if len(np.unique(data.joints[here], axis=0)) < _POSES:
             continue
-        found = expected(joints, turning, values, used & ~here)
+        found = _expected(data, values, used & ~here)
         if found is None:
             continue
         there, rms = found

@@ -85,13 +85,12 @@ _RATIOS = np.concatenate([[0.0], np.geomspace(0.01, 100.0, 9)])
 
 @dataclass(frozen=True, eq=False)
 class SmoothErrors:
-    """Errors of one axis: white ``noise_mm``, and smooth ones of ``size_mm`` that are alike within ``reach_mm`` and
-    ``reach_s``. ``covariance`` (p, p) is that of the parameters fitted by least squares."""
+    """Errors of one axis: white ``noise_mm``, and smooth ones of ``size_mm`` that are alike within ``reach_mm``.
+    ``covariance`` (p, p) is that of the parameters fitted by least squares."""
 
     noise_mm: float
     size_mm: float
     reach_mm: float
-    reach_s: float
     covariance: Floats
 
 
@@ -117,12 +116,12 @@ def smooth_errors(jacobian: Floats, residuals_mm: Floats, places_mm: Floats, tim
             criterion, variance = _restricted(j, e, ratio * alike)
             criteria.append(criterion)
             covariances.append(variance * (inverse + ratio * inverse @ within @ inverse))
-            told.append((variance, ratio * variance, wide, long))
+            told.append((variance, ratio * variance, wide))
     share = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     share /= share.sum()
-    noise, size, wide, long = np.array(told)[int(np.argmax(share))]
+    noise, size, wide = told[int(np.argmax(share))]
     covariance = np.einsum("k,kij->ij", share, covariances) / np.outer(unit, unit)
-    return SmoothErrors(float(np.sqrt(noise)), float(np.sqrt(size)), float(wide), float(long), covariance)
+    return SmoothErrors(float(np.sqrt(noise)), float(np.sqrt(size)), float(wide), covariance)
 
 
 def _restricted(j: Floats, e: Floats, smooth: Floats) -> tuple[float, float]:

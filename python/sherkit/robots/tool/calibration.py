@@ -53,14 +53,14 @@ _UNIT = 100.0
 @dataclass(frozen=True, eq=False)
 class Loads:
     """Rows of a load bench: ``force_mn`` (n, 2), ``depth_mm`` (n,), ``wavelengths_nm`` (n, 9), ``deflection_mm`` (n,),
-    NaN where it was not measured. ``told`` is what the table says of how depth and force are to be read."""
+    NaN where it was not measured. ``depth_in`` is the column of the depths, which says how they are to be read."""
 
     force_mn: Floats
     depth_mm: Floats
     wavelengths_nm: Floats
     deflection_mm: Floats
     source: str = "loads"
-    told: tuple[str | None, str | None] = (None, None)
+    depth_in: str = DEPTH
 
     def __len__(self) -> int:
         return len(self.force_mn)
@@ -72,10 +72,7 @@ class Loads:
 
     def save(self, path: str | Path) -> None:
         """Writes CSV or Parquet that :func:`read_loads` reads."""
-        columns = {
-            **dict(zip(FORCE, self.force_mn.T, strict=True)),
-            ARC if self.told[0] == "arc" else DEPTH: self.depth_mm,
-        }
+        columns = {**dict(zip(FORCE, self.force_mn.T, strict=True)), self.depth_in: self.depth_mm}
         columns |= {DEFLECTION: self.deflection_mm, **dict(zip(FIBRES, self.wavelengths_nm.T, strict=True))}
         write_table(pl.DataFrame(columns).with_columns(pl.col(DEFLECTION).fill_nan(None)), path)
 
@@ -86,8 +83,7 @@ def read_loads(path: str | Path, columns: Columns = NO_NAMES) -> Loads:
 
     Raises :class:`~sherkit.errors.MeasurementError` naming file, column and row."""
     frame = table_at(Path(path), columns)
-    by_arc = ARC in frame.columns and DEPTH not in frame.columns
-    depth = ARC if by_arc else DEPTH
+    depth = depth_column(frame)
     needed = (*FORCE, depth, *FIBRES)
     numbers = numbers_of(frame, needed, (*needed, DEFLECTION), str(path))
     for name, values in numbers.items():
@@ -99,9 +95,12 @@ def read_loads(path: str | Path, columns: Columns = NO_NAMES) -> Loads:
     def array(*names: str) -> Floats:
         return np.ascontiguousarray(np.column_stack([numbers[n] for n in names]))
 
-    return Loads(
-        array(*FORCE), numbers[depth], array(*FIBRES), numbers[DEFLECTION], str(path), ("arc" if by_arc else None, None)
-    )
+    return Loads(array(*FORCE), numbers[depth], array(*FIBRES), numbers[DEFLECTION], str(path), depth)
+
+
+def depth_column(frame: pl.DataFrame) -> str:
+    """Where a bench has its depths."""
+    return ARC if ARC in frame.columns and DEPTH not in frame.columns else DEPTH
 
 
 def check_loads(tool: FlexibleTool, loads: Loads) -> None:
@@ -110,14 +109,14 @@ def check_loads(tool: FlexibleTool, loads: Loads) -> None:
     rows, source = loads.loaded, loads.source
     if int(rows.sum()) < LEAST_LOADED:
         raise FitError(f"{source}: {int(rows.sum())} rows with a force; expected {LEAST_LOADED} or more")
-    check_unit(loads.wavelengths_nm, np.array(tool.reference_nm), source)
+    check_unit(loads.wavelengths_nm, tool.reference_nm, source)
     near = tool.distances_mm[0]
     bad = rows & ~((loads.depth_mm >= -_ZERO_MM) & (loads.depth_mm < near))
     if bad.any():
-        row, depth = int(np.argmax(bad)), ARC if loads.told[0] == "arc" else DEPTH
+        row = int(np.argmax(bad))
         raise MeasurementError(
-            f"{source}: row {row + 1}, column '{depth}': a load at {loads.depth_mm[row]:g} mm from the tip; expected 0 "
-            f"to {near:g}, below section I: is it measured from the clamp?"
+            f"{source}: row {row + 1}, column '{loads.depth_in}': a load at {loads.depth_mm[row]:g} mm from the tip; "
+            f"expected 0 to {near:g}, below section I: is it measured from the clamp?"
         )
     width = linalg.singular_values(loads.force_mn[rows])
     if width[1] < _LEAST_WIDTH * width[0]:
@@ -230,10 +229,10 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
         within = loads.wavelengths_nm[~loaded] - reference
         within = within - within.mean(axis=1, keepdims=True)
         noise = float(np.sqrt((within**2).sum() / ((count - 1) * 8))) or tool.noise_nm
-    rows = loaded_rows(loads, reference)
-    bad, told = wrong_loads(tool, rows)
+    rows = loaded_rows(tool, loads)
+    bad, why = wrong_loads(tool, rows)
     wrong = np.flatnonzero(loaded)[bad] + 1
-    noticed = [f"row {row}: {one}; it is left out" for row, one in zip(wrong, told, strict=True)]
+    noticed = [f"row {row}: {one}; it is left out" for row, one in zip(wrong, why, strict=True)]
     rows = rows.some(~bad)
     noticed += against_drawing(tool, rows)
     enough = int(rows.bent.sum()) >= LEAST_LOADED
@@ -241,7 +240,8 @@ def calibrate_tool(tool: FlexibleTool, loads: Loads) -> ToolCalibration:
     check_sizes(tool, rows, slope and slope[0], loads.source)
     if not enough:
         rows = replace(rows, deflection_mm=np.full(len(rows.depth_mm), np.nan))
-    best, chi2 = fit_as_reads_best(rows, tool, noise, (loads.told[0] or tool.bench[0], loads.told[1] or tool.bench[1]))
+    told = ("arc", tool.bench[1]) if loads.depth_in == ARC else tool.bench
+    best, chi2 = fit_as_reads_best(rows, tool, noise, told)
     value, std = best.value, np.sqrt(np.diag(best.covariance).clip(0.0))
     if not (0.0 < value.distances_mm[0] < value.distances_mm[1] < value.length_mm):
         raise FitError(
@@ -301,12 +301,12 @@ def reference_of(tool: FlexibleTool, loads: Loads) -> Floats:
     return np.asarray(rest.mean(axis=0) if len(rest) >= LEAST_UNLOADED else tool.reference_nm)
 
 
-def loaded_rows(loads: Loads, reference_nm: Floats) -> LoadRows:
-    """The loaded rows."""
+def loaded_rows(tool: FlexibleTool, loads: Loads) -> LoadRows:
+    """The loaded rows, their shifts from the unloaded ones."""
     on = loads.loaded
     force = loads.force_mn[on]
     size = np.linalg.norm(force, axis=1)
-    shifts = loads.wavelengths_nm[on] - reference_nm
+    shifts = loads.wavelengths_nm[on] - reference_of(tool, loads)
     return LoadRows(size, force / size[:, None], loads.depth_mm[on], shifts, loads.deflection_mm[on])
 
 

@@ -150,7 +150,7 @@ _AT_ONCE, _MOST = 2, 0.5
 def _gratings(e: Estimate) -> RunCheck:
     """Whether the sections agree with the tool file in most of the run: one grating may be dead, not two of three."""
     read = np.isfinite(e.run.wavelengths_nm)
-    out = ((e.faulty[:, None] >> np.arange(9)) & 1 > 0) & read
+    out = e.left_out & read
     rows = read.any(axis=1)
     lost = (out.reshape(-1, 3, 3).sum(axis=2) >= _AT_ONCE)[rows].mean(axis=0) > _MOST
     share = out[rows].mean(axis=0)
@@ -344,8 +344,7 @@ def began(e: Estimate) -> list[str]:
     told = np.isfinite(e.fibre_depth_mm)
     if tool.start_std_mm is None or not told.any():
         return []
-    step = float(np.median(np.diff(run.time_s)))
-    told &= np.cumsum(told) <= max(1, round(_FIRST_S / step))
+    told &= np.cumsum(told) <= max(1, round(_FIRST_S / run.step_s))
     last = int(np.flatnonzero(told)[-1])
     way = run.rotations[:, :, 2]
     hole = run.position_mm[0] - tool.start_depth_mm * way[0]

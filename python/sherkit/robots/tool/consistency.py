@@ -224,10 +224,6 @@ class ErrorStatistics:
         """The errors of a signal by name."""
         return next(e for e in self.errors if e.signal == signal)
 
-    def improvement(self, signal: str, over: str) -> float:
-        """Part of the error over T0 of signal ``over`` that ``signal`` takes away."""
-        return 1.0 - self.of(signal).t0 / self.of(over).t0
-
 
 @linalg.one_thread()
 def judge(e: Estimate) -> list[ErrorStatistics]:

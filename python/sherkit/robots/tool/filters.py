@@ -191,9 +191,14 @@ class Estimate(Shown):
         )
 
     @property
+    def left_out(self) -> Bools:
+        """Gratings (n, 9) that were not believed."""
+        return np.asarray((self.faulty[:, None] >> np.arange(9)) & 1 > 0)
+
+    @property
     def faulty_sections(self) -> Bools:
         """Sections I, II, III (n, 3) in which a grating was not believed."""
-        return np.asarray((self.faulty[:, None] >> np.array([0, 3, 6])) & 0b111 > 0)
+        return np.asarray(self.left_out.reshape(-1, 3, 3).any(axis=2))
 
     @property
     def gated(self) -> Bools:
@@ -203,8 +208,8 @@ class Estimate(Shown):
     @cached_property
     def faults(self) -> tuple[GratingFault, ...]:
         """Gratings that were left out for a while, and what they did."""
-        bits = (self.faulty[:, None] >> np.arange(9)) & 1 > 0
-        shift = self.run.wavelengths_nm - np.array(self.tool.reference_nm)
+        bits = self.left_out
+        shift = self.run.wavelengths_nm - self.tool.reference_nm
         found = []
         for k, rows in enumerate(bits.T):
             at = self.run.time_s[rows]
@@ -288,7 +293,7 @@ def estimate(tool: FlexibleTool, run: ToolRun) -> Estimate:
     waves, stamps, reading = _readings(tool, run)
     if not reading.any():
         raise MeasurementError(f"{run.source}: no row has wavelengths; there is nothing to estimate from")
-    check_wavelengths(waves, np.array(tool.reference_nm), run.source)
+    check_wavelengths(waves, tool.reference_nm, run.source)
     measured = tool.sensor.measure_batch(stamps, tool.as_if_cold(waves))[0]
     start, pose = float(run.time_s[0]), run.poses[0]
     told = tracked(tool, run)

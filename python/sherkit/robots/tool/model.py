@@ -133,7 +133,7 @@ class ToolModel(Saved):
             )
         if not self.run.present.any():
             raise MeasurementError(f"{self.run.source}: no row has wavelengths")
-        check_wavelengths(self.run.wavelengths_nm, np.array(self.tool.reference_nm), self.run.source)
+        check_wavelengths(self.run.wavelengths_nm, self.tool.reference_nm, self.run.source)
         check_camera(at_times(self.run.time_s, self.run.position_mm, self.moments_s), self.seen_mm, self.run.source)
 
     @cached_property
@@ -143,7 +143,7 @@ class ToolModel(Saved):
         waves, out = self.run.wavelengths_nm, np.zeros(self.run.wavelengths_nm.shape, dtype=bool)
         rows = np.flatnonzero(np.isfinite(waves).any(axis=1))
         shown = waves[rows]
-        off = np.abs(shown - np.array(self.tool.reference_nm))
+        off = np.abs(shown - self.tool.reference_nm)
         out[rows] = ~(off < OUT_OF_REACH_NM)
         for k, stretch in enumerate(np.cumsum(np.diff(shown, axis=0, prepend=np.nan) != 0, axis=0).T):
             out[rows, k] |= np.bincount(stretch)[stretch] > _LONG

@@ -81,7 +81,7 @@ def pictures_of_estimate(e: Estimate) -> list[Picture[EstimateOverTime]]:
 
 def _innovations(e: Estimate) -> Floats:
     """NIS of the depth per degree of freedom, mean over a while (n,); NaN where nothing was measured."""
-    rows = max(1, round(_MEAN_S / float(np.median(np.diff(e.run.time_s)))))
+    rows = max(1, round(_MEAN_S / e.run.step_s))
     window = np.ones(min(rows, len(e.run)))
     total, degrees = (np.convolve(v.astype(float), window, mode="same") for v in (e.depth.nis, e.depth.degrees))
     return np.where(degrees > 0.5, total / np.maximum(degrees, 1.0), np.nan)

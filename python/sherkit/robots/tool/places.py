@@ -77,7 +77,7 @@ def find_hole(
     left = (columns @ found - right).reshape(-1, 2)
     if not ((left / softness[:, None]) ** 2).sum(axis=1).mean() < (_STANDS * usual) ** 2:
         return None
-    alike = max(_ALIKE_S / float(np.median(np.diff(run.time_s))), 1.0)
+    alike = max(_ALIKE_S / run.step_s, 1.0)
     variance = linalg.inv(columns.T @ columns)[_CLEARANCE, _CLEARANCE] * float((left**2).mean()) * alike
     std = max(float(np.sqrt(variance)), _LEAST_STD_MM)
     return Hole(found[:3], max(float(found[_CLEARANCE]), 0.0), std, float(found[4]))
@@ -167,7 +167,7 @@ class TipPlaces:
         """Along which the force moves (n, 2), and at rest from one side to the other; and where it moves (n,): changes
         over some hundredths of a second by more than noise."""
         force_mn, time = self.felt.force_mn, self.run.time_s
-        half = max(1, round(_SMOOTHING_S / float(np.median(np.diff(time))) / 2))
+        half = max(1, round(_SMOOTHING_S / self.run.step_s / 2))
         total = np.cumsum(np.vstack([np.zeros((1, 2)), force_mn]), axis=0)
         n = len(force_mn)
         here = np.arange(n)

@@ -47,7 +47,7 @@ _MIRRORED = 0.02
 ELSEWHERE_MM = 60.0
 
 
-def check_unit(wavelengths_nm: Floats, reference_nm: Floats, source: str) -> None:
+def check_unit(wavelengths_nm: Floats, reference_nm: tuple[float, ...], source: str) -> None:
     """Raises :class:`~sherkit.errors.MeasurementError` for wavelengths (n, 9) that are not in nm, or are shifts."""
     known = wavelengths_nm[np.isfinite(wavelengths_nm)]
     if not len(known):
@@ -66,7 +66,7 @@ def check_unit(wavelengths_nm: Floats, reference_nm: Floats, source: str) -> Non
         )
 
 
-def check_wavelengths(wavelengths_nm: Floats, reference_nm: Floats, source: str) -> None:
+def check_wavelengths(wavelengths_nm: Floats, reference_nm: tuple[float, ...], source: str) -> None:
     """As :func:`check_unit`, and for wavelengths of another tool than the one with these references (9,)."""
     check_unit(wavelengths_nm, reference_nm, source)
     shift = np.abs(wavelengths_nm - reference_nm)
@@ -220,6 +220,11 @@ class ToolRun:
         return f"ToolRun({self.source}: {len(self)} rows, {len(self.camera_time_s)} of the camera)"
 
     @cached_property
+    def step_s(self) -> float:
+        """From row to row, as it usually is."""
+        return float(np.median(np.diff(self.time_s)))
+
+    @cached_property
     def rotations(self) -> Floats:
         """Tool to base (n, 3, 3)."""
         return rotation_of(self.turn_rad)
@@ -298,7 +303,7 @@ class ToolRun:
     def gaps(self) -> list[tuple[float, float]]:
         """Spans, s, in which no row of the robot came though some should have."""
         step = np.diff(self.time_s)
-        after = np.flatnonzero(step > max(_GAP_S, _GAP_STEPS * float(np.median(step))))
+        after = np.flatnonzero(step > max(_GAP_S, _GAP_STEPS * self.step_s))
         return [(float(self.time_s[k]), float(self.time_s[k + 1])) for k in after]
 
     @property
@@ -421,7 +426,7 @@ def summary(run: ToolRun) -> dict[str, Any]:
     return {
         "rows": len(run),
         "seconds": span,
-        "robot_hz": 1.0 / float(np.median(np.diff(run.time_s))) if span > 0 else float("nan"),
+        "robot_hz": 1.0 / run.step_s if span > 0 else float("nan"),
         "pictures": len(run.camera_time_s),
         "without_fibres": int((~run.present).sum()),
     }

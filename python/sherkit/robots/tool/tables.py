@@ -51,12 +51,16 @@ def numbers_of(frame: pl.DataFrame, needed: Iterable[str], known: Iterable[str],
         try:
             columns[name] = column.cast(pl.Float64).to_numpy().astype(float)
         except pl.exceptions.PolarsError:
-            bad = column.cast(pl.String).cast(pl.Float64, strict=False).is_null() & column.is_not_null()
-            row = int(bad.arg_max() or 0)
+            row = int(no_numbers(column).arg_max() or 0)
             raise MeasurementError(
                 f"{source}: row {row + 1}, column '{name}': '{column[row]}' is not a number"
             ) from None
     return columns
+
+
+def no_numbers(column: pl.Series) -> pl.Series:
+    """Cells (n,) that hold something, and no number."""
+    return column.cast(pl.String).cast(pl.Float64, strict=False).is_null() & column.is_not_null()
 
 
 def instead(name: str, there: Collection[str], known: Collection[str]) -> str:

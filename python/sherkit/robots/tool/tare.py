@@ -43,14 +43,13 @@ def tare(tool: FlexibleTool, run: ToolRun, *, untouched: bool = False) -> Tare:
     which every force lies within five deviations of none; fewer than one of them leave the tool as it is. Raises
     :class:`~sherkit.errors.MeasurementError` for an untouched run without wavelengths, or in which something was felt.
     """
-    step = float(np.median(np.diff(run.time_s)))
     rows = run.present if untouched else unloaded(tool, run)
-    seconds = float(rows.sum()) * step
+    seconds = float(rows.sum()) * run.step_s
     if untouched and not rows.any():
         raise MeasurementError(f"{run.source}: no row has wavelengths; the tare needs those of the untouched tool")
     if seconds < _LEAST_S and not untouched:
         return Tare(tool, np.zeros(9), 0.0)
-    shift = run.wavelengths_nm[rows] - np.array(tool.reference_nm)
+    shift = run.wavelengths_nm[rows] - tool.reference_nm
     known = [*np.array(tool.warmth), np.zeros(3)]
     found = [
         _unloaded_section(own, before, tool.doubt.warmth, tool.noise_nm)
@@ -107,8 +106,7 @@ def unloaded(tool: FlexibleTool, run: ToolRun) -> Bools:
     """Rows (n,) in which no force was felt, nor half a second around."""
     force, std = _forces(tool, run)
     loaded = ~(np.linalg.norm(force, axis=1) <= _NO_FORCE * std)
-    step = float(np.median(np.diff(run.time_s)))
-    reach = max(1, round(_STILL_S / step))
+    reach = max(1, round(_STILL_S / run.step_s))
     count = np.concatenate([[0], np.cumsum(loaded & run.present)])
     here = np.arange(len(run))
     near = count[np.minimum(here + reach + 1, len(run))] - count[np.maximum(here - reach, 0)]

@@ -71,7 +71,7 @@ Triple = tuple[float, float, float]
 KIND = "flexible_tool"
 NOISES = ("propagated", "ebrahimi_2020", "ebrahimi_2020_of_force")
 BENDINGS = ("exact", "small")
-#: Fibres stand at 120° around the shaft; a moment of 1 mN·mm shifts the wavelength opposite to it by this, nm.
+#: A moment of 1 mN·mm shifts the wavelength opposite to it by this, nm.
 _SHIFT_NM_PER_MOMENT = 2.1e-4
 
 
@@ -80,10 +80,10 @@ def nested(values: Floats) -> Any:
     return tuple(nested(row) for row in values) if values.ndim > 1 else tuple(values.tolist())
 
 
-def even_gains(shift_nm_per_moment: float = _SHIFT_NM_PER_MOMENT, turn_rad: float = 0.0) -> Floats:
+def even_gains(turn_rad: float = 0.0) -> Floats:
     """Gains K (2, 3), mN·mm/nm, of a section whose three fibres stand evenly around the shaft."""
     angle = turn_rad + 2 * np.pi / 3 * np.arange(3)
-    return 2.0 / (3.0 * shift_nm_per_moment) * np.stack([np.cos(angle), np.sin(angle)])
+    return 2.0 / (3.0 * _SHIFT_NM_PER_MOMENT) * np.stack([np.cos(angle), np.sin(angle)])
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class FlexibleTool(Declared, Saved):
     distances_mm: tuple[float, float] = (40.0, 50.0)
     gains: tuple[tuple[Triple, Triple], tuple[Triple, Triple]] = (
         nested(even_gains()),
-        nested(even_gains(turn_rad=0.02)),
+        nested(even_gains(0.02)),
     )
     reference_nm: tuple[float, ...] = (1531.0, 1531.2, 1530.9, 1545.1, 1545.0, 1544.8, 1559.0, 1559.1, 1558.9)
     noise_nm: float = 1e-3

@@ -84,8 +84,8 @@ class VirtualTool:
         """The unbent tool led around the workspace, as for the registration of the camera (section V.B)."""
         rng = np.random.default_rng([seed, 9])
         t = np.arange(round(seconds * _ROBOT_HZ) + 1) / _ROBOT_HZ
-        position = np.column_stack([_smooth(t, rng, 15.0) for _ in range(3)])
-        turn = np.column_stack([_smooth(t, rng, 0.3), _smooth(t, rng, 0.3), _smooth(t, rng, 0.05)])
+        position = _smooth(t, rng, 15.0, 15.0, 15.0)
+        turn = _smooth(t, rng, 0.3, 0.3, 0.05)
         waves = self._wavelengths(np.zeros((len(t), 2)), np.zeros(len(t)), t, rng)
         seen = self._seen(t, position, turn, np.zeros((len(t), 3)), rng)
         return ToolRun(t, position, turn, waves, *seen, None, "simulated free motion")
@@ -123,10 +123,10 @@ class VirtualTool:
         """In and out of a tight hole, swaying so that the force comes and goes."""
         span = t[-1]
         led = 11.0 * (1 - np.cos(2 * np.pi * t / (span / 3)))
-        sway = np.column_stack([_smooth(t, rng, 2.0), _smooth(t, rng, 2.0)])
+        sway = _smooth(t, rng, 2.0, 2.0)
         # pauses in which the shaft stands free in its hole
         sway *= np.clip(1.6 * np.sin(2 * np.pi * t / (span / 7.3)) + 0.35, 0.0, 1.0)[:, None]
-        turn = np.column_stack([_smooth(t, rng, 0.08), _smooth(t, rng, 0.08), _smooth(t, rng, 0.02)])
+        turn = _smooth(t, rng, 0.08, 0.08, 0.02)
         position, depth, sway = _about(t, turn, led, sway, self._wander(t, rng, led > 1.0))
         return position, turn, depth, sway, 0.05
 
@@ -157,9 +157,9 @@ class VirtualTool:
     def _vessels(self, t: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats, Floats, float]:
         """The tip follows vessels while the shaft leans on the edge of a wide hole from changing sides."""
         span = t[-1]
-        inside = (19.0 + _smooth(t, rng, 2.0)) * _ease(t / (0.12 * span))
-        lean = np.column_stack([_smooth(t, rng, 3.5), _smooth(t, rng, 3.5)]) * _ease(t / (0.15 * span))[:, None]
-        turn = np.column_stack([_smooth(t, rng, 0.12), _smooth(t, rng, 0.12), _smooth(t, rng, 0.03)])
+        inside = (19.0 + _smooth(t, rng, 2.0)[:, 0]) * _ease(t / (0.12 * span))
+        lean = _smooth(t, rng, 3.5, 3.5) * _ease(t / (0.15 * span))[:, None]
+        turn = _smooth(t, rng, 0.12, 0.12, 0.03)
         position, depth, lean = _about(t, turn, inside, lean, self._wander(t, rng, inside > 1.0))
         return position, turn, depth, lean, 2.2
 
@@ -273,12 +273,15 @@ class VirtualTool:
         return replace(self, true=replace(self._there, **true))  # type: ignore[arg-type]
 
 
-def _smooth(t: Floats, rng: np.random.Generator, size: float) -> Floats:
-    """A smooth random motion (n,) of that size: six sines of 0.05 to 0.5 Hz that start at zero."""
-    rate = 2 * np.pi * rng.uniform(0.05, 0.5, 6)
-    weight, phase = rng.standard_normal(6), rng.uniform(0, 2 * np.pi, 6)
-    wave = (weight[:, None] * (np.sin(rate[:, None] * t + phase[:, None]) - np.sin(phase)[:, None])).sum(axis=0)
-    return np.asarray(size * wave / np.sqrt(6.0))
+def _smooth(t: Floats, rng: np.random.Generator, *sizes: float) -> Floats:
+    """Smooth random motions (n, k) of these sizes: six sines of 0.05 to 0.5 Hz that start at zero."""
+    out = []
+    for size in sizes:
+        rate = 2 * np.pi * rng.uniform(0.05, 0.5, 6)
+        weight, phase = rng.standard_normal(6), rng.uniform(0, 2 * np.pi, 6)
+        wave = (weight[:, None] * (np.sin(rate[:, None] * t + phase[:, None]) - np.sin(phase)[:, None])).sum(axis=0)
+        out.append(size * wave / np.sqrt(6.0))
+    return np.column_stack(out)
 
 
 def _ease(share: Floats) -> Floats:

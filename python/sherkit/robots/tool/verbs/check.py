@@ -19,13 +19,13 @@ from ....data.columns import TIME, bare
 from ....data.tables import write_table
 from ....errors import SherkitError, SherkitWarning
 from ..bench_doubts import against_drawing
-from ..calibration import Loads, calibrate_tool, check_loads, loaded_rows, read_loads, reference_of
+from ..calibration import calibrate_tool, check_loads, depth_column, loaded_rows, read_loads
 from ..checks import checks
 from ..consistency import judge, known
 from ..filters import estimate
 from ..runs import check_clocks, check_turn, check_wavelengths, tool_run_of
-from ..tables import instead, table_at
-from ..tool import ARC, DEFLECTION, DEPTH, FIBRES, FORCE, KNOWN, POSITION, TURN, FlexibleTool
+from ..tables import instead, no_numbers, table_at
+from ..tool import ARC, DEFLECTION, FIBRES, FORCE, KNOWN, POSITION, TURN, FlexibleTool
 
 
 def check_table(tool: FlexibleTool, of: Path, table: Path, destination: Path | None, *, as_json: bool) -> None:
@@ -87,8 +87,7 @@ def _is_bench(frame: pl.DataFrame) -> bool:
 def wrong_with(tool: FlexibleTool, table: Path, frame: pl.DataFrame) -> list[str]:
     """Sentences: first on its columns, then on their numbers, last on what a tool makes of them."""
     is_bench = _is_bench(frame)
-    depth = ARC if ARC in frame.columns and DEPTH not in frame.columns else DEPTH
-    needed = (*FORCE, depth, *FIBRES) if is_bench else (TIME, *POSITION, *TURN, *FIBRES)
+    needed = (*FORCE, depth_column(frame), *FIBRES) if is_bench else (TIME, *POSITION, *TURN, *FIBRES)
     told = list(_columns(frame, needed, (*needed, DEFLECTION) if is_bench else KNOWN))
     lacking = any(name not in frame.columns for name in needed)
     if not lacking:
@@ -104,11 +103,11 @@ def _columns(frame: pl.DataFrame, needed: tuple[str, ...], known: tuple[str, ...
         if name not in frame.columns:
             yield f"column '{name}' is missing{instead(name, frame.columns, known)}"
     for name in (one for one in known if one in frame.columns):
-        cells = frame[name].cast(pl.String)
-        bad = cells.cast(pl.Float64, strict=False).is_null() & cells.is_not_null()
+        bad = no_numbers(frame[name])
         if bad.any():
             row = int(bad.arg_max() or 0)
-            yield f"column '{name}': {int(bad.sum())} cells are no number, the first in row {row + 1}: '{cells[row]}'"
+            first = frame[name].cast(pl.String)[row]
+            yield f"column '{name}': {int(bad.sum())} cells are no number, the first in row {row + 1}: '{first}'"
 
 
 def _said_by(ask: Callable[[], Any]) -> list[str]:
@@ -145,17 +144,15 @@ def _of_run(tool: FlexibleTool, source: str, frame: pl.DataFrame) -> list[Callab
     asked: list[Callable[[], Any]] = [lambda: tool_run_of(frame, source)]
     if len(robot) > 1:
         asked += [lambda: check_clocks(robot[:, 0], None, source), lambda: check_turn(robot[:, 4:], source)]
-    return [*asked, lambda: check_wavelengths(waves, np.array(tool.reference_nm), source), contradicts]
+    return [*asked, lambda: check_wavelengths(waves, tool.reference_nm, source), contradicts]
 
 
 def _of_bench(tool: FlexibleTool, table: Path) -> list[Callable[[], Any]]:
     """Whether loads can calibrate the tool, and what they have wrong beside its drawing."""
 
-    def loads() -> Loads:
-        return read_loads(table, tool.columns)
-
     def beside_drawing() -> list[str]:
-        check_loads(tool, loads())
-        return against_drawing(tool, loaded_rows(loads(), reference_of(tool, loads())))
+        loads = read_loads(table, tool.columns)
+        check_loads(tool, loads)
+        return against_drawing(tool, loaded_rows(tool, loads))
 
-    return [beside_drawing, lambda: calibrate_tool(tool, loads())]
+    return [beside_drawing, lambda: calibrate_tool(tool, read_loads(table, tool.columns))]

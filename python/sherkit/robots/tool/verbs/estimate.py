@@ -173,8 +173,14 @@ def trust_json(e: Estimate, truths: list[NeesConsistency]) -> dict[str, object]:
     }  # fmt: skip
 
 
+def trust_in_words(e: Estimate) -> tuple[str, ...]:
+    """The same in sentences, the verdict first."""
+    told = trust(e, known(e)).answer
+    return f"{told.verdict}: {told.sure[0]}", *told.sure[1:]
+
+
 def knowledge_json(truths: list[NeesConsistency]) -> list[dict[str, object]]:
-    """The same for programs."""
+    """What is known of its errors, for programs."""
     return [{**asdict(k), "verdict": k.verdict} for k in truths]
 
 
@@ -242,8 +248,7 @@ def write_tool_report(
     """The story of a run as one HTML file: what was missing, then depth and tip with that in the tool."""
     from ..pictures import depth_over_time, write_estimate  # Bokeh takes a second to load
 
-    depth = trust(e, known(e)).answer
-    sure = (f"{depth.verdict}: {depth.sure[0]}", *depth.sure[1:], *sentences_of(told), *map(str, e.faults))
+    sure = (*trust_in_words(e), *sentences_of(told), *map(str, e.faults))
     to_do = found.answer.to_do
     if written is not None:
         # what was named is in the tool already

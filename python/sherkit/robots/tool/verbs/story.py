@@ -28,8 +28,7 @@ from ..places import TipPlaces
 from ..runs import ToolRun, read_free_motion, read_tool_run, require_camera
 from ..tare import Tare, tare
 from ..tool import FlexibleTool, load_tool
-from ..trust import trust
-from .estimate import knowledge_json, print_knowledge, sentences_of, trust_json, write_tool_report
+from .estimate import knowledge_json, print_knowledge, sentences_of, trust_in_words, trust_json, write_tool_report
 from .loads import calibration_json, print_calibration
 from .register import alignment_json, print_alignment
 
@@ -104,8 +103,7 @@ def tool_story(
     for sentence in (*sentences_of(told), *(str(one) for one in diagnosis.checks if one.holds is False)):
         output.say(f"   {sentence}")
     _say("5. Depth and tip", run)
-    depth = trust(after, known(after)).answer
-    for sentence in (f"{depth.verdict}: {depth.sure[0]}", *depth.sure[1:]):
+    for sentence in trust_in_words(after):
         output.say(f"   {sentence}")
     _print_errors(before, after)
     print_knowledge(known(after))
