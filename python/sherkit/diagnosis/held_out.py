@@ -333,7 +333,7 @@ def _parameters(base: Base, block: Block, columns: Floats, fit: FittedRun | None
     right = over.T @ base.residual
     x = inverse @ right
     # by what is left beside it, as a full fit counts them
-    left = max(base.rss - float(right @ x), 0.0) / max(base.free - np.count_nonzero(keep), 1)
+    left = max(base.rss - float(right @ x), 0.0) / max(base.free - int(np.count_nonzero(keep)), 1)
     std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * left)
     size = np.array([p.size for p in effect.parameters])
     return x, std, bool((np.abs(x) - 2 * std <= TOLD * size).all())
