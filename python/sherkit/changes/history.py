@@ -280,10 +280,9 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
             (*(b for a, b in swaps if a in [p.name for p, _, _ in told]), *other)[:_MOST_TIED],
         ))  # fmt: skip
     # of each change the number that moved most is followed through all runs
-    values = {
-        (most := max(told, key=lambda one: abs(one[1]) / one[2])[0].name): _by_run(joined, block, most)
-        for block, told in zip(found, about.told, strict=False) if told
-    }  # fmt: skip
+    values = _by_run(
+        joined, found, [max(one, key=lambda x: abs(x[1]) / x[2])[0].name for one in about.told[: len(found)] if one]
+    )
     seen = {block.name for block in found}
     still = [c.name for c in joined.candidates if c.name not in seen]
     quiet = verdict == "unchanged"
@@ -376,14 +375,15 @@ def _exceeds(about: About, number: int, months: Floats, needed: float | None, jo
     return "already" if left <= 0 else f"in {left:.0f} months"
 
 
-def _by_run(joined: Joined, block: Block, name: str) -> list[tuple[float, float]]:
-    """How far a candidate's parameter of this ``name`` stands from the first run in each run, with its deviation."""
-    assert block.effect is not None, "shapes are not named"
-    about, _ = joined.about([(block.effect, one) for one in np.eye(len(joined.runs))[1:]])
-    parameters = block.effect.parameters
-    at = [one.name for one in block.effect.qualified()].index(name)
-    each = slice(at, len(parameters) * (len(joined.runs) - 1), len(parameters))
-    return [(0.0, 0.0), *zip(about.values[each].tolist(), about.std_from_readings[each].tolist(), strict=True)]
+def _by_run(joined: Joined, found: Sequence[Block], names: Sequence[str]) -> dict[str, list[tuple[float, float]]]:
+    """How far parameters of these ``names`` stand from the first run in each run, with their deviations, where all
+    that was ``found`` may be another in each."""
+    later = np.eye(len(joined.runs))[1:]
+    about, _ = joined.about([(block.effect, one) for block in found if block.effect for one in later])
+    every = [one.name for one in about.parameters]
+    told = zip(about.values.tolist(), about.std_from_readings.tolist(), strict=True)
+    of_each = [(name, one) for name, one in zip(every, told, strict=True) if name in names]
+    return {name: [(0.0, 0.0), *(one for its, one in of_each if its == name)] for name in names}
 
 
 def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tuple[dict[str, Any], ...]:
