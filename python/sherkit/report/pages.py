@@ -126,7 +126,9 @@ def course(found: History) -> Picture[History]:
     figures = [errors]
     for k, name in enumerate(found.values):
         across = padded(float(tables[name]["low"].min()), float(tables[name]["high"].max()))
-        made = figure(up=_unit(found, name)[0], height=_HEIGHT, x_range=dates, y_range=across)
+        unit = _unit(found, name)[0]
+        # a turned ° is a dot
+        made = figure(up="degrees" if unit == "°" else unit, height=_HEIGHT, x_range=dates, y_range=across)
         _line(made, sources[name], COLOURS[(k + 1) % len(COLOURS)])
         made.add_layout(Whisker(base="date", lower="low", upper="high", source=sources[name], level="annotation"))
         made.title.text = name
