@@ -184,7 +184,7 @@ def export_kinematics(calibration: Path, destination: Path) -> None:
     # as that file counts: in the axes of the last joint, z along it, which are not those of a URDF
     target = ", ".join(f"{value:.4g}" for value in arm.steps[-1][:3, 3].round(6) + 0.0)
     output.say(
-        f"the target is not in it: it stands at {target} mm behind the last joint, in its axes there (z is the joint's)",
+        f"the target is not in it: it stands at {target} mm behind the last joint, in axes whose z is the joint's",
         destination,
     )
 
