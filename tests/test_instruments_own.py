@@ -135,7 +135,7 @@ def test_a_device_that_never_ends_is_told():
             return Status()
 
     late = sensor(lambda: time.sleep(0.06) or (1.0, 2.0, 3.0), timeout_s=0.05)
-    with late as one, pytest.raises(Timeout, match=r"took 0\.\d s for a reading; timeout_s is 0\.05"):
+    with late as one, pytest.raises(Timeout, match=r"took \d+\.\d s for a reading; timeout_s is 0\.05"):
         one.read()
     with sensor(Silent(), timeout_s=0.05) as one, pytest.raises(Timeout, match="trigger did not end"):
         one.read()

@@ -147,8 +147,10 @@ class About:
         """In front of what to do: that a change of these effects is larger than is plausible, where one is."""
         large = []
         for (effect, factors), told in zip(self.changes, self.told, strict=True):
+            if effect.frees or effect.name not in names:
+                continue
             most = float(np.abs(factors).max())
-            for p, value, std in () if effect.frees or effect.name not in names else told:
+            for p, value, std in told:
                 if abs(value) * most > PLAUSIBLE * p.size + 2.0 * std * most:
                     large.append((abs(value) * most / p.size, ParameterChange(p.name, value, std, p.unit)))
         if not large:

@@ -380,10 +380,8 @@ def _by_run(joined: Joined, found: Sequence[Block], names: Sequence[str]) -> dic
     that was ``found`` may be another in each."""
     later = np.eye(len(joined.runs))[1:]
     about, _ = joined.about([(block.effect, one) for block in found if block.effect for one in later])
-    every = [one.name for one in about.parameters]
-    told = zip(about.values.tolist(), about.std_from_readings.tolist(), strict=True)
-    of_each = [(name, one) for name, one in zip(every, told, strict=True) if name in names]
-    return {name: [(0.0, 0.0), *(one for its, one in of_each if its == name)] for name in names}
+    told = [*zip(about.parameters, about.values.tolist(), about.std_from_readings.tolist(), strict=True)]
+    return {name: [(0.0, 0.0), *((by, std) for p, by, std in told if p.name == name)] for name in names}
 
 
 def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tuple[dict[str, Any], ...]:

@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 
 from ..base import linalg
+from ..base.figures import sized
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, bare, unit_in
@@ -49,6 +50,11 @@ class RunPose:
     def in_model(self, columns: Floats) -> Floats:
         """Columns (n, m, k) of what the sensor sees, in the axes of the model."""
         return columns if self.axes is None else np.einsum("ij,nik->njk", self.axes, columns)
+
+
+def moved_in_words(moved: Mapping[str, float]) -> str:
+    """How far the sensor of a run was moved, as :class:`RunPose` has it."""
+    return ", ".join(f"{name.rpartition('_')[0]} {sized(by, unit_in(name))}" for name, by in moved.items())
 
 
 def stand_of(

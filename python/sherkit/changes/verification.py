@@ -20,7 +20,7 @@ from ..adaptive.task import Region, planned
 from ..base import linalg
 from ..base.answer import AFTER, TARGET, Answer, Bar, ToDo
 from ..base.arguments import Count, Seed, validate_arguments
-from ..base.figures import finite, listed, number, sized
+from ..base.figures import finite, listed, number
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
@@ -41,7 +41,7 @@ from ..robots.deployed import SENSOR
 from .change_model import ParameterChange, estimated
 from .check_rows import OF_CALIBRATION, SINCE, CheckRows, Known, noise_of
 from .pool import predicted, told_ties
-from .runs import change_candidates, change_columns
+from .runs import change_candidates, change_columns, moved_in_words
 from .vouching import broken, errors_at_work, mistaken, shows, sights_of, smooth_fields, stand_columns, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
@@ -112,7 +112,7 @@ class Verification(Shown):
         far = 1e3 * float(np.linalg.norm(list(by.values()))) if by else 0.0
         if self.unit != "µm" or far <= (self.error["promised"] or np.inf):
             return ""
-        return ", ".join(f"{name.rpartition('_')[0]} {sized(by, unit_in(name))}" for name, by in self.stand.items())
+        return moved_in_words(self.stand)
 
     @property
     def answer(self) -> Answer:

@@ -11,13 +11,13 @@ from typing import TypeVar
 import click
 from rich.markup import escape
 
-from ..base.figures import CALIBRATED, in_people_units, listed, sized
+from ..base.figures import CALIBRATED, in_people_units, listed
 from ..base.workers import processes
 from ..changes import Comparison, History
 from ..changes import compare as compare_runs
 from ..changes import history as history_of
 from ..changes import verify as verify_run
-from ..data.columns import unit_in
+from ..changes.runs import moved_in_words
 from ..data.tables import names_given
 from ..errors import SherkitError
 from ..fleets import FEWEST, Fleet, fleet
@@ -90,7 +90,7 @@ def _say(found: Comparison, *files: Path) -> None:
             moved.add_row(one.name, one.by, str(one.since + 1))
         out.print(moved)
     for run, stand in found.stand.items():
-        turned = ", ".join(f"{name.rpartition('_')[0]} {sized(value, unit_in(name))}" for name, value in stand.items())
+        turned = moved_in_words(stand)
         which, _, source = run.partition(": ")
         beside = ", as far as a robot that has not changed says; part of it may be what has" if found.changed else ""
         output.say(f"the sensor of run {which} ({source}) stands elsewhere than that of the first: {turned}{beside}")

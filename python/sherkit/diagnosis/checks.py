@@ -224,16 +224,19 @@ def _poses(
     columns = listed([name for k, name in enumerate(final.data.layout.pose_sigmas) if k in final.axes])
     file = final.model.pose_sigma_in_file
     declare = f"columns {columns}" + (f", or {file} in the robot file" if file else "")
-    # what follows something is not each pose's own
-    why = "" if followed else (
-        ", which no effect and no shape follows: look at what differs from pose to pose but not between repeats (how "
-        "the marker is found, seating, a reading taken before it is still); where that is known, declare it: "
-        f"{declare}{frozen(final.data)}"
-    )  # fmt: skip
-    if slow_drift is not None and slow_drift.counts and not followed:
+    if followed:
+        # what follows something is not each pose's own
+        why = ""
+    elif slow_drift is not None and slow_drift.counts:
         why = (
             f", and in the course of the run {slow_drift.axis} wanders by {slow_drift.size:.2g} {final.unit}: repeats "
             "at once do not see that; look at the instrument's stand and warmth, and come back to poses later"
+        )
+    else:
+        why = (
+            ", which no effect and no shape follows: look at what differs from pose to pose but not between repeats "
+            "(how the marker is found, seating, a reading taken before it is still); where that is known, declare it: "
+            f"{declare}{frozen(final.data)}"
         )
     return Check(
         POSES_AS_REPEATS, tested, f"{own.poses} poses", told, holds=not off, p=chance_of(own.evidence),

@@ -98,10 +98,15 @@ def _scatter(run: FittedRun, noise: Floats) -> Floats:
     """By how much repeats of a pose differ in each reading (columns,) of a run; ``noise`` where too few tell."""
     out, told = noise.copy(), run.fit.repeatability
     for a in run.axes:
-        name = run.data.layout.readings[a]
-        if told is not None and told.degrees_of_freedom.get(name, 0) >= _FEWEST:
-            out[a] = told.sigma[name]
+        if told is not None and _freedom(run, a) >= _FEWEST:
+            out[a] = told.sigma[run.data.layout.readings[a]]
     return out
+
+
+def _freedom(run: FittedRun, axis: int) -> int:
+    """How many visits beyond the first of each pose tell how a reading scatters."""
+    told = run.fit.repeatability
+    return 0 if told is None else told.degrees_of_freedom.get(run.data.layout.readings[axis], 0)
 
 
 def _apart(values: Floats, axes: int, pose: Ints) -> Floats:
@@ -127,8 +132,7 @@ def contradicted(run: FittedRun, repeats: Repeats) -> Mapping[str, tuple[float, 
         if not np.isfinite(each).all() or not each.any():
             continue
         said, shown = float(np.sqrt(np.mean(each**2))), float(repeats.noise[a])
-        told = run.fit.repeatability
-        free = 0 if told is None else told.degrees_of_freedom.get(run.data.layout.readings[a], 0)
+        free = _freedom(run, a)
         chance = np.sqrt(scipy.special.chdtri(free, _BY_CHANCE) / free) if free >= _FEWEST else np.inf
         most = min(CONTRADICTS, max(_MORE, float(chance)))
         if not 1.0 / CONTRADICTS <= shown / said <= most:

@@ -15,7 +15,8 @@ use nalgebra::{Vector2, Vector3};
 const FIRST_PACE: f64 = 0.04;
 const GUESSED_S: f64 = 0.01;
 /// How long the robot's lateness is looked at, and over which time its sign is taken, s; how late one may be, s; what strays
-/// over that time before anything is known of them, mm², and what of it is not as it was; the odds that one is late at all.
+/// over that time before anything is known of them, mm², and what of it is not as it was; the odds that one is late at
+/// all.
 const LATE_S: f64 = 30.0;
 const COMPARED_S: f64 = 0.5;
 const MAY_BE_S: f64 = 0.04;
@@ -131,6 +132,7 @@ impl Edge {
             n + 1.0,
         ];
     }
+
     /// By which part a stray goes on as the one before.
     #[inline]
     fn alike(&self) -> f64 {
@@ -138,8 +140,8 @@ impl Edge {
         (goes / (all + STRAYS_MM2)).clamp(0.0, MOST_ALIKE)
     }
 
-    /// Variance of a coordinate of what strays, mm² a second, as it adds up over a time in which it comes and goes: what goes on
-    /// as before is no new measurement each time.
+    /// Variance of a coordinate of what strays, mm² a second, as it adds up over a time in which it comes and goes: what
+    /// goes on as before is no new measurement each time.
     #[inline]
     fn lasts(&self) -> f64 {
         let [_, _, square, n] = self.late;
