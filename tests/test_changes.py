@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import sherkit as sk
 import worlds
 from changed_worlds import ArmPair, DeltaPair, SphericalPair, truth_of_change
-from running import slow
+from running import command, slow
 from sherkit.cli import main
 from sherkit.errors import FitError, MeasurementError
 from sherkit.model.kinds import kind_of
@@ -268,6 +268,30 @@ def test_compare_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> No
     text = said(capsys, 0, "compare", "robot.toml", "before.csv", "after.csv", "--report", "page.html")
     assert "base_angle_2 by" in text
     assert "<h1>" in (folder / "page.html").read_text(encoding="utf-8") or (folder / "page.html").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    "verb", ["compare robot.toml", "history robot.toml", "verify calibrated.toml", "calibrate robot.toml"]
+)
+@pytest.mark.filterwarnings("default")
+def test_a_coordinate_under_another_name_is_missed_aloud(verb: str, folder: Path) -> None:
+    """Catches "unchanged" and a calibration by y and z alone, without a word, where x_mm was called east."""
+    for name in ("before.csv", "after.csv"):
+        pl.read_csv(name).rename({"x_mm": "east"}).write_csv(folder / name)
+    runs = ("before.csv", "after.csv") if verb.startswith(("compare", "history")) else ("after.csv",)
+    assert "x_mm: not read in any row" in command(folder, *verb.split(), *runs)[2]
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_beam_that_was_lost_is_said_before_a_calibration(folder: Path) -> None:
+    """Catches a calibration of the last place that a tracker saw, written without a word; and three sentences on it."""
+    run = pl.read_csv("before.csv")
+    held = [pl.Series(c, [*run[c][:-12], *[run[c][-12]] * 12]) for c in ("x_mm", "y_mm", "z_mm")]
+    run.with_columns(held).write_csv("lost.csv")
+    told = command(folder, "calibrate", "robot.toml", "lost.csv")[2]
+    assert told.count("readings that were lost") == 1
+    assert f"in 12 of {len(run)} rows" in told
+    assert "readings that were lost" not in command(folder, "calibrate", "robot.toml", "before.csv")[2]
 
 
 def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], bumped: DeltaPair) -> None:

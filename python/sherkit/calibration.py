@@ -14,11 +14,13 @@ from .base.arguments import NotNegative, Seed, validate_arguments
 from .base.figures import listed
 from .base.types import Floats
 from .data import Measurements
+from .data.doubts import doubts
 from .data.reader import RunLike
 from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .diagnosis.selection import setting_for
 from .errors import EffectError, FitError, SherkitWarning
 from .evidence.thresholds import refuse_absurd
+from .fit.constant_columns import unread
 from .fit.hold_out import hold_out
 from .fit.identify import identify
 from .model.base import missing_columns
@@ -99,6 +101,8 @@ def calibrate(
     def run(data: Measurements, name: str) -> CalibrationRun:
         model = model_of(robot, free)
         data = model.as_declared(data)
+        for said in (*unread(data), *(doubt for doubt in doubts(data) if not doubt.poses)):
+            warnings.warn(f"{data.source}: {said}", SherkitWarning, stacklevel=2)
         if data.set_ups:
             warnings.warn(
                 f"{data.source}: the instrument was moved ({listed(one.name for one in data.set_ups)}, then "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,9 +18,10 @@ from ..data import Measurements
 from ..data.reader import RunLike
 from ..diagnosis import diagnose
 from ..diagnosis.outliers import gross_errors
-from ..errors import FitError, SherkitError
+from ..errors import FitError, SherkitError, SherkitWarning
 from ..evidence.fitted_run import enough_of
 from ..evidence.thresholds import ALARM
+from ..fit.constant_columns import unread
 from ..fit.error import axes_of
 from ..fit.identify import identify
 from ..model.effect import Effect
@@ -185,7 +187,15 @@ def sees_of(smallest: float | None, unit: str) -> str:
 def read_runs(robot: Robot, runs: Sequence[RunLike]) -> list[Measurements]:
     """The rows of each run of a robot."""
     model = model_of(robot)
-    return [model.as_declared(run_for(robot, run)) for run in runs]
+    return [rows_of(robot, model, run) for run in runs]
+
+
+def rows_of(robot: Robot, model: Any, run: RunLike) -> Measurements:
+    """The rows of a run of a robot and its model; what none of them reads is said."""
+    data = model.as_declared(run_for(robot, run))
+    for said in unread(data):
+        warnings.warn(f"{data.source}: {said}", SherkitWarning, stacklevel=2)
+    return data
 
 
 def _by_rows(

@@ -35,12 +35,11 @@ from ..evidence.thresholds import ALARM, NEEDED
 from ..evidence.whitening import InCommon, orthonormal
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, required_um
-from ..model.robot_file import run_for
 from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
 from .change_model import ParameterChange, estimated
 from .check_rows import OF_CALIBRATION, SINCE, CheckRows, Known, noise_of
-from .pool import predicted, told_ties
+from .pool import predicted, rows_of, told_ties
 from .runs import change_candidates, change_columns, moved_in_words
 from .vouching import broken, errors_at_work, mistaken, shows, sights_of, smooth_fields, stand_columns, unable
 
@@ -173,7 +172,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     """
     made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
     known = Known.of(made)
-    data = known.model.as_declared(run_for(made.robot, run))
+    data = rows_of(made.robot, known.model, run)
     data = data.select(np.argsort(data.order, kind="stable"))
     axes = axes_of(data)
     if not axes:

@@ -387,7 +387,8 @@ class Diagnosis(Shown):
         to_do = [ToDo((brings or cause).to_do)]
         if elsewhere is not None:
             to_do.append(ToDo(elsewhere.to_do))
-        if told["next"].answer != NOTHING:
+        # what the cause itself says is not said once more
+        if told["next"].answer != NOTHING and told["next"].answer not in cause.answer:
             to_do.append(ToDo(told["next"].answer, told["next"].command))
         return Answer(
             self.headline, cause.answer, tuple(str(one) for one in beside if one is not None),

@@ -192,30 +192,36 @@ def piled(data: Measurements) -> Iterator[DataWarning]:
     if len(data) < FEWEST or not data.layout.follows:
         return
     few = some(data)
-    told: dict[tuple[str, float], list[tuple[str, int]]] = {}
+    lost: list[list[tuple[str, float, Bools]]] = []
     for k, name in enumerate(data.layout.coordinates):
         found = _piled(few, few.readings[:, k], few.used[:, k])
-        if found is not None:
-            how, value = found
-            count = int((data.used[:, k] & (data.readings[:, k] == value)).sum())
-            told.setdefault((how, value if how == "lost" else float(k)), []).append((name, count))
-            if how != "lost":
-                told[(how, float(k))] = [(f"{name} stays at {value:.8g}", count)]
-    for (how, value), each in told.items():
-        names, count = listed([name for name, _ in each]), max(n for _, n in each)
-        rows = f"in {count} of {len(data)} rows where the joints"
-        verb, them = ("is", "it") if len(each) == 1 else ("are", "them")
+        if found is None:
+            continue
+        how, value = found
+        here = data.used[:, k] & (data.readings[:, k] == value)
         if how == "lost":
-            sentence = (
-                f"{names} {verb} {value + 0.0:.8g} {rows} put {them} elsewhere: readings that were lost, it seems; "
-                "leave these cells empty"
-            )
-        else:
-            sentence = (
-                f"{names}, the end of its range, {rows} carry it on: the instrument is saturated (clipped), it seems; "
-                "leave these cells empty, or measure within its range"
-            )
-        yield DataWarning(sentence, columns=True)
+            # one beam that was lost holds all its readings, each at its own value
+            alike = (each for each in lost if each[0][1] == value or np.array_equal(each[0][2], here))
+            same = next(alike, None)
+            if same is None:
+                lost.append(same := [])
+            same.append((name, value + 0.0, here))
+            continue
+        yield DataWarning(
+            f"{name} stays at {value:.8g}, the end of its range, in {here.sum()} of {len(data)} rows where the joints "
+            "carry it on: the instrument is saturated (clipped), it seems; leave these cells empty, or measure within "
+            "its range",
+            columns=True,
+        )
+    for each in lost:
+        names, values, rows = zip(*each, strict=True)
+        verb, them = ("is", "it") if len(each) == 1 else ("are", "them")
+        yield DataWarning(
+            f"{listed(names)} {verb} {listed(f'{value:.8g}' for value in dict.fromkeys(values))} in "
+            f"{max(int(here.sum()) for here in rows)} of {len(data)} rows where the joints put {them} elsewhere: "
+            "readings that were lost, it seems; leave these cells empty",
+            columns=True,
+        )
 
 
 def _piled(data: Measurements, values: Floats, used: Bools) -> tuple[str, float] | None:

@@ -27,6 +27,9 @@ class DataWarning:
     poses: bool = False
     columns: bool = False
 
+    def __str__(self) -> str:
+        return self.sentence
+
 
 def some(data: Measurements) -> Measurements:
     """Rows spread over the table, as many as are looked at first."""
