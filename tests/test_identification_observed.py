@@ -18,10 +18,13 @@ from test_identification import (
     POSES,
     SIGMA_MM,
     TWELVE,
+    declared,
     distances,
+    exact,
     planted,
     run,
     sizes,
+    table,
     together,
 )
 
@@ -111,3 +114,19 @@ def _check_unobserved(fit: Fit) -> None:
     np.testing.assert_allclose(
         fit.unobserved_basis @ fit.unobserved_basis.T, np.eye(len(size) - fit.rank), rtol=0, atol=1e-9
     )
+
+
+def test_what_a_model_lacks_is_said_beside_its_deviations() -> None:
+    """Catches deviations of a fit that is many times the noise off, given as if they held; and the sentence where
+    nothing is missing, or where no noise is known to compare with."""
+    rng = np.random.default_rng(63)
+    q = EXAMPLE.inverse_batch(POSES).require()
+    clean = exact(TWELVE, planted(TWELVE, rng), q)
+    read = clean + SIGMA_MM * rng.normal(size=clean.shape)
+    bent = read + 0.05 * np.sin(q / 7.0)
+    sigma = declared(len(q), SIGMA_MM)
+    assert identify(TWELVE, table(q, read, **sigma)).lacking is None
+    assert identify(TWELVE, table(q, bent)).lacking is None
+    told = identify(TWELVE, table(q, bent, **sigma))
+    assert "times the noise: the model lacks something" in (told.lacking or "")
+    assert "lacking" in str(told)

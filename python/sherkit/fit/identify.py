@@ -19,6 +19,7 @@ import polars as pl
 
 from ..base import linalg
 from ..base.arguments import NotNegative, validate_arguments
+from ..base.figures import number
 from ..base.notebook import Shown
 from ..base.types import Floats
 from ..data import Measurements
@@ -57,6 +58,8 @@ _EVALUATIONS = 100
 _AS_PLAUSIBLE = 0.9
 #: From so many plausible sizes on a parameter is absurd, and nothing is believed.
 ABSURD = 500.0
+#: From so many times the noise on, what is left bends parameters by more than it scatters.
+_LACKING = 2.0
 #: It has settled when no value moves by more than this part of its plausible size; and it may still move by this part
 #: of its deviation when the rounds are over.
 _SETTLED = 1e-7
@@ -222,6 +225,17 @@ class Fit(Identified, Shown):
             f"{len(self.data)} rows support {self.supported} of {len(self.parameters)} parameters: along {beyond} "
             f"combination{'s' if beyond > 1 else ''} noise moves them further than is plausible, which fits better and "
             f"predicts worse. Free fewer, measure more{ways}"
+        )
+
+    @property
+    def lacking(self) -> str | None:
+        """A sentence on deviations that a lack of fit makes too small: it is counted as noise, drawn anew in each row,
+        while it bends all parameters together; None where little more than noise is left, or none is known."""
+        if self.noise.origin == "unknown" or self.scale < _LACKING:
+            return None
+        return (
+            f"What it leaves is {number(self.scale)} times the noise: the model lacks something, which moves the "
+            "parameters further than their deviations say (those count it as noise of each row); diagnose looks for it"
         )
 
     @cached_property

@@ -144,7 +144,7 @@ def parameter_table(fit: Any) -> str:
         ("noise", f"{origin[fit.noise.origin]}; reduced χ² {fit.scale**2:.3g}"
          if fit.noise.origin != "unknown" else origin["unknown"]),
         ("rank", f"{fit.rank} of {len(fit.parameters)}{condition}"),
-        *([("supported", fit.overparametrised)] if fit.overparametrised else []),
+        *((name, said) for name, said in (("lacking", fit.lacking), ("supported", fit.overparametrised)) if said),
         ("converged", f"{'yes' if fit.converged else 'NO'}, {fit.evaluations} evaluations"),
     ]  # fmt: skip
     drawn = _nominal(fit.model)
