@@ -22,7 +22,7 @@ from .choice import are_beyond
 from .held import BatchLooks, accuracy_um
 from .look import InterimAnalysis
 from .told import mistaken
-from .vouching import louder_than_told, structure_of, told_of
+from .vouching import louder_than_told, set_aside, structure_of, told_of
 
 #: Sets that are still a tie; more are no answer.
 _MOST_TIED = 6
@@ -96,12 +96,13 @@ def conclude(loop: BatchLooks) -> Conclusion:
             why = "; ".join((why, *mistakes))
         else:
             verdict, effects, tied, why = "unexplained", (), (), "; ".join(mistakes)
-    if (
-        done
-        and verdict in _LOUDER
-        and (louder := structure_of(found) or "; ".join(loop.against) or louder_than_told(found, verdict))
-    ):
-        verdict, why = _LOUDER[verdict], louder
+    if done and verdict in _LOUDER:
+        apart = structure_of(found)
+        if apart and not spent and set_aside(found).min() >= found.readings - rule.AFTER:
+            # what has just begun is told by what is read next
+            done = False
+        elif louder := apart or "; ".join(loop.against) or louder_than_told(found, verdict):
+            verdict, why = _LOUDER[verdict], louder
     if (verdict == "explained" and (done or state.done)) or (verdict == "adequate" and done):
         lead = found.lead if verdict == "explained" else None
         if lead is not None or verdict == "adequate":

@@ -2,9 +2,9 @@
 
 *Named* is what a diagnosis would name, where there is evidence of 100 in all, is 10,000 times as likely as every rival
 and 1,000 times as likely as shapes, and leaves nothing. It is *explained* once its own Bayes factor has grown
-twentyfold on twelve readings or more that were taken after it was named. *Unexplained* is what shapes tell far better
-than the effect that leads, or what that leaves, at two looks running. What is seen of nothing is *adequate* only where
-it would have been seen.
+twentyfold on twelve readings or more that were taken after it was named, in which nothing new happened. *Unexplained*
+is what shapes tell far better than the effect that leads, or what that leaves, at two looks running. What is seen of
+nothing is *adequate* only where it would have been seen.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy
@@ -111,7 +112,9 @@ def sentences(seen: tuple[Unseen, ...], unit: str, per_unit: float, untestable: 
 # -- the rule ---------------------------------------------------------------------------------------------------------
 
 #: Readings before a verdict, readings after naming that confirm, and by how much the leader's Bayes factor must grow.
-FEWEST, _AFTER, _GROWN = 24, 12, LEFT
+FEWEST, AFTER, _GROWN = 24, 12, LEFT
+#: Where the noise has grown by so much since, something has happened that still passes for noise.
+_LOUDER = 1.5
 #: Looks running at which much is left beside the leader, or is told far better by shapes: then it is unknown.
 _LOOKS = 2
 
@@ -120,7 +123,7 @@ _LOOKS = 2
 class RuleState:
     """What is held after a look: ``named`` are the effects that stand alone, since ``at`` readings, when the logarithm
     of their Bayes factor was ``then``, ``confirmed`` once it has grown; ``unknown`` counts the looks running at which
-    no effect would do."""
+    no effect would do; ``noise`` is that of a reading, and ``vouched`` whether its rows were sound, then."""
 
     verdict: str = "undecided"
     done: bool = False
@@ -131,34 +134,38 @@ class RuleState:
     unknown: int = 0
     alarmed: bool = False
     confirmed: bool = False
+    noise: float = 0.0
+    vouched: bool = False
 
 
 def after(state: RuleState, found: InterimAnalysis, *, spanned: bool, vouched: bool, level: float) -> RuleState:
     """The state once this look is taken; ``spanned`` whether the run is as long as it is to be judged over, ``vouched``
     whether nothing speaks against its rows as witnesses, one over the ``level`` the evidence that is an alarm."""
-    lead, n = found.lead, found.readings
+    lead, n, noise = found.lead, found.readings, float(found.best_fit.scale)
+    now: dict[str, Any] = {"noise": noise, "vouched": vouched}
+    new = 0.0 < _LOUDER * state.noise < noise or (state.vouched and not vouched)
     alarm = found.log_evidence >= -np.log(level)
     if not alarm:
-        quiet = found.log_evidence < min(LEFT, -np.log(level)) and n >= FEWEST and spanned and vouched
+        quiet = found.log_evidence < min(LEFT, -np.log(level)) and n >= FEWEST and spanned and vouched and not new
         quiet = quiet and effects_excluded(outlook(found, level))
         why = "nothing is missing that these rows would have shown" if quiet else ""
-        return RuleState("adequate" if quiet else "undecided", quiet, why)
+        return RuleState("adequate" if quiet else "undecided", quiet, why, **now)
     unknown = state.unknown + 1 if n >= FEWEST and _is_unknown(found) else 0
     if unknown >= _LOOKS:
         return RuleState(
             "unexplained", True, "no effect of the catalogue explains what is left", unknown=unknown, alarmed=True
         )
     if lead is None or not _stands(found):
-        return RuleState(unknown=unknown, alarmed=True)
-    if lead.names != state.named:
-        return RuleState(named=lead.names, at=n, then=lead.log_bf, alarmed=True)
-    grown = lead.log_bf - state.then >= _GROWN and n - state.at >= _AFTER and n >= FEWEST
+        return RuleState(unknown=unknown, alarmed=True, **now)
+    if lead.names != state.named or new:
+        return RuleState(named=lead.names, at=n, then=lead.log_bf, alarmed=True, **now)
+    grown = lead.log_bf - state.then >= _GROWN and n - state.at >= AFTER and n >= FEWEST
     # what else lives in time shows only when it has passed
     known = grown and spanned
     why = "named, and confirmed on readings that were taken after" if known else ""
     return RuleState(
         "explained" if known else "undecided", known, why, state.named, state.at, state.then,
-        alarmed=True, confirmed=grown,
+        alarmed=True, confirmed=grown, noise=state.noise, vouched=state.vouched,
     )  # fmt: skip
 
 

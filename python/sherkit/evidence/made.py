@@ -33,10 +33,10 @@ _SAME = 1e-3
 _LOOKED_AT = 2000
 
 
-def waves_along(values: Floats, tried: tuple[float, float] = _JOINT) -> Floats:
-    """How many waves over a joint's range are tried: no more than it has values, or three times as many where these lie
-    so unevenly that none looks like a slower one (VanderPlas, "Understanding the Lomb-Scargle periodogram", ApJS 2018,
-    section 7.1: the spectral window)."""
+def waves_along(values: Floats, tried: tuple[float, float] = _JOINT, *, per_value: float = 1.0) -> Floats:
+    """How many waves over a joint's range are tried: no more than ``per_value`` of those that it has, or three times as
+    many as these where they lie so unevenly that none looks like a slower one (VanderPlas, "Understanding the
+    Lomb-Scargle periodogram", ApJS 2018, section 7.1: the spectral window)."""
     counts = np.arange(*tried, 0.5)
     reach = max(float(np.ptp(values)), 1e-300)
     places = np.unique(np.round(values / (_SAME * reach))) * _SAME
@@ -44,7 +44,7 @@ def waves_along(values: Floats, tried: tuple[float, float] = _JOINT) -> Floats:
         return np.asarray(counts[counts <= max(len(places), 2)])
     window = np.abs(np.exp(2j * np.pi * np.outer(counts, places)).mean(axis=1))
     even = window[counts <= _UNEVEN * len(places)].max() > _ALIAS
-    return np.asarray(counts[counts <= max((1.0 if even else _UNEVEN) * len(places), 2)])
+    return np.asarray(counts[counts <= max((per_value if even else _UNEVEN) * len(places), 2)])
 
 
 def waves_of_gear(values: Floats, axes: float) -> Floats:

@@ -166,7 +166,8 @@ def _in_time(made: Maker, u: Mapping[str, Floats]) -> None:
 
 def _along(made: Maker, name: str, t: Floats) -> None:
     """Waves of a joint, as an error of it arrives at the readings."""
-    counts, reach = waves_along(made.like.stood[name]), float(np.ptp(made.like.stood[name]))
+    # of a shape nobody knows a period to look for: on evenly spread values one looks like a slower one
+    counts, reach = waves_along(made.like.stood[name], per_value=0.5), float(np.ptp(made.like.stood[name]))
     part = made.waves_of(name, np.pi * (t + 1), counts)
     for k, count in enumerate(counts.tolist()):
         at = np.array([k, len(counts) + k])
