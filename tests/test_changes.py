@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -571,6 +572,25 @@ def test_two_courses_of_two_numbers_have_their_dates() -> None:
         ("rod_length_2", "ramp", ""), ("base_radius_3", "step", "2025-05-10"),
     }  # fmt: skip
     assert "calibrate again" in found.advice
+
+
+@pytest.mark.parametrize(
+    ("worn", "expected"),
+    [
+        (lambda k: 0.03 * k - 0.2 * (k >= 6), {("ramp", ""), ("step", "2025-07-10")}),
+        *slow((lambda k: 0.03 * max(k - 4, 0), {("ramp", "2025-05-10")})),
+    ],
+)  # fmt: skip
+def test_wear_and_the_service_that_put_it_back(worn: Callable[[int], float], expected: set[tuple[str, str]]) -> None:
+    """Catches four runs in which something else happened each, in the place of wear that was put right once, or that
+    began late: neither the wear nor the service leads by itself."""
+    world = DeltaPair(6)
+    runs = [world.run_with({"rod_length_2": worn(k)}, seed=60 + k) for k in range(10)]
+    found = sk.history(world.robot, runs, dates=[f"2025-{1 + k:02d}-10" for k in range(10)])
+    assert found.verdict == "changed"
+    assert {(c.kind, c.date) for c in found.changes} == expected
+    assert {c.name for c in found.changes} == {"rod_length_2"}
+    assert "(ramp from 2025-05-10)" in found.headline or len(expected) > 1
 
 
 def test_what_was_there_once_asks_for_no_new_calibration() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import polars as pl
 import pytest
@@ -21,18 +24,17 @@ PARTS = {
 }
 
 
-def run(part: str, seed: int) -> sk.Measurements:
+def columns(part: str, seed: int) -> dict[str, np.ndarray[Any, Any]]:
     """A run in a shop that is 16 to 24 °C warm, in random order, noise 3 µm."""
     rng = np.random.default_rng(1000 + seed)
     plan = make_plan(ROBOT, grid(20.0, 8, (-20.0, 0.0, 20.0)), repeats=2, order="shuffled", seed=seed)
     time = plan["time_s"] / plan["time_s"].max()
     plan["temperature_c"] = 20.0 + 4.0 * np.sin(5.0 * time) + rng.normal(0.0, 0.1, len(time))
-    columns = simulate(ROBOT, plan, draw_geometric_errors(rng), PARTS[part], noise=3e-3, seed=seed)
-    return sk.from_frame(pl.DataFrame(columns))
+    return simulate(ROBOT, plan, draw_geometric_errors(rng), PARTS[part], noise=3e-3, seed=seed)
 
 
 def check(part: str, seed: int) -> None:
-    d = sk.diagnose(sk.identify(EXAMPLE, run(part, seed)))
+    d = sk.diagnose(sk.identify(EXAMPLE, sk.from_frame(columns(part, seed))))
     name = next(iter(PARTS[part]))
     assert d.effects == (name,), d.headline
     effect = next(e for e in d.fit.model.effects if e.name == name)
@@ -46,6 +48,29 @@ def test_the_part_that_grows_is_named(part: str) -> None:
     that grows; a shape that stays beside the effect that contains it (a division by zero once); values that are not
     those planted."""
     check(part, 2)
+
+
+@pytest.mark.parametrize("room", [True, *slow(False)])
+@pytest.mark.parametrize("part", ["rods", *slow("whole", "frame")])
+def test_growth_goes_with_the_thermometer_of_its_part(part: str, room: bool, tmp_path: Path) -> None:
+    """Catches rods that follow the motors' thermometer while the room's is called temperature_c, taken for a stand of
+    the instrument that does; and advice that leads nowhere."""
+    run = pl.DataFrame(columns(part, 3)).rename({"temperature_c": "motor_c"})
+    if room:
+        run = run.with_columns(temperature_c=20.0 + 0.5 * np.cos(np.arange(len(run)) / 40.0))
+    found = sk.diagnose(EXAMPLE, run)
+    name = next(iter(PARTS[part]))
+    assert found.effects == (name,), found.headline
+    assert any(f"{name} goes with motor_c" in said for said in found.answer.sure)
+    (advice,) = (step.sentence for step in found.answer.to_do if "columns =" in step.sentence)
+    # what it says leads to the same
+    sk.save_robot(EXAMPLE, tmp_path / "robot.toml")
+    toml = (tmp_path / "robot.toml").read_text(encoding="utf-8")
+    (tmp_path / "robot.toml").write_text(f"{advice[advice.index('columns =') :].rstrip('.')}\n{toml}", encoding="utf-8")
+    run.write_csv(tmp_path / "run.csv")
+    again = sk.diagnose(tmp_path / "robot.toml", tmp_path / "run.csv")
+    assert again.effects == (name,)
+    assert not any("goes with" in said for said in again.answer.sure)
 
 
 @pytest.mark.slow

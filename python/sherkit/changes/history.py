@@ -41,6 +41,8 @@ STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"
 _MOST = 4
 #: Effects with which a course may begin.
 _STARTS = 14
+#: Runs with which wear may have begun.
+_ONSETS = 10
 #: What cannot be told from a change is named, as far as so many.
 _MOST_TIED = 4
 _MONTH_S = 30.4375 * 86400.0
@@ -61,7 +63,8 @@ _DATES = ("date", "datetime", "taken_at")
 @dataclass(frozen=True, eq=False)
 class Course:
     """One change: of ``name``, a ``step`` (since run ``since``, from 0, on ``date``), ``once`` (in that run alone), a
-    ``ramp`` (``change`` by month) or with the ``season`` (by °C), with its deviations, parameter by parameter."""
+    ``ramp`` (``change`` by month, from that run on or from the first) or with the ``season`` (by °C), with its
+    deviations, parameter by parameter."""
 
     name: str
     kind: str
@@ -78,10 +81,14 @@ class Course:
         return len(self.parameters) == 1 and not self.exceeds and not self.or_else
 
     def __str__(self) -> str:
-        when = f" at {self.date}" if self.date else ""
         end = f"; beyond what is needed {self.exceeds}" if self.exceeds else ""
         other = f"; these runs cannot tell it from {', '.join(self.or_else)}" if self.or_else else ""
-        return f"{self.kind}{when}: {self.sizes}{end}{other}"
+        return f"{self.course}: {self.sizes}{end}{other}"
+
+    @property
+    def course(self) -> str:
+        """Its kind, and when it began."""
+        return f"{self.kind} {'from' if self.kind == RAMP else 'at'} {self.date}" if self.date else self.kind
 
     @property
     def sizes(self) -> str:
@@ -128,8 +135,8 @@ class History(Shown):
         """The verdict, and what has changed, in which course."""
         if len(self.changes) == 1 and self.changes[0].is_plain:
             only = self.changes[0]
-            return f"{self.verdict}: {only.sizes} ({only.kind}{f' at {only.date}' if only.date else ''})"
-        told = [f"{one.name} ({one.kind}{f' at {one.date}' if one.date else ''})" for one in self.changes]
+            return f"{self.verdict}: {only.sizes} ({only.course})"
+        told = [f"{one.name} ({one.course})" for one in self.changes]
         return f"{self.verdict}: {', '.join(told)}" if told else self.verdict
 
     @property
@@ -254,6 +261,9 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     months = (at_s - at_s[0]) / _MONTH_S
     if count > 2 and np.ptp(months) > 0:
         courses.append((RAMP, 0, months))
+        # wear that began later; from the run before the last on it is a step
+        later = np.unique(np.linspace(1, count - 3, min(max(count - 3, 0), _ONSETS)).astype(np.int64)).tolist()
+        courses += [(RAMP, k, np.maximum(months - months[k], 0.0)) for k in later if months[k] < months[-1]]
     temperatures = np.array(
         [float(d.covariates[TEMPERATURE].mean()) if TEMPERATURE in d.covariates else np.nan for d in data]
     )
@@ -261,7 +271,8 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
         courses.append((SEASON, 0, temperatures - temperatures[0]))
     made = Courses.of(joined, [factors for _, _, factors in courses], waves=False)
     base = made.base
-    found, left = ([], base) if made.quiet else _found(base)
+    slow = [k for k, (kind, _, _) in enumerate(courses) if kind in (RAMP, SEASON)]
+    found, left = ([], base) if made.quiet else _found(base, slow)
     verdict = made.quiet or change_verdict(found, explains=left.evidence < ALARM)
     tied: list[tuple[str, ...]] = []
     for k, block in enumerate(found):
@@ -276,7 +287,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
         changes.append(Course(
             block.name, kind, pool.numbers[since] if since else None, dates[since] if since else "",
             tuple((p.name, value, std, p.unit) for p, value, std in told),
-            _exceeds(about, number, months, needed, joined) if kind == RAMP else "",
+            _exceeds(about, number, months - months[since], needed, joined) if kind == RAMP else "",
             (*(b for a, b in swaps if a in [p.name for p, _, _ in told]), *other)[:_MOST_TIED],
         ))  # fmt: skip
     # of each change the number that moved most is followed through all runs
@@ -311,13 +322,17 @@ def _is_gone(verdict: str, changes: Sequence[Course]) -> bool:
     return verdict == "changed" and all(one.kind == ONCE for one in changes)
 
 
-def _found(base: Base) -> tuple[list[Block], Base]:
+def _found(base: Base, slow: Sequence[int]) -> tuple[list[Block], Base]:
     """The changes in the order in which they were found, and what is left.
 
-    From several beginnings: an effect of many numbers imitates two of one each. Of those that explain all, and no worse
-    than shapes do, the likeliest; else each as long as it says clearly more than a shape.
+    From several beginnings: an effect of many numbers imitates two of one each, and wear with a service in between a
+    few of runs alone, so that ``slow`` courses are among them. Of those that explain all, and no worse than shapes do,
+    the likeliest; else each as long as it says clearly more than a shape.
     """
-    every = [_added(base, block) for block in likeliest(base.family, base.each, _STARTS)]
+    first = likeliest(base.family, base.each, _STARTS)
+    every = [_added(base, block) for block in first]
+    if min((len(one[1]) for one in every if one[2].evidence < ALARM), default=_MOST) > 2:
+        every += [_added(base, b) for b in base.family.blocks if b.name == first[0].name and b.since in slow]
     whole = [one for one in every if one[2].evidence < ALARM]
     value, found, _ = max(whole, key=lambda one: one[0], default=(-np.inf, [], base))
     if value <= described(base).evidence - SURE:

@@ -134,7 +134,8 @@ def renamed(frame: pl.DataFrame, columns: Columns, source: str) -> tuple[pl.Data
             near = closest(theirs, frame.columns)
             hint = f"; is '{near}' meant?" if near else f"; the file has {listed(frame.columns, 12)}"
             raise MeasurementError(f"{source}: column '{theirs}' is missing, which is to be read as '{ours}'{hint}")
-        if ours != theirs and ours in frame.columns:
+        # two names may change places
+        if ours != theirs and ours in frame.columns and ours not in columns.values():
             raise MeasurementError(f"{source}: has a column '{ours}' itself; '{theirs}' cannot be read as it")
         unit, wanted = header_unit(theirs)[1], unit_in(ours)
         if not unit or not wanted:

@@ -76,7 +76,7 @@ def _how(shape: Mapping[str, Any]) -> str:
     order = f" (order {shape['order']})" if shape["order"] else ""
     return {
         "smooth": f"varies smoothly{order} with {what}",
-        "periodic": f"repeats with {what}, period {shape['period'] or 0.0:.3g} {unit_in(shape['depends_on'][0])}".strip(),
+        "periodic": f"repeats with {what}, period {shape['period'] or 0.0:.3g} {unit_in(shape['depends_on'][0])}".rstrip(),
         "step": f"steps at {what} = {shape.get('at') or 0.0:.0f}",
         "kink": f"has another slope from {what} = {shape.get('at') or 0.0:.4g} on",
         "bump": f"has a bump about {what} = {shape.get('at') or 0.0:.4g}, {shape.get('width') or 0.0:.2g} wide (sd)",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -16,23 +17,39 @@ from .base import ModelWithEffects
 from .effect import Effect
 from .rows import EffectRows
 
-_SHIFT = "thermal_shift"
+SHIFT = "thermal_shift"
+#: Where the temperature stands that was ``temperature_c``, where another column takes its place.
+OTHER = f"other_{TEMPERATURE}"
+
+
+def further(data: Measurements) -> tuple[str, ...]:
+    """Columns of °C beside ``temperature_c`` that are never constant."""
+    return tuple(
+        name for name, values in data.covariates.items()
+        if name != TEMPERATURE and name.endswith("_c") and np.ptp(values) != 0
+    )  # fmt: skip
+
+
+def with_temperature_of(data: Measurements, column: str) -> Measurements:
+    """The rows with this column as the temperature that the robot follows; what it was stays beside it."""
+    now = dict(data.covariates)
+    if (before := now.pop(TEMPERATURE, None)) is not None:
+        now[OTHER] = before
+    return replace(data, covariates=now | {TEMPERATURE: now.pop(column)})
 
 
 def thermometers_of(model: ModelWithEffects, data: Measurements) -> tuple[Effect, ...]:
     """``thermal_shift`` by each column of °C beside ``temperature_c`` that a run has, which are never constant: effects
     as those of a user's own, ``thermal_shift_bearing`` for ``bearing_c``. None where the model has no such effect."""
-    shift = model.known_effects.get(_SHIFT)
+    shift = model.known_effects.get(SHIFT)
     axes = len(data.layout.coordinates)
     if shift is None or len(shift.parameters) != axes:
         return ()
     out = []
-    for name, values in data.covariates.items():
-        if name == TEMPERATURE or not name.endswith("_c") or np.ptp(values) == 0:
-            continue
+    for name in further(data):
         out.append(
             Effect(
-                name=f"{_SHIFT}_{name.removesuffix('_c')}",
+                name=f"{SHIFT}_{name.removesuffix('_c')}",
                 link="sensor",
                 parameters=shift.parameters,
                 needs=(name,),
