@@ -71,6 +71,20 @@ def test_growth_goes_with_the_thermometer_of_its_part(part: str, room: bool, tmp
     again = sk.diagnose(tmp_path / "robot.toml", tmp_path / "run.csv")
     assert again.effects == (name,)
     assert not any("goes with" in said for said in again.answer.sure)
+    # whoever does not read it is told again
+    if room:
+        with pytest.warns(sk.SherkitWarning, match="the robot follows motor_c"):
+            assert sk.calibrate(EXAMPLE, run, effects=[name])
+
+
+@pytest.mark.filterwarnings("ignore:.*do not run in a control loop")
+def test_what_a_diagnosis_names_a_calibration_takes() -> None:
+    """Catches an effect of a thermometer that sk.diagnose names and sk.calibrate and sk.identify do not know."""
+    run = pl.DataFrame(columns("rods", 4)).with_columns(mast_c=20.0 + pl.int_range(pl.len()) % 7)
+    named = sk.identify(EXAMPLE, run, effects=["thermal_shift_mast"]).model.effects
+    assert [one.name for one in named] == ["thermal_shift_mast"]
+    made = sk.calibrate(EXAMPLE, run, effects=["thermal_shift_mast"], correction="none")
+    assert made.calibration is not None
 
 
 @pytest.mark.slow

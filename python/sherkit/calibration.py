@@ -14,19 +14,21 @@ from .base.arguments import NotNegative, Seed, validate_arguments
 from .base.figures import listed
 from .base.types import Floats
 from .data import Measurements
+from .data.columns import TEMPERATURE
 from .data.doubts import doubts
 from .data.reader import RunLike
 from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .diagnosis.selection import setting_for
 from .errors import EffectError, FitError, SherkitWarning
-from .evidence.thresholds import refuse_absurd
+from .evidence.thresholds import SURE, refuse_absurd
 from .fit.constant_columns import unread
 from .fit.hold_out import hold_out
 from .fit.identify import identify
 from .model.base import missing_columns
 from .model.effect import Effect, named_effects
-from .model.kinds import catalogue_of, model_of
+from .model.kinds import model_of
 from .model.robot_file import RobotLike, robot_of, run_for
+from .model.thermometers import SHIFT, catalogue_for, further, nearer_by, with_temperature_of
 from .robots.calibrated import Calibration, calibration_class
 from .robots.calibration_run import CalibrationRun
 
@@ -88,8 +90,7 @@ def calibrate(
     whole, local = run_for(robot, whole), None if local is None else run_for(robot, local)
     robot = robot_of(robot)
     # what these parameters leave held can be freed by the name that a diagnosis gives it
-    held = model_of(robot, free).held if free else {}
-    added = named_effects({**catalogue_of(robot), **held}, effects)
+    added = named_effects(catalogue_for(model_of(robot, free), whole), effects)
     own = [effect for effect in added if effect.function is not None]
     made = calibration_class(robot)
     made.require(robot)
@@ -127,6 +128,12 @@ def calibrate(
             model = model.adopting(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         refuse_absurd(fit, [effect.name for effect in added])
+        grows = any(effect.needs == (TEMPERATURE,) and not effect.name.startswith(SHIFT) for effect in added)
+        used = {name for effect in model.effects for name in effect.needs}
+        for column in (one for one in further(data) if grows and one not in used):
+            other = identify(model, with_temperature_of(data, column), loss=loss, priors=priors, linear=linear)
+            if len(data) * np.log(fit.error.rms / other.error.rms) > SURE:
+                warnings.warn(f"{data.source}: {nearer_by(column, data)}", SherkitWarning, stacklevel=2)
         if with_outliers:
             outliers = (warn_of_outliers if loss == "linear" else gross_errors)(fit, own)
         step(f"holding out blocks of the {name} run")

@@ -11,7 +11,6 @@ from ..base import linalg
 from ..base.arguments import Level, Seed, validate_arguments
 from ..base.figures import listed
 from ..base.types import Floats, Ints
-from ..data.called import in_toml
 from ..data.columns import TEMPERATURE
 from ..data.doubts import by_number, commanded, doubts
 from ..data.reader import RunLike
@@ -27,7 +26,7 @@ from ..fit.set_up import Mistake, set_up_mistakes
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
-from ..model.thermometers import OTHER, SHIFT, further, thermometers_of, with_temperature_of
+from ..model.thermometers import SHIFT, further, nearer_by, thermometers_of, with_temperature_of
 from .checks import checks_of
 from .findings import findings_of
 from .gathered import checks_of_outliers
@@ -95,7 +94,7 @@ def _by_thermometer(
     asked = found.verdict in ("unexplained", "partly explained") or instead
     if not asked or any(check.name == "set_up" and check.holds is False for check in found.checks):
         return None
-    if any(TEMPERATURE in effect.needs for effect in fit.model.effects):
+    if any(TEMPERATURE in effect.needs or column in effect.needs for effect in (*fit.model.effects, *effects)):
         return None
     step(f"with {column} as the robot's temperature")
     other = _diagnosed(
@@ -109,8 +108,7 @@ def _by_thermometer(
     if found.verdict == "explained" and other.error.rms > found.error.rms:
         return None
     note = f"{listed(own)} goes with {column}, which is taken for {TEMPERATURE} in all of this"
-    there = {TEMPERATURE: column} | ({OTHER: TEMPERATURE} if TEMPERATURE in fit.data.covariates else {})
-    write = f"write into the robot's file that this is its temperature, and ask again: {in_toml(there)}"
+    write = nearer_by(column, fit.data)
     return replace(other, notes=(note, *other.notes), findings=(*(
         replace(one, answer=write, command="") if one.answer == ADD_IT else one for one in other.findings
     ), Finding(WRONG, "unread", f"{note}.")))  # fmt: skip

@@ -32,6 +32,7 @@ from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter, named_effects
 from ..model.kinds import model_of
 from ..model.robot_file import RobotLike, load_robot, run_for
+from ..model.thermometers import catalogue_for
 from .constant_columns import held
 from .error import ErrorSize, held_out_error, noise_beside, of_residuals, repeatability_of
 from .least_squares import (
@@ -313,8 +314,9 @@ def identify(
     """
     given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
     model = model_of(given, free)
-    model = extended_by(model, effects) if effects else model
-    data = model.as_declared(run_for(robot, data))
+    data = run_for(robot, data)
+    model = extended_by(model, effects, data) if effects else model
+    data = model.as_declared(data)
     model = model.for_run(data)
     if loss not in LOSSES:
         raise FitError(f"loss: '{loss}' is not known; choose {', '.join(LOSSES)}")
@@ -475,8 +477,11 @@ def _fitted(
     return fit
 
 
-def extended_by(model: ModelWithEffects, effects: Sequence[str | Effect]) -> ModelWithEffects:
-    """The model with more effects: by name, or the user's own. Raises :class:`~sherkit.errors.EffectError`."""
-    for effect in named_effects({**model.known_effects, **model.held}, effects):
+def extended_by(
+    model: ModelWithEffects, effects: Sequence[str | Effect], data: Measurements | None = None
+) -> ModelWithEffects:
+    """The model with more effects: by name, of the thermometers of a run too, or the user's own. Raises
+    :class:`~sherkit.errors.EffectError`."""
+    for effect in named_effects(catalogue_for(model, data), effects):
         model = model.adopting(effect)
     return model

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..base.types import Floats
 from ..data import Measurements
+from ..data.called import in_toml
 from ..data.columns import TEMPERATURE
 from ..data.in_time import DRAWN_C
 from .base import ModelWithEffects
@@ -38,6 +39,12 @@ def with_temperature_of(data: Measurements, column: str) -> Measurements:
     return replace(data, covariates=now | {TEMPERATURE: now.pop(column)})
 
 
+def nearer_by(column: str, data: Measurements) -> str:
+    """What to do where the robot follows another column than ``temperature_c``."""
+    there = {TEMPERATURE: column} | ({OTHER: TEMPERATURE} if TEMPERATURE in data.covariates else {})
+    return f"the robot follows {column}: write into its file that this is its temperature: {in_toml(there)}"
+
+
 def thermometers_of(model: ModelWithEffects, data: Measurements) -> tuple[Effect, ...]:
     """``thermal_shift`` by each column of °C beside ``temperature_c`` that a run has, which are never constant: effects
     as those of a user's own, ``thermal_shift_bearing`` for ``bearing_c``. None where the model has no such effect."""
@@ -60,6 +67,12 @@ def thermometers_of(model: ModelWithEffects, data: Measurements) -> tuple[Effect
             )
         )
     return tuple(out)
+
+
+def catalogue_for(model: ModelWithEffects, data: Measurements | None = None) -> dict[str, Effect]:
+    """All that may be named of a run: what a model knows and what it holds, and what goes with a thermometer."""
+    by_thermometer = () if data is None else thermometers_of(model, data)
+    return {**{one.name: one for one in by_thermometer}, **model.known_effects, **model.held}
 
 
 def with_thermometers(
