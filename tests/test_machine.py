@@ -793,6 +793,25 @@ def test_the_names_of_a_file_are_given_to_the_machine(tmp_path: Path) -> None:
         sk.Machine(forward, **about, name="wrong", columns=3)
 
 
+@sk.effect(at="joints", parameters={"per_n": ("mm", 0.001)}, needs=("load_n",))
+def _own_give(rows: Any, p: Any) -> Any:
+    """The drive gives way to the force on it."""
+    return p.per_n * rows["load_n"][:, None] * np.array([1.0, 0.0])
+
+
+def test_a_loop_that_does_not_know_a_column_says_which() -> None:
+    """Catches "effects given in NumPy do not run in a control loop" of a machine whose loop is NumPy and runs them, but
+    is not told the force."""
+    rng = np.random.default_rng(4)
+    q, load = rng.uniform(-50, 50, (60, 2)), rng.uniform(-20, 20, 60)
+    read = q + np.outer(load, [0.002, 0.0]) + rng.normal(0, 0.001, q.shape)
+    run = {"x_axis_mm": q[:, 0], "y_axis_mm": q[:, 1], "load_n": load, "x_mm": read[:, 0], "y_mm": read[:, 1]}
+    about: dict[str, Any] = {"joints": ("x_axis_mm", "y_axis_mm"), "readings": ("x_mm", "y_mm")}
+    table = sk.Machine(lambda q, p: q + p.zero, parameters={"zero": ("mm", 0.1)}, name="table", **about)
+    with pytest.warns(sk.SherkitWarning, match="_own_give: they need load_n, of which a control loop is not told"):
+        sk.calibrate(table, run, effects=[_own_give])
+
+
 @sk.effect(at="body", parameters={"sag": ("mm", 0.5)})
 def _own_sag(rows: Any, p: Any) -> Any:
     """The beam hangs lower in the middle, as a wave along its first joint."""

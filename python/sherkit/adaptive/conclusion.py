@@ -115,7 +115,7 @@ def conclude(loop: BatchLooks) -> Conclusion:
                 done, why = False, ""
             else:
                 short = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
-                notes.insert(0, f"{short} would not bring it")
+                notes.insert(0, f"{short} would not bring it{_told_the_side(loop, found)}")
     if done:
         # a verdict of silence rests on what would have been seen; beside a name it is only told
         layout = found.data.layout
@@ -128,6 +128,23 @@ def conclude(loop: BatchLooks) -> Conclusion:
         verdict, done, why if done else "", effects if done or state.named else (), tied,
         tuple(notes) if done else tuple(first), tuple(found.causes.items())[:3], accuracy, make,
     )  # fmt: skip
+
+
+def _told_the_side(loop: BatchLooks, found: InterimAnalysis) -> str:
+    """How far the robot is off where its controller is told from which side a pose is reached; empty where that is
+    all the same."""
+    lead = found.lead
+    if lead is None or not any(block.effect and "direction" in block.effect.needs for block in lead.blocks):
+        return ""
+    told = accuracy_um(loop, found, lead.names, found.best_fit, from_one_side=True)
+    return (
+        ""
+        if told is None
+        else (
+            f"; lost motion is in it, by half of it to either side: told from which side it comes "
+            f"(inverse(…, direction=…)) it is within {told:.3g} µm"
+        )
+    )
 
 
 def _spent(loop: BatchLooks) -> str:

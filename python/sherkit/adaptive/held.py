@@ -148,19 +148,23 @@ class BatchLooks(Kept):
 
 
 @linalg.one_thread()
-def accuracy_um(task: Task, found: InterimAnalysis, effects: tuple[str, ...], fit: Fit) -> float | None:
+def accuracy_um(
+    task: Task, found: InterimAnalysis, effects: tuple[str, ...], fit: Fit, *, from_one_side: bool = False
+) -> float | None:
     """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
 
     As a calibration of these rows promises it (:class:`~sherkit.robots.accuracy.PredictedAccuracy`); of a
     kind without one, or an effect that a calibration cannot hold, by the covariance of the fit. None where that is in
-    no length.
+    no length. ``from_one_side`` is how far it is off where it is told that each joint came upwards.
     """
     places = found.known.region.spread(PLACES, task.seed + 1)
     try:
         made = calibrate(task.robot, found.data, effects=effects, correction="none").calibration
         # the region is one of the drawing: where its poses are in the calibration's frame is the calibration's to say
         there = made.forward_batch(places.joints)
-        promised = made.predicted_accuracies(there.values[there.reached]).radius_mm
+        promised = made.predicted_accuracies(
+            there.values[there.reached], direction=np.ones(len(found.data.layout.joints)) if from_one_side else None
+        ).radius_mm
         if np.isfinite(promised).any():
             return float(1e3 * np.nanmax(promised))
     except SherkitError:

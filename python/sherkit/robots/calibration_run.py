@@ -233,7 +233,7 @@ class CalibrationRun:
         core = deployed.predict(fit.data, fit.values[: len(deployed.parameters)])
         return np.where(fit.data.taken, fit.predicted - core, 0.0)
 
-    def deployed(self, residuals: Floats) -> Floats:
+    def deployed(self, residuals: Floats, why: str = "effects given in NumPy do not run in a control loop") -> Floats:
         """Residuals (n, m) as they are where a user's effects do not run: what those explain comes back."""
         own = self.own
         if not own:
@@ -241,8 +241,8 @@ class CalibrationRun:
         without, layout = self._left_out(), self.fit.data.layout
         worst = layout.per_unit * float(np.sqrt(np.mean(without[:, : self.fit.data.coordinates] ** 2)))
         warnings.warn(
-            f"{listed(e.name for e in own)}: effects given in NumPy do not run in a control loop and are left out of "
-            f"the calibration; that leaves {worst:.1f} {layout.unit} RMS, which the predicted accuracy includes",
+            f"{listed(e.name for e in own)}: {why} and are left out of the calibration; that leaves {worst:.1f} "
+            f"{layout.unit} RMS, which the predicted accuracy includes",
             SherkitWarning,
             stacklevel=3,
         )

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from ...base.figures import listed
 from ...base.types import Bools, Floats
 from ...data import Measurements
 from ...data.columns import TEMPERATURE, TIME, bare, unit_in
@@ -173,8 +174,17 @@ class MachineCalibration(Calibration):
         fit = whole.fit
         data = fit.data
         # one that asks for more than a loop knows leaves all of them out: they were identified together
-        runs = all(set(effect.needs) <= _KNOWN_IN_A_LOOP for effect in whole.own)
-        held_out = whole.held_out if runs else whole.deployed(whole.held_out)
+        unknown = dict.fromkeys(name for e in whole.own for name in e.needs if name not in _KNOWN_IN_A_LOOP)
+        runs = not unknown
+        held_out = (
+            whole.held_out
+            if runs
+            else whole.deployed(
+                whole.held_out,
+                f"they need {listed(unknown)}, of which a control loop is not told (it is told the moment and "
+                "the temperature),",
+            )
+        )
         own = [(one, tuple(fit.values[fit.model.owns(one)].tolist())) for one in whole.own] if runs else []
         use = data.taken.all(axis=1) & ~data.outlier
         went = data.joints[~data.outlier]
