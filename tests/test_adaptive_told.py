@@ -149,6 +149,34 @@ def test_backlash_alone_is_named_where_nobody_tells_the_first_side() -> None:
     assert 0 in loop.last.aside.tolist()  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("at", [24, 40])
+def test_what_happens_just_before_the_end_is_told(seed: int, at: int) -> None:
+    """Catches an end four readings after a joint lost its zero by twenty noises: as noise that comes and goes, or as rows
+    that are "no accident", where the budget would have told it."""
+    world = DrivenDelta(seed, ("backlash",), 6.0)
+    loop = sk.Adaptive(world.robot, budget=160, seed=seed)
+    sound = dict(world.errors)
+    while not loop.done:
+        if loop.readings >= at:
+            world.errors = sound | {"joint_offset_2": sound["joint_offset_2"] + 20.0 * world.noise}
+        loop.tell(world.read(loop.ask()))
+    if loop.readings > at:
+        assert loop.verdict == "explained", loop.why
+        assert set(loop.effects) == {"backlash", "joint_slip"}
+
+
+@pytest.mark.slow
+def test_lost_motion_is_told_apart_in_the_accuracy() -> None:
+    """Catches "not reached, and nothing would bring it" of a robot that does reach it, told from which side it comes."""
+    world = DrivenDelta(1, ("backlash",), 20.0)
+    loop = sk.Adaptive(world.robot, budget=60, required_um=0.01 * 1e3 * world.noise * 20.0, seed=1)
+    while not loop.done:
+        loop.tell(world.read(loop.ask()))
+    assert any("told from which side it comes (inverse(…, direction=…)) it is within" in note for note in loop.notes)
+
+
 def test_a_robot_that_may_be_off_by_more_than_is_required_is_not_adequate_early() -> None:
     """Catches "adequate" beside a smooth field that is in no catalogue, after 32 readings of 120 and at an accuracy of
     30 µm where 10 are required: with more readings it is seen."""
