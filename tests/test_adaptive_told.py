@@ -152,8 +152,8 @@ def test_backlash_alone_is_named_where_nobody_tells_the_first_side() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("at", "seed"), [(32, 0), (32, 2), (40, 2), (40, 3)])
 def test_what_happens_just_before_the_end_is_told(at: int, seed: int) -> None:
-    """Catches an end four readings after a joint lost its zero by twenty noises: as noise that comes and goes, or as rows
-    that are "no accident", where the budget would have told it."""
+    """Catches an end four readings after a joint lost its zero by twenty noises: as noise that comes and goes, or as
+    rows that are "no accident", where the budget would have told it."""
     # a target for which it reads on after it has named the lost motion
     first = drive(DrivenDelta(seed, ("backlash",), 6.0), budget=160, seed=seed)
     world = DrivenDelta(seed, ("backlash",), 6.0)
@@ -170,7 +170,7 @@ def test_what_happens_just_before_the_end_is_told(at: int, seed: int) -> None:
 
 @pytest.mark.slow
 def test_lost_motion_is_told_apart_in_the_accuracy() -> None:
-    """Catches "not reached, and nothing would bring it" of a robot that does reach it, told from which side it comes."""
+    """Catches "not reached, and nothing would bring it" of a robot that reaches it, told from which side it comes."""
     world = DrivenDelta(1, ("backlash",), 20.0)
     loop = sk.Adaptive(world.robot, budget=60, required_um=0.01 * 1e3 * world.noise * 20.0, seed=1)
     while not loop.done:

@@ -22,6 +22,7 @@ from sherkit.data.in_time import Room
 NEW = ("thermal_shift", "joint_slip")
 #: Chance with which a correct program fails one of the counts below.
 RARE = 1e-3
+AXES = ("x_mm", "y_mm", "z_mm")
 
 
 @pytest.mark.parametrize("lag_s", [3.0, 200.0, 5000.0])
@@ -122,3 +123,17 @@ def test_they_lead_or_are_tied_in_98_of_100(
     allowance of 1 in 1,000. Machines are counted in ``test_machine.py``."""
     right = [name in named(d) for d in runs(name, tmp_path)]
     assert right.count(False) <= stats.binom.isf(RARE, len(right), 0.02)
+
+
+@pytest.mark.parametrize("seed", [1, *slow(0, 2, 3)])
+@pytest.mark.parametrize("course", ["drift", *slow("sensor_slip")])
+def test_a_slow_drift_is_no_instrument_that_was_knocked(course: str, seed: int) -> None:
+    """Catches "the instrument moved", at a moment that means nothing, of readings that drift evenly by one noise, and
+    a knock of as much that is called a drift."""
+    run = delta.measured(delta.GRIDS["small"], seed).data.to_frame()
+    t = run["time_s"] / run["time_s"].max()
+    by = t if course == "drift" else (t > 0.4).cast(float)
+    ways = np.random.default_rng(seed).choice([-1.0, 1.0], 3)
+    moved = {name: run[name] + 1e-3 * delta.NOISE_UM * way * by for name, way in zip(AXES, ways, strict=True)}
+    found = sk.diagnose(delta.EXAMPLE, run.with_columns(**moved))
+    assert found.effects == (course,), found.headline

@@ -256,13 +256,14 @@ class Sets:
         return max(same, key=lambda one: one.value, default=lead)
 
     def _of_the_instrument(self, lead: EffectSet) -> EffectSet:
-        """The same set with a step of the instrument where it has what the robot does in time, if that comes as near
+        """The same set with a step of the instrument where it has one of the robot, if that comes as near
         the data: an instrument is moved more easily than a robot."""
         if SLIP in lead.names:
             return lead
         for block in lead.blocks:
             others = [one for one in lead.blocks if one is not block]
-            if block.effect is None or "time_s" not in block.effect.needs:
+            # a course in time is as likely the instrument's as the robot's; a step of it is asked for
+            if block.effect is None or block.effect.search != "time_s":
                 continue
             beside = self._of_effects.beside(*map(self._near, others))
             each = np.array([x if one.name == SLIP else -np.inf for x, one in _each(beside)])
