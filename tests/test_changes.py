@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -313,6 +314,10 @@ def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], 
     assert "would have shown" in text
     # what calibrate prints is larger by what could hide between the poses
     assert "the accuracy that calibrate prints also counts what that run could not show" in " ".join(text.split())
+    # a promise that holds and is not what is needed
+    holds = sk.verify("calibrated.toml", "again.csv")
+    assert "not good enough" not in str(holds.answer)
+    assert "more than the 0.001 µm that the robot is for" in str(replace(holds, required_um=1e-3).answer)
     # a shift of all of it is no change, and may not go without a word where places are counted from the instrument
     assert "stands elsewhere than in the run" not in text
     moved = pl.read_csv(folder / "again.csv").with_columns(x_mm=pl.col("x_mm") + 0.5)

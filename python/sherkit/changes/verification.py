@@ -77,6 +77,8 @@ class Verification(Shown):
     would_not: tuple[str, ...]
     advice: str
     silent: str = ""
+    #: The accuracy that the robot is for, in 95 of 100 cases, µm, where its file says so.
+    required_um: float | None = None
 
     @property
     def verdict(self) -> str:
@@ -118,13 +120,18 @@ class Verification(Shown):
         """What it says for whoever reads nothing else."""
         told = [*self.sees, *told_ties(self.indistinguishable)]
         if self.unit == "µm" and (promised := self.error["promised"]) is not None:
-            within = number(promised * float(np.sqrt(scipy.stats.chi2.ppf(_SHARE, 3) / 3)))
+            within = promised * float(np.sqrt(scipy.stats.chi2.ppf(_SHARE, 3) / 3))
             # what could hide between the poses of the calibration no check by a few other poses can be held to
             told.append(
                 "The promise is what the run of the calibration shows of its accuracy at these places: within "
-                f"{within} µm in 95 of 100 cases; the accuracy that calibrate prints also counts what that run could "
-                "not show"
+                f"{number(within)} µm in 95 of 100 cases; the accuracy that calibrate prints also counts what that run "
+                "could not show"
             )
+            if self.required_um is not None and within > self.required_um:
+                told.append(
+                    f"That is more than the {number(self.required_um)} µm that the robot is for: a calibration that "
+                    "holds what it promises is not good enough by that"
+                )
         if off := self._elsewhere:
             told.append(
                 "Seen from the instrument the robot stands elsewhere than in the run of the calibration: "
@@ -154,6 +161,7 @@ class Verification(Shown):
             "parameters": [one.to_json() for one in self.parameters],
             "evidence": finite(self.evidence),
             "stand": self.stand,
+            "required_um": self.required_um,
             "would_show": list(self.would_show),
             "would_not": list(self.would_not),
             "silent": self.silent,
@@ -252,6 +260,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         would_not=tuple(one.name for one in rows.candidates if one.name not in shown),
         advice=mute.measure if mute is not None else _advice(valid, names, ties, evidence, held),
         silent="" if mute is None else f"{data.source}: {mute}",
+        required_um=required_um(made.robot),
     )
 
 
