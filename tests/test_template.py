@@ -58,6 +58,8 @@ def test_a_course_that_no_polynomial_names_has_no_order() -> None:
     shape = {"shape": "smooth", "order": None, "period": None, "at": None, "axis": ["x"], "joint": None}
     assert course(shape | {"depends_on": ["time_s"]}) == "the error in x varies smoothly with time_s"
     assert "(order 2)" in course(shape | {"depends_on": ["time_s"], "order": 2})
+    warms = shape | {"depends_on": ["time_s"], "at": 1234.5}
+    assert course(warms) == "the error in x settles in the course of time, by two thirds in 1234 s"
 
 
 @pytest.mark.parametrize("of", [*slow(of_a_delta, of_a_spherical_robot), of_a_users_model])

@@ -32,7 +32,7 @@ from .result import (  # fmt: skip
     Finding,
 )
 from .sensor_pose import motion_of, pose_in_words
-from .template import indistinguishable, sentence
+from .template import course, indistinguishable, sentence, settles
 
 #: An effect of one's own is worth another look where it leaves no more than this part of the error.
 _LOWERS = 0.9
@@ -196,7 +196,10 @@ def _without_effect(d: Diagnosis, off: str) -> tuple[str, str]:
         )
     return (
         f"The model is {off}, and no effect that is known explains it: {_rest(d)}.",
-        "Look at the pattern below, ask what could leave it, and add that as an effect of your own."
+        "What settles so is warmth, most often, or what creeps: measure when that is over, or record a temperature "
+        "that goes with it."
+        if d.signature is not None and settles(d.signature)
+        else "Look at the pattern below, ask what could leave it, and add that as an effect of your own."
         if d.signature is not None
         else "Ask what differs from pose to pose and stands in no column: record it, or declare it as noise.",
     )
@@ -210,7 +213,7 @@ def _fails(d: Diagnosis, name: str) -> str:
 def _rest(d: Diagnosis) -> str:
     """What is left, as far as shapes follow it."""
     if d.signature is not None:
-        return "what is left has a pattern"
+        return f"what is left has a pattern: {course(d.signature)}"
     if _fails(d, "nothing_left"):
         # not all together: one of the catalogue may be in it that says too little by itself
         return "what is left is more than noise, but no effect and no shape that was tried is clear in it by itself"

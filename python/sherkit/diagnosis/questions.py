@@ -91,7 +91,8 @@ def _by_thermometer(
     """The same with another thermometer of the run as the one that the robot follows, where its own growth explains by
     that what was ``found`` to follow no thermometer, or to be the instrument's; else None."""
     instead = [name for name in found.effects if name.startswith(SHIFT)]
-    asked = found.verdict in ("unexplained", "partly explained") or instead
+    grows = any(e.needs == (TEMPERATURE,) and not e.name.startswith(SHIFT) for e in fit.model.known_effects.values())
+    asked = grows and (found.verdict in ("unexplained", "partly explained") or instead)
     if not asked or any(check.name == "set_up" and check.holds is False for check in found.checks):
         return None
     if any(TEMPERATURE in effect.needs or column in effect.needs for effect in (*fit.model.effects, *effects)):

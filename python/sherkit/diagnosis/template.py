@@ -70,10 +70,17 @@ def _where(shape: Mapping[str, Any]) -> str:
     return f"the error of joint {shape['joint']}" if shape.get("joint") else f"the error in {', '.join(shape['axis'])}"
 
 
+def settles(shape: Mapping[str, Any]) -> bool:
+    """Whether it dies away in time, as what warms up or creeps does."""
+    return shape["shape"] == "smooth" and list(shape["depends_on"]) == ["time_s"] and shape.get("at") is not None
+
+
 def _how(shape: Mapping[str, Any]) -> str:
     what, unit = " and ".join(shape["depends_on"]), unit_in(shape["depends_on"][0])
     # what is only told from the rest, as a course that no polynomial names, has no order
     order = f" (order {shape['order']})" if shape["order"] else ""
+    if settles(shape):
+        return f"settles in the course of time, by two thirds in {shape['at']:.0f} s"
     return {
         "smooth": f"varies smoothly{order} with {what}",
         "periodic": f"repeats with {what}, period {shape['period'] or 0.0:.3g} {unit}".rstrip(),
