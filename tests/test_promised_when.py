@@ -84,3 +84,18 @@ def test_what_depends_on_no_temperature_names_none() -> None:
     said = c.predicted_accuracy(c.to_sensor([[1.0, 2.0, 3.0]])[0])
     assert (said.temperature_c, said.time_s) == (None, None)
     assert "°C" not in str(said)
+
+
+def test_a_region_is_promised_for_the_end_of_its_own_run() -> None:
+    """Catches a promise of 12 mm where the run of the region was taken a week after that of the workspace: what may
+    drift was carried back to the first run's end."""
+    robot, columns, _ = delta(2, {}, {})
+    whole = pl.DataFrame(columns)
+    near = (pl.col("x_mm") - whole["x_mm"].mean()) ** 2 + (pl.col("y_mm") - whole["y_mm"].mean()) ** 2 < 15.0**2  # type: ignore[operator]
+    promised = []
+    for later in (0.0, 7 * 86400.0):
+        local = whole.filter(near).with_columns(time_s=pl.col("time_s") + later)
+        made = sk.calibrate(robot, whole, local, correction="none").calibration
+        inside = made.forward_batch(local.select("q1_mm", "q2_mm", "q3_mm").to_numpy()[:5]).require()
+        promised.append(made.predicted_accuracies(inside).total_mm)
+    np.testing.assert_allclose(promised[1], promised[0], rtol=1e-6)

@@ -367,6 +367,9 @@ def test_predicted_accuracy_holds() -> None:
     noise = made.left_of(made.whole, told)[1]
     assert 0.90 < (length < np.hypot(promised.radius_mm, noise)).mean() < 0.99
     assert (length < promised.visit_mm).mean() > 0.95
+    # lengths at the end of the tool, and no milliradians
+    assert str(promised[0]).count(" µm") >= 2
+    assert "mrad" not in str(promised[0])
 
 
 # -- straightness and the camera's place ---------------------------------------------------------------------------

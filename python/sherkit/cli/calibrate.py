@@ -14,7 +14,6 @@ from ..base.figures import in_people_units, in_small_units, listed, number, with
 from ..calibration import CORRECTIONS, Result, to_json
 from ..calibration import calibrate as run_calibration
 from ..data import Measurements
-from ..data.columns import unit_in
 from ..data.stream import joined
 from ..errors import MeasurementError, SherkitError
 from ..fit.least_squares import LOSSES
@@ -275,7 +274,7 @@ def print_accuracy(calibration: Calibration) -> None:
     """Predicted accuracy at the centre and at the rims, against what the robot is for: what the poses show, what could
     hide between them, and what to measure against that."""
     needed = required_um(calibration.robot)
-    unit, factor = in_small_units(unit_in(calibration.coordinates[0]))
+    unit, factor = in_small_units(calibration.accuracy_unit)
     made = table(
         f"Predicted accuracy{f' (target: {needed:g} µm)' if needed else ''}",
         "at",

@@ -16,7 +16,6 @@ from bokeh.models import GridPlot
 
 from ..base.figures import CALIBRATED, in_people_units, in_small_units, listed, state_with, stated, with_error
 from ..calibration import Result
-from ..data.columns import unit_in
 from ..data.files import write_whole
 from ..diagnosis import Diagnosis
 from ..diagnosis.findings import plausibility
@@ -329,7 +328,7 @@ def _accuracy_lines(calibration: Calibration | None) -> list[tuple[str, str, str
     if calibration is None:
         return []
     out = []
-    unit, factor = in_small_units(unit_in(calibration.coordinates[0]))
+    unit, factor = in_small_units(calibration.accuracy_unit)
     digits = ".1f" if unit == "µm" else ".3g"
     for name, place in calibration.places():
         try:

@@ -133,8 +133,7 @@ class PredictedAccuracies:
         sizes = (float(self.radius_mm[row]), float(self.addition_mm[row]), float(self.visit_mm[row]))
         said = ("", "") if one is None else (one.name, self._advice(one))
         far = 0.0 if self.beyond is None else float(np.nan_to_num(self.beyond[row]))
-        unit = unit_in(self.coordinates[0]) or "mm"
-        return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s, unit, far)
+        return PredictedAccuracy(*sizes, *said, self.temperature_c, self.time_s, self.unit, far)
 
     def _advice(self, one: Hiding) -> str:
         """Where to measure, and what it would bring; nothing where that is next to nothing."""
@@ -237,7 +236,8 @@ class Accurate(Deployed):
         where, now = self.frame_of(frame), self._now(temperature_c)
         out = np.empty((len(coordinates), *self.whole.residual_covariance.shape))
         for part, here in self._ruled(coordinates):
-            columns = np.where(self.counted(part, where), self.by_values(part, joints[here], now), 0.0)
+            at = self.moment_of(part, now)
+            columns = np.where(self.counted(part, where), self.by_values(part, joints[here], at), 0.0)
             left = self.left_at(part, coordinates[here])
             out[here] = columns @ part.covariance @ columns.transpose(0, 2, 1) + left
         return out
@@ -249,6 +249,12 @@ class Accurate(Deployed):
     @abstractmethod
     def planes(self, per_side: int) -> Planes:
         """Planes of the workspace, or of what was measured, with ``per_side`` points along each side."""
+
+    @property
+    def accuracy_unit(self) -> str:
+        """The unit of what is promised: that of the coordinates; lengths where these are angles of a tool that is
+        :attr:`reach_mm` long."""
+        return unit_in(self.coordinates[0]) or "mm"
 
     @property
     def reach_mm(self) -> float:
@@ -340,9 +346,11 @@ class Accurate(Deployed):
         radius, addition, visit = (np.full(len(x), np.nan) for _ in range(3))
         worst: list[Hiding | None] = [None] * len(x)
         known = self.spread(x[rows], joints, frame=where, temperature_c=temperature_c)
-        ruled, now = self._ruled(x[rows]), self._now(temperature_c)[:2]
+        ruled, loop = self._ruled(x[rows]), self._now(temperature_c)[:2]
+        now = loop
         far, whole, scatter = self.beyond_poses(x[rows], joints), np.empty_like(known), np.empty_like(known)
         for part, here in ruled:
+            now = self.moment_of(part, loop)
             known[here] += (self.grown(part, far[here]) - 1.0)[:, None, None] * self.left_at(part, x[rows[here]])
             if direction is None:
                 known[here] += self._either_side(part, joints[here], now)
@@ -364,7 +372,7 @@ class Accurate(Deployed):
         outside[rows] = far
         return PredictedAccuracies(
             radius, addition, visit, tuple(worst), inverse.reached, inverse.why, self.coordinates, *when,
-            beyond=outside,
+            self.accuracy_unit, outside,
         )  # fmt: skip
 
     def _when(self, parts: Sequence[IdentifiedModel], now: Sequence[float]) -> tuple[float | None, float | None]:

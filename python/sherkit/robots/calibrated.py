@@ -214,7 +214,7 @@ class Calibration(Shown, Accurate):
         joints = np.stack([vector(one, "joint readings", self._joints) for one in (start, end)])
         x = self.forward_batch(joints, temperature_c=temperature_c).require("end of the move")
         part: Any = self.part_at(x[0])
-        now = self._now(temperature_c)
+        now = self.moment_of(part, self._now(temperature_c))
         columns = np.where(self.counted(part, where), self.by_values(part, joints, now), 0.0)
         way = (columns[1] - columns[0])[None]
         left = self.left_at(part, x) * self.grown(part, self.beyond_poses(x, joints))[:, None, None]

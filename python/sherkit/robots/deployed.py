@@ -314,6 +314,10 @@ class Deployed(Saved, ABC):
             now[2:] = [float(d) for d in vector(direction, "direction", self._joints)]
         return now
 
+    def moment_of(self, part: Any, now: list[float]) -> list[float]:
+        """These covariates at the end of a part's own run: each counts from when it was measured."""
+        return [part.now[0], *now[1:]]
+
     @property
     def _joints(self) -> int:
         return len(self.whole.now) - 2

@@ -190,6 +190,11 @@ class SphericalCalibration(Calibration):
         return _across(by_angles @ linalg.solve(by_joints, missed), angles)
 
     @property
+    def accuracy_unit(self) -> str:
+        """How far the end of the tool is off."""
+        return "mm"
+
+    @property
     def reach_mm(self) -> float:
         """The identified radius: an angle across the tool moves its end by as much."""
         return self.radius_mm
