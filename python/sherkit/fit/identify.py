@@ -407,7 +407,7 @@ def _fitted(
         values = beginning(model, data, weights) if start is None else model.starting_at(start)
         # what begins at another fit is near its minimum, or has none
         most, roughly = (_EVALUATIONS, _EVALUATIONS) if start is None else (NEAR, ROUGHLY)
-        if known and (priors or noise.origin == "unknown"):
+        if known:
             ratio, near = noise_ratio(problem, weights, values, loss=loss, priors=priors, linear=linear, most=roughly)
             if noise.origin != "unknown":
                 # what the model lacks is no noise, and bends the robot as if it were: the drawing is weighed against it
