@@ -43,13 +43,14 @@ from sherkit.report.picture import Picture
 from sherkit.report.residual_against import ResidualAgainst, noise_picture, residual_against, run_in_time
 from sherkit.report.residual_arrows import SCALES, Change, Sheet
 from sherkit.report.residual_map import Reprojection, reprojection, residual_map, still
-from sherkit.report.residuals import Residuals, residuals_of
+from sherkit.report.residuals import ModelState, Residuals, residuals_of
 from sherkit.report.states import (
     ErrorHistory,
     ErrorOfStep,
     current_path,
     error_history,
     error_history_of,
+    states_so_far,
 )
 from sherkit.robots.delta.robot import paper_whole
 from sherkit.robots.tool.pictures import EstimateOverTime, estimate_picture
@@ -485,6 +486,21 @@ def test_what_the_effect_explains(demo: Run) -> None:
     (panel,) = (f for f in plots(made) if f.yaxis[0].axis_label == "x, µm")
     lines = [s.location for s in panel.select({"type": Span})]
     assert sorted(lines) == pytest.approx([-2 * demo.found.noise["x"], 0, 2 * demo.found.noise["x"]])
+
+
+def test_the_noise_is_the_diagnosis_s_in_every_state(demo: Run) -> None:
+    """Catches lines of the noise that stay where they were drawn first, and a state beside the noise of its own fit:
+    with play in the machine that holds what the play moves."""
+    known = replace(demo.found, noise={axis: 1.1 * one for axis, one in demo.found.noise.items()})
+    before, after = (ModelState("", fit, known).left for fit in (demo.fit, demo.study.fit))
+    assert before.noise.tolist() == after.noise.tolist() == list(known.noise.values())
+    assert {one.left.noise_size for one in states_so_far(demo.study, known).values()} == {known.noise_size}
+    assert ModelState("", demo.fit).left is demo.before
+    made = residual_against(ResidualAgainst(demo.after, "time_s", demo.before))
+    made.show(ResidualAgainst(after, "time_s", before))
+    for panel, noise in zip(plots(made), after.noise, strict=True):
+        lines = sorted(one.location for one in panel.select({"type": Span}))
+        assert lines == pytest.approx([-2 * noise, 0, 2 * noise])
 
 
 def test_marked_outliers_stay_in_sight(demo: Run) -> None:

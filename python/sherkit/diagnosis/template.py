@@ -71,12 +71,12 @@ def _where(shape: Mapping[str, Any]) -> str:
 
 
 def _how(shape: Mapping[str, Any]) -> str:
-    what = " and ".join(shape["depends_on"])
+    what, unit = " and ".join(shape["depends_on"]), unit_in(shape["depends_on"][0])
     # what is only told from the rest, as a course that no polynomial names, has no order
     order = f" (order {shape['order']})" if shape["order"] else ""
     return {
         "smooth": f"varies smoothly{order} with {what}",
-        "periodic": f"repeats with {what}, period {shape['period'] or 0.0:.3g} {unit_in(shape['depends_on'][0])}".rstrip(),
+        "periodic": f"repeats with {what}, period {shape['period'] or 0.0:.3g} {unit}".rstrip(),
         "step": f"steps at {what} = {shape.get('at') or 0.0:.0f}",
         "kink": f"has another slope from {what} = {shape.get('at') or 0.0:.4g} on",
         "bump": f"has a bump about {what} = {shape.get('at') or 0.0:.4g}, {shape.get('width') or 0.0:.2g} wide (sd)",

@@ -103,9 +103,10 @@ def hover(renderers: list[Any], *lines: tuple[str, str]) -> HoverTool:
     return HoverTool(renderers=renderers, tooltips=list(lines), description="numbers on hover", visible=False)
 
 
-def rule(made: Any, dimension: str, at: float, **line: Any) -> None:
+def rule(made: Any, dimension: str, at: float, **line: Any) -> Span:
     """A line through the whole of a figure, along its "width" or "height"."""
-    made.add_layout(Span(location=at, dimension=dimension, **{"line_color": MUTED, **line}))
+    made.add_layout(one := Span(location=at, dimension=dimension, **{"line_color": MUTED, **line}))
+    return one
 
 
 def legend(made: Any, place: str = "right") -> None:
