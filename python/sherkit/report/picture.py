@@ -226,8 +226,8 @@ def sources_of(tables: Tables) -> dict[str, ColumnDataSource]:
 def stacked(
     name: str, figures: list[Any], *, columns: int = 1, heading: UIElement | None = None, sizing_mode: Any = None
 ) -> LayoutDOM:
-    """Figures in a grid with one toolbar, which saves the whole picture as PNG and SVG."""
-    for one in figures:
+    """Figures in a grid, or None for a free place, with one toolbar, which saves the whole picture as PNG and SVG."""
+    for one in filter(None, figures):
         _lean(one)
     grid = gridplot(
         [figures[k : k + columns] for k in range(0, len(figures), columns)],
