@@ -426,8 +426,8 @@ def test_planes_side_by_side_share_an_axis(demo: Run) -> None:
 
 @pytest.mark.parametrize("planes", [3, 5])
 def test_panels_stand_where_there_is_room_and_say_all(planes: int) -> None:
-    """Catches panels beyond the edge, a colour scale that is off the page with them, titles that are cut, ticks that run
-    into one another, and places at any height taken for planes."""
+    """Catches panels beyond the edge, a colour scale that is off the page with them, titles that are cut, ticks that
+    run into one another, and places at any height taken for planes."""
     rng = np.random.default_rng(planes)
     place = rng.uniform(-70.0, 70.0, (60, 3))
     wide = Residuals.at(dict(zip(("x_mm", "y_mm", "z_mm"), place.T, strict=True)), place, ("x", "y", "z"), "µm")
