@@ -102,13 +102,11 @@ def mechanism_with_change(found: Comparison) -> tuple[Scene, str] | None:
         return None
     if len(frames) == 1 or not moves > _ROUNDING_MM:
         return None
-    drawn_in = frames[0][1].unit
     names = " and ".join(found.changed)
-    scene = Scene(f"The machine with {names} changed, exaggerated", frames, begin, unit=drawn_in)
-    unit, times = ("µm", 1e3) if drawn_in == "mm" else (drawn_in, 1.0)
+    scene = Scene(f"The machine with {names} changed, exaggerated", frames, begin)
     read = (
         f"Grey: as before. In colour: with what has changed of {names}, so much larger that it can be seen (slider). "
-        f"As it is, it moves what is read by {number(times * moves)} {unit} at this pose, "
+        f"As it is, it moves what is read by {number(1e3 * moves)} µm at this pose, "
         f"{row.counted} {row.line[0]} of the last run."
     )
     return scene, read
