@@ -17,7 +17,7 @@ import polars as pl
 import pytest
 from bokeh.document import Document
 from bokeh.embed import json_item
-from bokeh.models import Axis, CategoricalAxis, ColorBar, Label, Legend, Plot, Span, Title
+from bokeh.models import Axis, CategoricalAxis, ColorBar, GlyphRenderer, Label, Legend, Plot, Span, Title
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -779,6 +779,17 @@ def test_estimate_says_that_it_is_thinned() -> None:
     assert "50000" in estimate_picture(tool(50_000)).note
     assert "lowest and highest" in estimate_picture(tool(50_000)).note
     assert "lowest and highest" not in estimate_picture(tool(500)).note
+
+
+def test_the_truth_is_seen_and_a_break_is_said() -> None:
+    """Catches a truth that an estimate which is right hides, and a line that breaks without a word."""
+    state = tool(500)
+    (truth,) = estimate_picture(state).root.select({"type": GlyphRenderer, "level": "annotation"})
+    assert truth.glyph.y == f"other_{[*state.others].index('truth')}"
+    told = replace(state, innovation=np.ones(500))
+    assert "breaks" not in estimate_picture(told).note
+    told.innovation[100:200] = np.nan
+    assert "breaks where" in estimate_picture(told).note
 
 
 def test_estimate_without_numbers() -> None:
