@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 import sherkit as sk
 from running import slow
 from second_simulator import NOMINAL_CONFIG, Robot, draw_geometric_errors, inverse_kinematics, truth
+from sherkit.app.views import idle
 from sherkit.evidence.fitted_run import FittedRun
 from sherkit.evidence.run import Run
 from sherkit.model.chain import ChainModel
 from sherkit.model.sensor_pose import POSE
+from sherkit.planning import Planning
 from strategies import EXAMPLE
 
 Floats = NDArray[np.float64]
@@ -248,8 +250,9 @@ def test_a_bar_that_is_longer_than_it_says_is_named(zero: float, lean: float, na
     assert {"beam_alignment", "sensor_linearity", "sensor_slip", "drift", "backlash"} <= set(d.untestable)
 
 
-def test_where_places_are_read_nobody_asks_for_a_bar() -> None:
-    """Catches a bar among the candidates of a run that has none, and among what a promise counts with."""
+def test_where_places_are_read_a_bar_cannot_be_tried() -> None:
+    """Catches a bar among the candidates of a run that has none, one of which nothing is said, one that a plan promises
+    to miss, and one among what a promise counts with."""
     rng = np.random.default_rng(9)
     q = places(rng, 200)
     columns = {f"q{k + 1}_mm": q[:, k] for k in range(3)} | {"time_s": np.arange(200.0)}
@@ -257,5 +260,9 @@ def test_where_places_are_read_nobody_asks_for_a_bar() -> None:
     at = truth(ROBOT, columns | now) + SIGMA_MM * rng.normal(size=(200, 3))
     data = sk.from_frame(columns | {f"{a}_mm": at[:, k] for k, a in enumerate("xyz")})
     d = sk.diagnose(UNKNOWN, data)
-    assert "bar_zero" not in {*d.untestable, *(c.effect for c in d.candidates)}
+    assert "bar_zero" not in {c.effect for c in d.candidates}
+    assert d.untestable["bar_zero"] == "it needs the column distance_mm"
+    assert "bar_zero" in idle(d)
+    (planned,) = (one for one in Planning(d.fit.model, data, SIGMA_MM).effect_powers if one.name == "bar_zero")
+    assert planned.missing_columns == ("distance_mm",)
     assert "bar_zero" not in sk.delta.DeltaModel(EXAMPLE).may_be_off

@@ -281,6 +281,9 @@ def test_effects_run_in_the_loop_as_in_the_second_simulator(
     )
     back = c.inverse(expected, temperature_c=temperature, direction=direction)
     np.testing.assert_allclose(back, q, rtol=0, atol=1e-6)
+    for many, one in ((c.forward_batch, c.forward), (c.jacobian_batch, c.jacobian)):
+        told = many([q], temperature_c=temperature, direction=direction).require()[0]
+        np.testing.assert_array_equal(told, one(q, temperature_c=temperature, direction=direction))
 
 
 def test_covariates_left_out_are_those_of_the_run() -> None:

@@ -18,6 +18,7 @@ import sherkit as sk
 import worlds
 from changed_worlds import ArmPair, DeltaPair, SphericalPair, truth_of_change
 from running import command, slow
+from sherkit.base.figures import number
 from sherkit.cli import main
 from sherkit.errors import FitError, MeasurementError
 from sherkit.model.kinds import kind_of
@@ -33,8 +34,9 @@ def bumped() -> DeltaPair:
 
 
 def test_the_parameter_that_moved_is_named_with_its_size(bumped: DeltaPair) -> None:
-    """Catches another name, a size that is not the true one, a tracker that is blamed on the robot, and a stand that is
-    not told."""
+    """Catches another name, a size that is not the true one, a tracker that is blamed on the robot, a stand that is
+    not told, advice that its command does not follow, a shape told beside the name of what has it, and a first run that
+    is off by another figure in each place."""
     found = bumped.compare()
     assert (found.verdict, found.changed) == ("changed", ("base_angle_2",))
     moved = found.parameters[0]
@@ -43,6 +45,13 @@ def test_the_parameter_that_moved_is_named_with_its_size(bumped: DeltaPair) -> N
     assert found.error["after"] > 2.0 * found.error["before"]  # type: ignore[operator]
     assert np.linalg.norm([v for k, v in next(iter(found.stand.values())).items() if k.startswith("turn")]) > 5.0
     assert "base_angle_2" in found.advice
+    # the command identifies all of it: it knows nothing of what the others were
+    (to_do,) = found.answer.to_do
+    assert ("alone" in to_do.sentence) == ("--free" in to_do.command) is False
+    assert found.where == ""
+    assert found.joined is not None
+    first = found.joined.fit.error.rms
+    assert found.error["before"] == first
 
 
 @pytest.mark.parametrize(
@@ -503,8 +512,8 @@ def _refused(capsys: pytest.CaptureFixture[str], *typed: str) -> str:
 
 
 def test_pictures_of_what_has_changed(bumped: DeltaPair) -> None:
-    """Catches a mechanism in which another part has moved, one that is drawn where nothing was named, and runs on
-    scales of their own."""
+    """Catches a mechanism in which another part has moved, one that is drawn where nothing was named, runs on
+    scales of their own, and a first run that is off by another figure than the answer says."""
     pytest.importorskip("bokeh", reason="pages need Bokeh")
     from sherkit.report.pages import before_and_after, mechanism_with_change
 
@@ -521,6 +530,8 @@ def test_pictures_of_what_has_changed(bumped: DeltaPair) -> None:
     assert [bool(np.abs(a - b).max() > 1.0) for a, b in zip(*rails, strict=True)] == [False, True, False]
     picture = before_and_after(found)
     assert {one.y_range.end for one, *_ in _figures(picture.root)} == {_figures(picture.root)[0][0].y_range.end}
+    first, *_ = _figures(picture.root)
+    assert first[0].title.text.startswith(f"before: {number(found.error['before'] or 0.0)} µm")
     assert picture.sources["run_2"].data["error"].mean() > 2.0 * picture.sources["run_1"].data["error"].mean()
     assert mechanism_with_change(DeltaPair(11).compare()) is None
 

@@ -24,10 +24,20 @@ from second_simulator.effects import EFFECTS as SIMULATED
 from second_simulator.effects import draw_effect
 from sherkit.cli import main
 from sherkit.data import Measurements
+from sherkit.errors import SherkitError
 from sherkit.model.effect import Effect
 from sherkit.model.kinds import kind_of, known_kinds, model_of
 from sherkit.report import notebook
-from sherkit.report.card import FACTORS, card_page, effect_card, exaggerated, joints_over, scene_of, scene_of_robot
+from sherkit.report.card import (
+    FACTORS,
+    card_page,
+    drawing_of,
+    effect_card,
+    exaggerated,
+    joints_over,
+    scene_of,
+    scene_of_robot,
+)  # fmt: skip
 from sherkit.report.residuals import ModelState
 from sherkit.report.scene import Arrows, Scene, space_of
 from strategies import EXAMPLE
@@ -222,7 +232,28 @@ def test_any_machine_is_drawn() -> None:
     for effect in model_of(machine).known_effects.values():
         made = exaggerated(effect, machine)
         assert made.moves_mm > 0, effect.name
+        assert {part.look for part in made.plain.parts} == {"ray", "target", "shown"}
+        assert len(made.factors) > 1
     assert "<sherkit-scene" in scene_of_robot(machine).html()
+
+
+def test_what_reads_no_places_is_not_drawn() -> None:
+    """Catches wires drawn as axes of a space, and a linkage that nobody described."""
+
+    def forward(joints: Any, p: Any) -> Any:
+        x, y = joints.T
+        return np.column_stack([np.hypot(x + 300.0 + p.left, y), np.hypot(x - 300.0, y - 40.0)])
+
+    readings = ("wire_left_mm", "wire_right_mm")
+    machine = sk.Machine(forward, ("a_mm", "b_mm"), readings, {"left": ("mm", 1.0)}, name="wires")
+    joints = np.random.default_rng(0).uniform(-50.0, 50.0, (30, 2))
+    read = forward(joints, SimpleNamespace(left=0.1))
+    fit = sk.identify(machine, sk.from_frame(pl.DataFrame(np.hstack([joints, read]), ("a_mm", "b_mm", *readings))))
+    assert space_of(ModelState("before", fit), ModelState("now", fit)) is None
+    said = drawing_of(model_of(machine).known_effects["backlash"], machine, None)
+    assert "It cannot be drawn here: what is read (wire_left_mm, wire_right_mm) is no place" in said
+    with pytest.raises(SherkitError, match="nobody says how the machine is joined"):
+        scene_of_robot(machine)
 
 
 # -- pages -------------------------------------------------------------------------------------------------------
@@ -446,10 +477,10 @@ def test_a_scene_of_an_effect_begins_where_it_is_seen() -> None:
 
 
 def test_a_drawing_that_shows_nothing_is_not_shown(tmp_path: Path) -> None:
-    """Catches a card whose drawing does not move, with a slider that does nothing."""
+    """Catches a card with a slider that does nothing: of a printer a number is read, and no place."""
     picture = tmp_path / "lean.html"
     with pytest.raises(SystemExit):
         main(["effects", "rail_lean", "--picture", str(picture)])
     cards = picture.read_text(encoding="utf-8").split('<section class="effect-card"')[1:]
     assert ["data-scene" in card.partition("</section>")[0] for card in cards] == [True, False]
-    assert "It moves nothing that a drawing of this machine shows." in cards[1]
+    assert "It cannot be drawn here: what is read (measured_mm) is no place" in cards[1]

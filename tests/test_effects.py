@@ -41,7 +41,7 @@ EXPECTED = {
     "beam_alignment": (9, "sensor", ()),
     "sensor_linearity": (3, "sensor", ()),
     "sensor_slip": (6, "sensor", ("time_s",)),
-    "bar_zero": (1, "sensor", ()),
+    "bar_zero": (1, "sensor", ("distance_mm",)),
 }
 #: Those of the simulator: the second waves of all joints are one, and go with the first.
 SECOND = "encoder_second"

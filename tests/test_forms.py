@@ -75,6 +75,27 @@ def test_the_best_known_combination_is_said_where_no_form_holds() -> None:
     assert "best known" in one.sentence
 
 
+@pytest.mark.parametrize("sigmas", [1.4, 40.0])
+def test_a_combination_that_says_nothing_is_not_said(sigmas: float) -> None:
+    """Catches a sum that may as well be zero in the first line of a report, and one of five parts, which nobody reads;
+    both are kept for programs."""
+    along = np.array([1.0, 0.0, 0.8, 0.0, 0.7, 0.0])
+    five = np.array([0.4, -1.0, 0.9, 0.8, -0.9, 0.7])
+    axes = [one / np.linalg.norm(one) for one in (along, five - along * (five @ along) / (along @ along))]
+    covariance = 1e-5 * np.eye(6)
+    covariance -= sum((1e-5 - std**2) * np.outer(one, one) for one, std in zip(axes, (1e-4, 2e-4), strict=True))
+    values = 1e-4 * sigmas * axes[0] + 2e-2 * axes[1]
+    one = simplest_form(fit_with(values, covariance), RAIL_LEAN)
+    assert one is not None
+    assert (one.form, [value.parts for value in one.values]) == ("combination", [3, 5])
+    assert one.short.startswith(
+        "best known: radial_1 + 0.8 radial_2 +" if sigmas > 3.0 else "known of all limbs together, of none alone"
+    )
+    assert len(one.short) < 80
+    assert one.sentence.count("to better than") == 1
+    assert [value["what"].count("_") for value in one.to_json()["values"]] == [3, 5]
+
+
 def test_a_combination_is_known_as_it_is_written() -> None:
     """Catches parts that are left out or rounded in the words while the deviation is that of all of them: z to 8. 40
     covariances of which three directions are known, seed 3."""

@@ -24,6 +24,7 @@ from sherkit.cli import main
 from sherkit.fit.error import ErrorSize
 from sherkit.model.kinds import known_kinds, robot_from_tables
 from sherkit.report.residuals import residuals_of
+from sherkit.report.states import states_so_far
 
 #: Each robot with what is planted in its run, and where and how often it is read.
 ROBOTS = {
@@ -172,6 +173,9 @@ def test_what_an_effect_moves_between_repeats_is_no_noise(tmp_path: Path) -> Non
     noise = found.noise_size
     assert noise == pytest.approx(4.0 * np.sqrt(3), rel=0.06)
     assert raw > 2.0 * noise
+    assert [len(known) for known in (states_so_far(study), states_so_far(study, found))] == [2, 2]
+    for one in states_so_far(study, found).values():
+        same(one.left.noise_size, noise)
     same(residuals_of(study.fit).noise_size, noise)
     assert study.fit.scale == pytest.approx(1.0, abs=0.1)
     _, out, _ = command(tmp_path, "diagnose", "robot.toml", "run.csv", "--report", "report.html")

@@ -17,7 +17,7 @@ import polars as pl
 import pytest
 from bokeh.document import Document
 from bokeh.embed import json_item
-from bokeh.models import Axis, CategoricalAxis, ColorBar, Label, Legend, Plot, Span, Title
+from bokeh.models import Axis, CategoricalAxis, ColorBar, GlyphRenderer, Label, Legend, Plot, Span, Title
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -41,15 +41,16 @@ from sherkit.report.parameters import (
 )
 from sherkit.report.picture import Picture
 from sherkit.report.residual_against import ResidualAgainst, noise_picture, residual_against, run_in_time
-from sherkit.report.residual_arrows import SCALES, Change, Sheet
+from sherkit.report.residual_arrows import SCALES, Change, Sheet, cut
 from sherkit.report.residual_map import Reprojection, reprojection, residual_map, still
-from sherkit.report.residuals import Residuals, residuals_of
+from sherkit.report.residuals import ModelState, Residuals, residuals_of
 from sherkit.report.states import (
     ErrorHistory,
     ErrorOfStep,
     current_path,
     error_history,
     error_history_of,
+    states_so_far,
 )
 from sherkit.robots.delta.robot import paper_whole
 from sherkit.robots.tool.pictures import EstimateOverTime, estimate_picture
@@ -423,6 +424,33 @@ def test_planes_side_by_side_share_an_axis(demo: Run) -> None:
     assert sum(one.frame_width for one in figures[:3]) <= 730
 
 
+@pytest.mark.parametrize("planes", [3, 5])
+def test_panels_stand_where_there_is_room_and_say_all(planes: int) -> None:
+    """Catches panels beyond the edge, a colour scale that is off the page with them, titles that are cut, ticks that
+    run into one another, and places at any height taken for planes."""
+    rng = np.random.default_rng(planes)
+    place = rng.uniform(-70.0, 70.0, (60, 3))
+    wide = Residuals.at(dict(zip(("x_mm", "y_mm", "z_mm"), place.T, strict=True)), place, ("x", "y", "z"), "µm")
+    assert len(cut(wide).names) == 3
+    flat = replace(wide, place={**wide.place, "z_mm": np.repeat(20.0 * np.arange(planes), 60 // planes)})
+    called = ("geometry calibrated", "+ rail_lean + thermal_growth")
+    for left, count in ((wide, 3), (flat, planes)):
+        made = residual_map(Change(left, left, *called), planes_across=True, width_px=730)
+        grid = made.root.children
+        assert len(grid) == 2 * count
+        rows = {row: [one for one, at, *_ in grid if at == row] for _, row, *_ in grid}
+        for row in rows.values():
+            assert sum(one.frame_width for one in row) <= 730
+            assert row[0].yaxis[0].visible
+            assert row[0].frame_width / row[0].xaxis[0].ticker.desired_num_ticks > 50
+        assert len([row for row in rows.values() if list(row[-1].select({"type": ColorBar}))]) == 2
+        for k in range(count):
+            for moment, title in zip(("before", "after"), called, strict=True):
+                *said, _ = (lines := made.sources[f"{moment}_{k}_key"].data["title"][0].split("\n"))
+                assert max(map(len, lines)) <= row[0].frame_width / 10
+                assert " ".join(said).startswith(title)
+
+
 def test_no_circle_where_the_noise_is_unknown(plane: Run) -> None:
     """Catches a noise that nobody knows, drawn."""
     made = residual_map(change(plane))
@@ -485,6 +513,23 @@ def test_what_the_effect_explains(demo: Run) -> None:
     (panel,) = (f for f in plots(made) if f.yaxis[0].axis_label == "x, µm")
     lines = [s.location for s in panel.select({"type": Span})]
     assert sorted(lines) == pytest.approx([-2 * demo.found.noise["x"], 0, 2 * demo.found.noise["x"]])
+
+
+def test_the_noise_is_the_diagnosis_s_in_every_state(demo: Run) -> None:
+    """Catches lines of the noise that stay where they were drawn first, and a state beside the noise of its own fit:
+    with play in the machine that holds what the play moves."""
+    study = demo.study
+    known = replace(demo.found, noise={axis: 1.1 * one for axis, one in demo.found.noise.items()})
+    before, after = (ModelState("", fit, known).left for fit in (demo.fit, study.fit))
+    assert before.noise.tolist() == after.noise.tolist() == list(known.noise.values())
+    assert {one.left.noise_size for one in states_so_far(study, known).values()} == {known.noise_size}
+    assert ModelState("", demo.fit).left is demo.before
+    made = residual_against(ResidualAgainst(demo.after, "time_s", demo.before))
+    made.show(ResidualAgainst(after, "time_s", before))
+    for panel in plots(made):
+        noise = known.noise[panel.yaxis[0].axis_label[0]]
+        lines = sorted(one.location for one in panel.select({"type": Span}))
+        assert lines == pytest.approx([-2 * noise, 0, 2 * noise])
 
 
 def test_marked_outliers_stay_in_sight(demo: Run) -> None:
@@ -734,6 +779,17 @@ def test_estimate_says_that_it_is_thinned() -> None:
     assert "50000" in estimate_picture(tool(50_000)).note
     assert "lowest and highest" in estimate_picture(tool(50_000)).note
     assert "lowest and highest" not in estimate_picture(tool(500)).note
+
+
+def test_the_truth_is_seen_and_a_break_is_said() -> None:
+    """Catches a truth that an estimate which is right hides, and a line that breaks without a word."""
+    state = tool(500)
+    (truth,) = estimate_picture(state).root.select({"type": GlyphRenderer, "level": "annotation"})
+    assert truth.glyph.y == f"other_{[*state.others].index('truth')}"
+    told = replace(state, innovation=np.ones(500))
+    assert "breaks" not in estimate_picture(told).note
+    told.innovation[100:200] = np.nan
+    assert "breaks where" in estimate_picture(told).note
 
 
 def test_estimate_without_numbers() -> None:

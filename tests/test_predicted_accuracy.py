@@ -161,13 +161,15 @@ def test_a_place_out_of_reach_is_promised_nothing(blind: DeltaCalibration) -> No
 
 
 def test_lost_motion_counts_where_the_side_is_not_given() -> None:
-    """Catches a promise for the middle of the backlash, where the robot never is: it stops half a width beside it."""
+    """Catches a promise for the middle of the backlash, where the robot never is: it stops half a width beside it; and
+    a sign other than the documented one: at one reading a width of 0.04 stands farther where it came upwards."""
     made = calibrated(run_at(box(80)(1), {"backlash": [0.04, 0.04, 0.04]})[0], effects=["backlash"])
     x = [3.0, 4.0, -5.0]
     assert made.accuracy(x) > 0.02
     assert made.accuracy(x, direction=[1.0, -1.0, 1.0]) < 0.01
     up, down = (made.inverse(x, direction=np.full(3, side)) for side in (1.0, -1.0))
     np.testing.assert_allclose(down - up, 0.04, atol=0.004)
+    assert made.by_name["backlash.width_1"] == pytest.approx(0.04, abs=0.004)
 
 
 @pytest.mark.slow

@@ -441,7 +441,8 @@ def test_growth_of_all_links_alike_is_tied_with_that_of_the_whole(ur5: Serial) -
 
 
 def test_what_hangs_is_told_to_the_loop(ur5: Serial) -> None:
-    """Catches a payload that is lost between the run and the calibrated arm."""
+    """Catches a payload that is lost between the run and the calibrated arm, or in its promise: the deviations of what
+    gives way count by what hangs."""
     data = simulated(ur5, 3, 120, sags=1e-4)
     made = sk.calibrate(ur5, data, effects=["payload_compliance"]).calibration
     virtual = SecondArm.simulated(ur5, 3, 1.0, PLAIN).with_hidden(sags=1e-4)
@@ -453,6 +454,10 @@ def test_what_hangs_is_told_to_the_loop(ur5: Serial) -> None:
     place = made.forward(q, payload_kg=5.0)
     back = made.inverse(place, payload_kg=5.0, start=q)
     np.testing.assert_allclose(made.forward(back, payload_kg=5.0), place, atol=1e-8)
+    promised = made.accuracy(place, payload_kg=5.0)
+    assert promised > made.accuracy(place) == made.accuracy(place, payload_kg=0.0)
+    assert made.accuracy_batch(place[None], payload_kg=5.0).require()[0] == promised
+    assert made.predicted_accuracy(place, payload_kg=5.0).total_mm == promised
 
 
 def test_where_nothing_is_hidden_nothing_is_found(ur5: Serial) -> None:

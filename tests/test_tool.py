@@ -191,6 +191,16 @@ def test_table_one(estimates: dict[tuple[str, str], list[Estimate]]) -> None:
                 assert told.of("filter").t0 < (1.0 - least) * told.of(sensor).t0
 
 
+def test_no_filter_is_told_twice(estimates: dict[tuple[str, str], list[Estimate]]) -> None:
+    """Catches two lines of one filter, in the errors or in what it knows of them, and one that is missing where it is
+    another."""
+    for noise, several in (("propagated", False), ("ebrahimi_2020", True)):
+        e = estimates["phantom", noise][0]
+        for told in (judge(e)[0].errors, known(e)):
+            assert ("filter of both" in {one.signal for one in told}) == several
+            assert "filter" in {one.signal for one in told}
+
+
 def test_the_propagated_noise_is_better(estimates: dict[tuple[str, str], list[Estimate]]) -> None:
     """Catches noise that follows the force but loses to a step at 50 mN, on the same T0 and T1 (those of the step)."""
     for name in EXPERIMENTS:

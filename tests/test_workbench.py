@@ -64,6 +64,7 @@ def test_a_change_is_shown_then_diagnosed_and_saved(bench: Workbench, tmp_path: 
     assert [m.diagnosis is None for m in moments] == [True, False]
     assert moments[0].effects == ("rail_lean",)
     assert moments[-1].diagnosis.verdict == "adequate"
+    assert moments[-1].now.noise_size == pytest.approx(moments[-1].diagnosis.noise_size)
     assert before.effects == ()
     with pytest.raises(FrozenInstanceError):
         before.effects = ("slip",)  # type: ignore[misc]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from ..data import Measurements
 from ..diagnosis import Diagnosis
 from ..model.effect import Effect
-from ..report.residuals import ModelState, Residuals, residuals_of
+from ..report.residuals import ModelState, Residuals
 from ..study import StudyStep
 
 
@@ -27,7 +27,7 @@ HISTORY, LINES, FILES, ROWS, EXPORTS = "history", "lines", "files", "rows", "exp
 @dataclass(frozen=True, eq=False)
 class PageState:
     """The study as it stands: model, rows and history, by the number of their step the ``states`` that can be compared,
-    and a diagnosis where it is done.
+    and a diagnosis where it is done: until then the noise is that of the last one.
 
     ``without`` is the error held out that the model would leave without each of its effects, known with the diagnosis;
     so are the ``drawings``, as HTML, of the user's own effects that are in the model or named: a page never asks lines
@@ -57,6 +57,4 @@ class PageState:
     @property
     def now(self) -> Residuals:
         """What the current model leaves."""
-        fit = self.history[-1].fit
-        assert fit is not None  # the current step always has one
-        return residuals_of(fit)
+        return [*self.states.values()][-1].left

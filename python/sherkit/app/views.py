@@ -266,7 +266,7 @@ class Maps:
         if self._history != page_state.history:
             self._history = page_state.history
             self._fill(page_state)
-            self._draw()
+        self._draw()
 
     def _fill(self, page_state: PageState) -> None:
         steps = [(str(k), state.title) for k, state in page_state.states.items()]

@@ -63,6 +63,8 @@ class Workbench:
         self._typed = typed or Typed(folder / TYPED)
         self._typed.look = self._worker.look
         self._number = 0
+        #: The last diagnosis: what it knows of the noise holds until the next one.
+        self._found: Diagnosis | None = None
         self._warned: set[str] = set()
         self._followed: tuple[int, int] | None = None
         #: Rows that the run had when it was followed last.
@@ -166,7 +168,7 @@ class Workbench:
                 return
             try:
                 step = self._step("diagnosing")
-                found = self._study.diagnose(step=step)
+                found = self._found = self._study.diagnose(step=step)
                 if self._study.history[-1] is not self.page_state.history[-1]:
                     # other rows are left out now
                     self.page_state = self._page_state()
@@ -175,7 +177,10 @@ class Workbench:
                     step(f"without {name}")
                     without[name] = self._study.without(name).error.rms
                 drawings = self._drawings(found, step)
-                self.page_state = replace(self.page_state, diagnosis=found, without=without, drawings=drawings)
+                self.page_state = replace(
+                    self.page_state, states=states_so_far(self._study, found), diagnosis=found, without=without,
+                    drawings=drawings,
+                )  # fmt: skip
                 self._say("moment", self.page_state)
                 self._say_if_it_changed(found)
                 self.page_state = replace(self.page_state, space=self._space(step))
@@ -387,7 +392,7 @@ class Workbench:
             own=tuple(study.own),
             known={**study.model.known_effects, **study.model.held, **study.own},
             history=tuple(study.history),
-            states=states_so_far(study),
+            states=states_so_far(study, self._found),
             diagnosis=None,
             undoes=study.undoes,
             redoes=study.redoes,

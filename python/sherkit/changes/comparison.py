@@ -28,7 +28,7 @@ from .change_model import ParameterChange
 from .courses import Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
 from .pooled_fit import Joined
-from .vouching import error_in_another
+from .vouching import errors_of
 
 #: Changes that a line holds; of more the clearest stands for all.
 _FEW = 2
@@ -189,9 +189,10 @@ def concluded(pool: Pool) -> Comparison:
     before = joined.fit.error
     rows = [len(run.rows) for run in joined.runs[1:]]
     # each seen from where its sensor stands
-    after = float(np.sqrt(np.average([error_in_another(run) ** 2 for run in joined.runs[1:]], weights=rows)))
+    first, *later = errors_of(joined)
+    after = float(np.sqrt(np.average(np.square(later), weights=rows)))
     poses = next_poses(joined, ties) if len(ties) > 1 else ()
-    error = {"before": float(before.rms), "after": after, "needed": pool.needed}
+    error = {"before": first, "after": after, "needed": pool.needed}
     called = [_called(one, number) for one, number in zip(data, pool.numbers, strict=True)]
     if verdict == "unchanged":
         to_do = _zeros_moved(joined) or [unchanged_advice(float(before.rms), pool.needed, before.unit, joined)]
@@ -209,7 +210,7 @@ def concluded(pool: Pool) -> Comparison:
         next_poses=poses,
         evidence=made.evidence / float(np.log(10.0)),
         ranked=tuple((" & ".join(one.names), one.value / float(np.log(10.0))) for one in sets.every[:5]),
-        where=_where(made.base) if names else "",
+        where=_where(made.base) if verdict in ("partly explained", "unexplained") else "",
         advice="; ".join([*to_do, *pool.to_measure]),
         smallest_found=pool.smallest if verdict == "unchanged" else None,
         unseen=pool.unseen if verdict == "unchanged" else (),
@@ -289,7 +290,7 @@ def _advice(verdict: str, names: tuple[str, ...], tied: Sequence[tuple[str, ...]
         more = "measure the poses below as well" if proposed else "measure other poses as well"
         return f"{more}: these runs cannot tell {' from '.join(tied[0][:3])}; or calibrate again"
     if verdict == "changed":
-        return f"calibrate again {' and '.join(names)} alone: what is then left is {left:.2g} times the noise"
+        return f"calibrate again; with {' and '.join(names)} changed, what is left is {left:.2g} times the noise"
     return "calibrate again, all of it: no single change explains what is seen"
 
 

@@ -35,7 +35,7 @@ from .change_model import About
 from .courses import Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, unchanged_advice
 from .pooled_fit import Joined
-from .vouching import error_in_another
+from .vouching import errors_of
 
 STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"
 _MOST = 4
@@ -52,7 +52,7 @@ _CLOCK_S = 1e8
 #: What to do, by the verdict; of what was found it is said with it.
 _ADVICE = {
     "undecided": "measure more poses: these are too few to say whether anything has changed",
-    "changed": "calibrate again what has changed",
+    "changed": "calibrate again",
     "partly explained": "calibrate again, all of it: what is named does not explain all that is seen",
     "unexplained": "calibrate again, all of it: no change explains what is seen",
 }
@@ -401,12 +401,15 @@ def _by_run(joined: Joined, found: Sequence[Block], names: Sequence[str]) -> dic
 
 def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tuple[dict[str, Any], ...]:
     """All runs; of those that were left out there is no error."""
-    seen = {} if pool.joined is None else dict(zip(pool.numbers, pool.joined.runs, strict=True))
+    joined = pool.joined
+    seen = (
+        {} if joined is None else dict(zip(pool.numbers, zip(joined.runs, errors_of(joined), strict=True), strict=True))
+    )
     out = []
     for k, (given, when) in enumerate(zip(every, dates, strict=True)):
-        run, silent = seen.get(k), pool.silent.get(pool.names[k])
+        (run, error), silent = seen.get(k, (None, None)), pool.silent.get(pool.names[k])
         out.append({"run": given.source, "date": when, "rows": len(given),
-                    "error": None if run is None else finite(error_in_another(run)),
+                    "error": None if error is None else finite(error),
                     "stand": {} if run is None else run.stand.moved,
                     "left_out": "" if silent is None else str(silent)})  # fmt: skip
     return tuple(out)

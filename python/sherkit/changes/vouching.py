@@ -372,6 +372,11 @@ def _unknown(run: RunData, sizes: Floats, covariance: Floats) -> float:
     return float(np.sqrt(max(total, 0.0) / max(int(run.used.any(axis=1).sum()), 1)))
 
 
+def errors_of(joined: Joined) -> list[float]:
+    """How far the model of the first run is off in each: in its own, on poses held out, as wherever it is said."""
+    return [float(joined.fit.error.rms), *map(error_in_another, joined.runs[1:])]
+
+
 def error_in_another(run: RunData, beside: Sequence[Floats] = ()) -> float:
     """How far the model of the first run is off in another (root mean square of a row), as people read it; ``beside``
     columns (n, m, k) each that are fitted to it."""

@@ -238,9 +238,9 @@ def account(e: CalibrationRun, title: str) -> None:
         out.print("  too few poses to leave out whole regions: how far it is off away from them is not known")
     elif said := fit.elsewhere.sentence(fit.error):
         out.print(f"  {said} {TO_DO[fit.priors > 0.0]}")
-    for warned in (fit.lacking, fit.overparametrised):
-        if warned:
-            out.print(f"  {warned}")
+    for doubt in (fit.lacking, fit.overparametrised):
+        if doubt:
+            out.print(f"  {doubt}")
     if fit.badly_observed:
         out.print("  worst observed directions (one standard deviation):")
         for d in fit.badly_observed:

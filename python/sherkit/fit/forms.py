@@ -36,16 +36,20 @@ _ORDER = ("common", "opposite", "one")
 _WRITTEN = 1.5
 #: So many parts are as many as anybody reads: with them it may be known less well.
 _READ = 3
+#: What is fewer of its deviations from zero says nothing.
+_CLEAR = 3.0
 
 
 @dataclass(frozen=True)
 class Value:
-    """A number that the readings tell: what it is in words, and its standard deviation, in ``unit``."""
+    """A number that the readings tell: what it is in words, of how many ``parts``, and its standard deviation, in
+    ``unit``."""
 
     what: str
     value: float
     std: float
     unit: str
+    parts: int = 1
 
     def __str__(self) -> str:
         gap = "" if self.unit == "°" else " "
@@ -79,19 +83,27 @@ class SimplestForm:
 
     @property
     def short(self) -> str:
-        """What is known, for a cell of a table."""
-        return f"{self.where} {listed(self.values)}"
+        """What is known, for a cell of a table: of combinations those that a person reads, and that say something."""
+        said = self.values
+        if self.form == "combination":
+            said = tuple(one for one in said if one.parts <= _READ and abs(one.value) >= _CLEAR * one.std)
+        return (
+            f"{self.where} {listed(said)}"
+            if said
+            else f"known of all {_place(self.effect)}s together, of none alone {self._no_better}"
+        )
+
+    @property
+    def _no_better(self) -> str:
+        unit = self.values[0].unit
+        return f"to better than {self.single:.2g}{'' if unit == '°' else ' '}{unit}"
 
     @property
     def sentence(self) -> str:
         """What is known, in one sentence."""
-        first = self.values[0]
-        gap = "" if first.unit == "°" else " "
         said = f"{self.effect.name}: {self.short}"
-        if self.single > 2.0 * first.std:
-            said += (
-                f"; the single {_place(self.effect)}s are not known to better than {self.single:.2g}{gap}{first.unit}"
-            )
+        if self.single > 2.0 * self.values[0].std and not said.endswith(self._no_better):
+            said += f"; the single {_place(self.effect)}s are not known {self._no_better}"
         return said + (f"; as well fits: {' or '.join(self.also)}" if self.also else "")
 
     @property
@@ -244,7 +256,8 @@ def _combination(effect: Effect, theta: Floats, c: Floats, size: Floats) -> Simp
         factor, unit = _shown(effect.parameters[top])
         if spread < _KNOWN * size[top]:
             factor /= size[top]
-            values.append(Value(what, factor * float(parts @ (theta * size)), factor * spread, unit))
+            value = factor * float(parts @ (theta * size))
+            values.append(Value(what, value, factor * spread, unit, int(np.count_nonzero(parts))))
     if not values:
         return None
     top = int(np.argmin(std))

@@ -367,13 +367,15 @@ class ModelWithEffects(Saved, ABC):
 
 
 def missing_columns(effect: Effect, data: Measurements) -> tuple[str, ...]:
-    """Columns that an effect needs and a run does not have."""
+    """Columns that an effect needs and a run does not have, or has empty."""
     out = []
     for need in effect.needs:
         if need == "time_s":
             known = data.time_s is not None
         elif need == "direction":
             known = bool(np.isfinite(data.direction).all())
+        elif need == data.layout.distance:
+            known = bool(data.is_distance.any())
         else:
             known = need in data.covariates or need in data.layout.joints
         if not known:

@@ -12,8 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from ..base.figures import listed
 from ..base.types import Floats
 from ..data import Measurements
+from ..data.columns import bare, unit_in
+from ..errors import SherkitError
 
 #: How parts are drawn, from the back to the front.
 LOOKS = ("guide", "frame", "axis", "rod", "link", "platform", "joint", "sensor", "ray", "target", "shown")
@@ -36,15 +39,11 @@ class DrawnPart:
 @dataclass(frozen=True, eq=False)
 class Drawing:
     """A machine at n poses. ``target_mm`` (n, 3) is the measured point, ``shown_mm`` (n, 3) where who trusts the
-    drawing takes it to be from what the instrument shows, NaN where it shows nothing; both mm, base frame.
-
-    A machine of which no places are known stands in the unit of its readings: ``unit``.
-    """
+    drawing takes it to be from what the instrument shows, NaN where it shows nothing; both mm, base frame."""
 
     parts: tuple[DrawnPart, ...]
     target_mm: Floats
     shown_mm: Floats
-    unit: str = "mm"
 
     def __len__(self) -> int:
         return len(self.target_mm)
@@ -64,7 +63,7 @@ def line(*points_mm: Floats) -> Floats:
     return np.stack(np.broadcast_arrays(*map(np.atleast_2d, points_mm)), axis=1)
 
 
-def with_target(parts: Sequence[DrawnPart], target_mm: Floats, shown_mm: Floats, unit: str = "mm") -> Drawing:
+def with_target(parts: Sequence[DrawnPart], target_mm: Floats, shown_mm: Floats) -> Drawing:
     """A drawing of these parts, the measured point and where it is taken to be, joined by a line."""
     last = (
         DrawnPart("from the measured point to what is read", "ray", line(target_mm, shown_mm)),
@@ -73,27 +72,26 @@ def with_target(parts: Sequence[DrawnPart], target_mm: Floats, shown_mm: Floats,
     )
     n = len(target_mm)
     every = [DrawnPart(p.name, p.look, np.broadcast_to(p.path_mm, (n, *p.path_mm.shape[1:]))) for p in (*parts, *last)]
-    return Drawing(tuple(every), target_mm, shown_mm, unit)
+    return Drawing(tuple(every), target_mm, shown_mm)
 
 
 def drawing_of_readings(model: Any, data: Measurements, values: Floats, readings: Floats | None = None) -> Drawing:
-    """Any machine: what its model says that it reads, as a place, and the axes of its frame.
+    """A machine of which nobody says how it is joined: the point that it reads, and no linkage.
 
-    Readings are taken for places in their own unit, up to three of them; a machine that reads less lies in a plane or
-    on a line. Raises as :meth:`~sherkit.model.base.ModelWithEffects.predict`.
+    Raises :class:`~sherkit.errors.SherkitError` where readings are no x, y or z in mm, and as
+    :meth:`~sherkit.model.base.ModelWithEffects.predict`.
     """
-    names = data.layout.coordinates[:3]
-    target = _as_places(model.predict(data, values), len(names))
-    shown = target if readings is None else _as_places(readings, len(names))
-    reach = float(np.nanmax(np.abs(target), initial=0.0)) or 1.0
-    axes = [
-        DrawnPart(f"{name.rpartition('_')[0]} axis", "frame", line(np.zeros(3), reach * np.eye(3)[k]))
-        for k, name in enumerate(names)
-    ]
-    return with_target(axes, target, shown, names[0].rpartition("_")[2])
+    names = data.layout.coordinates
+    axes = ["xyz".find(bare(name).rpartition("_")[2].lower()) for name in names]
+    if len(set(axes)) < len(axes) or min(axes) < 0 or {unit_in(name) for name in names} != {"mm"}:
+        raise SherkitError(
+            f"what is read ({listed(names)}) is no place in x, y, z, and nobody says how the machine is joined"
+        )
 
+    def places(read: Floats) -> Floats:
+        out = np.zeros((len(read), 3))
+        out[:, axes] = read[:, : len(axes)]
+        return out
 
-def _as_places(readings: Floats, count: int) -> Floats:
-    out = np.zeros((len(readings), 3))
-    out[:, :count] = readings[:, :count]
-    return out
+    target = places(model.predict(data, values))
+    return with_target([], target, target if readings is None else places(readings))

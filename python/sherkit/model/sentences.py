@@ -40,7 +40,8 @@ COMMON: dict[str, Sentences] = {
     ),
     "backlash": Sentences(
         physics="Play in drive and bearings: where a joint stops depends on the side from which it came.",
-        residuals="Two values at one place, by the direction of the last motion.",
+        residuals="Two values at one place, by the direction of the last motion: width is negative where what is "
+        "driven lags behind its encoder.",
         remedy="Preload the drive; or approach every pose from the same side.",
         sizes={"width": "joint {k} has {size} of play"},
     ),

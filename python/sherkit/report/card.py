@@ -59,7 +59,7 @@ class Exaggerated:
     """A machine as drawn and with an effect at ``factors`` (k,) times its size: ``drawings`` of one pose each,
     ``plain`` without it.
 
-    ``moves_mm`` is how far the effect as it is moves what is read at this pose, in the drawing's unit; ``factor`` is
+    ``moves_mm`` is how far the effect as it is moves what is read at this pose; ``factor`` is
     the one to begin with, at which it is easily seen. ``told`` says of which pose and moment this is.
     """
 
@@ -123,14 +123,16 @@ def growing(
     drawn: Callable[[Measurements, float], Drawing], rows: Measurements
 ) -> tuple[Measurements, float, list[tuple[float, Drawing]], float]:
     """A machine at the one of the rows where what it is ``drawn`` with shows most: that row; how far what is read moves
-    there, in the drawing's unit; the machine without it and with more and more of it, as long as it is one; and the
+    there, mm; the machine without it and with more and more of it, as long as it is one; and the
     factor at which that is easily seen."""
-    moved = np.linalg.norm(drawn(rows, 1.0).shown_mm - drawn(rows, 0.0).shown_mm, axis=1)
+    plain = drawn(rows, 0.0)
+    moved = np.linalg.norm(drawn(rows, 1.0).shown_mm - plain.shown_mm, axis=1)
     best = int(np.argmax(np.nan_to_num(moved)))
     row = rows.select(np.array([best]))
     frames = [(0.0, drawn(row, 0.0))]
     points = frames[0][1].points_mm[0]
-    size = float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
+    # one that nobody knows how it is joined is as large as what it reaches
+    size = float(np.linalg.norm(np.ptp(points, axis=0)) or np.linalg.norm(np.ptp(plain.target_mm, axis=0))) or 1.0
     begin, last = 0.0, 0.0
     for factor in FACTORS:
         try:
@@ -211,7 +213,7 @@ def scene_of(shown: Exaggerated) -> Scene:
     """The scene: pale as the drawing has it, in colour with the effect."""
     frames = [(0.0, shown.plain), *zip(shown.factors, shown.drawings, strict=True)]
     label = f"The machine with {shown.effect.name} exaggerated, behind it the machine as drawn"
-    return Scene(label, frames, shown.factor, unit=shown.plain.unit)
+    return Scene(label, frames, shown.factor)
 
 
 def scene_of_robot(robot: Robot) -> Scene:
@@ -223,7 +225,7 @@ def scene_of_robot(robot: Robot) -> Scene:
     targets = kind.drawing(model, rows, values, None).target_mm
     middle = int(np.argmin(np.linalg.norm(targets - targets.mean(axis=0), axis=1)))
     drawn = kind.drawing(model, rows.select(np.array([middle])), values, None)
-    return Scene(f"{kind.title[:1].upper()}{kind.title[1:]}, as drawn", [(0.0, drawn)], unit=drawn.unit)
+    return Scene(f"{kind.title[:1].upper()}{kind.title[1:]}, as drawn", [(0.0, drawn)])
 
 
 # -- The card ---------------------------------------------------------------------------------------------------------
@@ -336,12 +338,11 @@ def drawing_of(effect: Effect, machine: Robot | Model | None, fit: Fit | None) -
 def _read(shown: Exaggerated, *, fitted: bool) -> str:
     """How to read the drawing, in two sentences."""
     size = "As it was fitted" if fitted else "At a plausible size"
-    unit, factor = ("µm", 1e3) if shown.plain.unit == "mm" else (shown.plain.unit, 1.0)
     last = f" Beyond × {shown.factors[-1]:g} nothing could be told any more." if shown.factors[-1] < 100 else ""
     return (
         "Grey: as drawn. In colour: with the effect, so much larger that it can be seen (slider). Blue dot: where "
         f"the measured point is; orange ring: where a reading shows it. {size} it moves what is read by "
-        f"{number(factor * shown.moves_mm)} {unit} here. "
+        f"{number(1e3 * shown.moves_mm)} µm here. "
         f"{shown.told}{last}"
     )
 

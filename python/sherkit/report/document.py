@@ -187,7 +187,7 @@ def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] |
     readers without JavaScript."""
     study, found = report.study, report.found
     base, last = drawn(found.base), drawn(study.fit)
-    before, after = residuals_of(base), residuals_of(last)
+    before, after = (residuals_of(one).with_noise_of(found) for one in (base, last))
     out: dict[str, Picture[Any]] = {}
     swaps, atlas = None, None
     states, now = _states(report, base)

@@ -97,7 +97,8 @@ def telling_pictures(value: Any) -> list[Picture[Any]]:
         return [error_history(error_history_of(value)), _map(states[0], states[-1])]
     if isinstance(value, Diagnosis):
         shown: list[Picture[Any]] = [candidates(value)] if value.candidates else []
-        return [*shown, _map(ModelState(CALIBRATED, value.base), ModelState(state_with(value.effects), value.fit))]
+        told = ((CALIBRATED, value.base), (state_with(value.effects), value.fit))
+        return [*shown, _map(*(ModelState(title, fit, value) for title, fit in told))]
     if isinstance(value, Calibration):
         return [accuracy_map(accuracy_of(value))]
     if isinstance(value, Fit):

@@ -13,6 +13,7 @@ from ..adaptive import Adaptive
 from ..base.figures import brief, in_people_units, number
 from ..changes import Comparison, History
 from ..changes.pooled_fit import Joined
+from ..changes.vouching import errors_of
 from ..errors import FitError, SherkitError
 from ..model.drawing import drawing_of_readings
 from ..model.kinds import draw_of
@@ -43,6 +44,7 @@ def before_and_after(found: Comparison) -> Picture[Comparison]:
     Raises :class:`~sherkit.errors.FitError` for a comparison that was read from a file, without its runs.
     """
     joined = _of(found)
+    off = errors_of(joined)
     titles = ["before", "after"] if len(joined.runs) == 2 else [run.data.source for run in joined.runs]
     tables = _errors(found)
     sources = sources_of(tables)
@@ -56,8 +58,7 @@ def before_and_after(found: Comparison) -> Picture[Comparison]:
             up = f"error, {found.unit}" if not k else None
             made = figure(quantity(name), up, height=_HEIGHT, width=_WIDE, y_range=(0.0, top), x_range=across)
             made.scatter(name, "error", source=sources[key], size=5, color=COLOURS[k % len(COLOURS)], alpha=0.7)
-            rms = float(np.sqrt(np.square(tables[key]["error"]).mean()))
-            told = f": {number(rms)} {found.unit} (root mean square)" if name == names[0] else ""
+            told = f": {number(off[k])} {found.unit} (root mean square)" if name == names[0] else ""
             made.title.text = f"{title}{told}"
             figures.append(made)
     note = "Each dot is a row: how far off it is by the model of the first run, seen from where the sensor stands."
@@ -101,13 +102,11 @@ def mechanism_with_change(found: Comparison) -> tuple[Scene, str] | None:
         return None
     if len(frames) == 1 or not moves > _ROUNDING_MM:
         return None
-    drawn_in = frames[0][1].unit
     names = " and ".join(found.changed)
-    scene = Scene(f"The machine with {names} changed, exaggerated", frames, begin, unit=drawn_in)
-    unit, times = ("µm", 1e3) if drawn_in == "mm" else (drawn_in, 1.0)
+    scene = Scene(f"The machine with {names} changed, exaggerated", frames, begin)
     read = (
         f"Grey: as before. In colour: with what has changed of {names}, so much larger that it can be seen (slider). "
-        f"As it is, it moves what is read by {number(times * moves)} {unit} at this pose, "
+        f"As it is, it moves what is read by {number(1e3 * moves)} µm at this pose, "
         f"{row.counted} {row.line[0]} of the last run."
     )
     return scene, read

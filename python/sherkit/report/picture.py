@@ -103,9 +103,10 @@ def hover(renderers: list[Any], *lines: tuple[str, str]) -> HoverTool:
     return HoverTool(renderers=renderers, tooltips=list(lines), description="numbers on hover", visible=False)
 
 
-def rule(made: Any, dimension: str, at: float, **line: Any) -> None:
+def rule(made: Any, dimension: str, at: float, **line: Any) -> Span:
     """A line through the whole of a figure, along its "width" or "height"."""
-    made.add_layout(Span(location=at, dimension=dimension, **{"line_color": MUTED, **line}))
+    made.add_layout(one := Span(location=at, dimension=dimension, **{"line_color": MUTED, **line}))
+    return one
 
 
 def legend(made: Any, place: str = "right") -> None:
@@ -225,8 +226,8 @@ def sources_of(tables: Tables) -> dict[str, ColumnDataSource]:
 def stacked(
     name: str, figures: list[Any], *, columns: int = 1, heading: UIElement | None = None, sizing_mode: Any = None
 ) -> LayoutDOM:
-    """Figures in a grid with one toolbar, which saves the whole picture as PNG and SVG."""
-    for one in figures:
+    """Figures in a grid, or None for a free place, with one toolbar, which saves the whole picture as PNG and SVG."""
+    for one in filter(None, figures):
         _lean(one)
     grid = gridplot(
         [figures[k : k + columns] for k in range(0, len(figures), columns)],

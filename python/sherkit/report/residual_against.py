@@ -60,11 +60,17 @@ def residual_against(state: ResidualAgainst) -> Picture[ResidualAgainst]:
     first = tables(state)
     sources = sources_of(first)
     figures: list[Any] = []
+    edges = []
     for k, name in enumerate(state.now.names):
         figures.append(_panel(sources, k, name, state, figures[0].x_range if figures else None))
+        band = sources["noise"].data[f"n{k}"]
+        edges.append([rule(figures[-1], "width", edge, line_dash="dotted") for edge in band])
 
     def tune(new: ResidualAgainst) -> None:
         figures[-1].xaxis.axis_label = quantity(new.variable)
+        for lines, at in zip(edges, noise_band(new.now).values(), strict=True):
+            for line, edge in zip(lines, at, strict=False):
+                line.location = float(edge)
 
     return Picture.of("against", figures, sources, tables, tune, note=note(state.now))
 
@@ -219,8 +225,6 @@ def _panel(sources: dict[str, ColumnDataSource], k: int, name: str, state: Resid
         made.xaxis[0].name = "against_axis"
     made.xaxis.major_label_text_font_size = FONT_SIZE if last else "0px"
     rule(made, "width", 0)
-    for edge in sources["noise"].data[f"n{k}"]:
-        rule(made, "width", edge, line_dash="dotted")
     colour = COLOURS[k % len(COLOURS)]
     few = len(state.now) < _FEW_ROWS
     made.scatter(

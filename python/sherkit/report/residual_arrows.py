@@ -7,6 +7,7 @@ plane. Before and after share one scale unless each is to have its own. The circ
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.types import Bools, Floats
-from .picture import Table, Tables, float32, number, padded, quantity, shortened
+from .picture import Table, Tables, float32, number, padded, quantity
 from .residuals import Residuals, in_noise, in_place
 
 #: One scale for before and after; each its own, so that what is left is seen too; its own, counted in the noise of each
@@ -32,9 +33,11 @@ _CIRCLE = 2.4477
 #: The same for one reading.
 _INTERVAL = 1.96
 MOMENTS = ("before", "after")
-#: Heights of the strips for a title of two lines and for the keys, distance from the edge, width of a bold letter, and
-#: the shortest scale bar, px.
-_TITLE, _KEYS, _EDGE, _LETTER, _SHORTEST_BAR = 54, 40, 9, 10, 28
+#: Heights of the strips for a title of two lines, for each more, and for the keys, distance from the edge, width of a
+#: bold letter, and the shortest scale bar, px.
+_TITLE, _LINE, _KEYS, _EDGE, _LETTER, _SHORTEST_BAR = 54, 20, 40, 9, 10, 28
+#: Lines of what a state is called, and letters of an error with its unit.
+_MOST_LINES, _FIGURE = 2, 7
 #: Height of a panel by its width, at the least and at the most.
 _FLATTEST, _TALLEST = 0.35, 1.2
 
@@ -94,13 +97,18 @@ class Sheet:
         self.circles = {m: [self._circle(left, rows) * self.per_unit[m] for rows in panels.rows] for m in MOMENTS}
         largest = max((c for circles in self.circles.values() for c in circles), default=0.0)
         scaled = [(a, self.per_unit[m]) for m in MOMENTS for a in each[m]]
+        self.letters = int((width - 2 * _EDGE) / _LETTER)
+        called = [textwrap.wrap(one, self.letters) for one in (change.before_title, change.after_title)]
+        #: Lines of what a state is called, and what stands between a plane and its error: all panels have equal ones.
+        self.lines = min(max(map(len, called)), _MOST_LINES)
+        self.between = ": " if max(map(len, panels.names)) + 2 + _FIGURE <= self.letters else "\n"
+        above = _TITLE + _LINE * (self.lines - 1 + (self.between == "\n"))
         #: First and last value of the axes across and up.
-        self.ranges = _ranges(panels, scaled, largest, width)
+        self.ranges = _ranges(panels, scaled, largest, width, above)
         x, y = self.ranges
         #: Of the workspace, in a pixel: titles and keys keep their size.
         self.pixel = (x[1] - x[0]) / width
         self.height_px = round((y[1] - y[0]) / self.pixel)
-        self.letters = int((width - 2 * _EDGE) / _LETTER)
         # as long as the longest arrows, and long enough to be compared with
         self.bars = {
             m: round_number(max(typical[m], _SHORTEST_BAR * self.pixel / self.per_unit[m]), up=True) for m in MOMENTS
@@ -141,10 +149,11 @@ class Sheet:
         (x0, x1), (y0, y1) = self.ranges
         plane = self.panels.names[panel]
         edge = _EDGE * self.pixel
-        figure_of = f"{plane + ': ' if plane else ''}{number(rms)} {left.unit}"
-        if len(figure_of) + 4 <= self.letters:
+        figure_of = f"{plane + self.between if plane else ''}{number(rms)} {left.unit}"
+        if len(figure_of.rpartition("\n")[2]) + 4 <= self.letters:
             figure_of += " RMS"
-        heading = f"{shortened(title, self.letters)}\n{figure_of}"
+        called = textwrap.wrap(title, self.letters, max_lines=self.lines, placeholder="…")
+        heading = "\n".join([*called, figure_of])
         bar = self.bars[moment] * self.per_unit[moment]
         circle = self.circles[moment][panel]
         return {
@@ -203,7 +212,7 @@ def cut(left: Residuals) -> Panels:
 def planes_of(place: Mapping[str, Floats], n: int) -> list[tuple[str, Bools]]:
     """Name and rows (``n``,) of each plane of the third coordinate; slabs of equal numbers where planes are many.
 
-    One plane without a name where there is no third coordinate.
+    Planes are thinner than what lies between them. One without a name where there is no third coordinate.
     """
     names = list(place)
     if len(names) < 3:
@@ -214,7 +223,8 @@ def planes_of(place: Mapping[str, Floats], n: int) -> list[tuple[str, Bools]]:
     span = max(float(np.ptp(third)), _FLAT * max(float(np.ptp(place[name])) for name in names[:2])) or 1.0
     gaps = np.flatnonzero(np.diff(order) > 0.05 * span)
     clusters = np.split(order, gaps + 1)
-    if len(clusters) <= _MOST_PLANES and max(float(np.ptp(c)) for c in clusters) <= _FLAT * span:
+    thickest = min(_FLAT * span, np.diff(order)[gaps].min(initial=np.inf))
+    if len(clusters) <= _MOST_PLANES and max(float(np.ptp(c)) for c in clusters) <= thickest:
         edges = [-np.inf, *(0.5 * (order[gaps] + order[gaps + 1])), np.inf]
     else:
         edges = [-np.inf, *np.quantile(third, np.arange(1, _SLABS) / _SLABS), np.inf]
@@ -292,7 +302,7 @@ def shown(change: Change) -> tuple[Residuals, Residuals]:
 
 
 def _ranges(
-    panels: Panels, arrows: Sequence[tuple[Table, float]], circle: float, width: int
+    panels: Panels, arrows: Sequence[tuple[Table, float]], circle: float, width: int, title_px: int
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Room for poses and heads of arrows, and for title and keys above and below.
 
@@ -312,7 +322,7 @@ def _ranges(
     # the strips for text have their size in pixels, whatever a pixel comes to be
     for _ in range(30):
         pixel = wide / width
-        above, below = _TITLE * pixel, max(_KEYS * pixel, 2 * circle + 2 * _EDGE * pixel)
+        above, below = title_px * pixel, max(_KEYS * pixel, 2 * circle + 2 * _EDGE * pixel)
         wide = max(wide, (y1 - y0 + above + below) / _TALLEST)
     more = max(_FLATTEST * wide - (y1 - y0 + above + below), 0.0) / 2
     middle = 0.5 * (x0 + x1)

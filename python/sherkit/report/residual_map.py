@@ -42,8 +42,8 @@ from .residual_arrows import MOMENTS, Change, Sheet, cut, note, round_number, sh
 from .residuals import Residuals
 
 _NARROWEST = 220
-#: Panels narrower than this have smaller points, px.
-_WIDE = 280
+#: Panels narrower than this have smaller points and fewer ticks: one for so much, px.
+_WIDE, _TICK = 280, 60
 #: What the axis of a panel takes of its width, px.
 _AROUND = 55
 #: Between panels of an SVG, and the line below them, px.
@@ -55,17 +55,20 @@ def residual_map(
 ) -> Picture[Change]:
     """Arrows of the error, before and after side by side on one scale, a row of panels for each plane.
 
-    ``planes_across`` puts planes side by side instead, before above after, with one axis for each row: wider and less
-    high. ``width_px`` is that of all panels together. Where the run moved along one coordinate only, arrows stand along
-    a line. ``alone`` draws what is left after, with nothing beside it.
+    ``planes_across`` puts planes side by side instead, before above after, with one axis for each row, of which there
+    are more where panels would be narrow: wider and less high. ``width_px`` is that of all panels together. Where the
+    run moved along one coordinate only, arrows stand along a line. ``alone`` draws what is left after, with nothing
+    beside it.
     """
     panels = cut(change.before)
     count = len(panels.names)
     moments = MOMENTS[1:] if alone else MOMENTS
     planes_across = planes_across and count > 1
-    columns = count if planes_across else 2
+    columns = 2
     if planes_across:
-        width = max((width_px - _AROUND) // columns, _NARROWEST - _AROUND)
+        most = max((width_px - _AROUND) // (_NARROWEST - _AROUND), 1)
+        columns = -(-count // -(-count // most))
+        width = (width_px - _AROUND) // columns
     else:
         width = max(width_px // columns, _NARROWEST) - _AROUND
     sheet = Sheet(change, width, panels)
@@ -84,12 +87,13 @@ def residual_map(
     tickers = {m: FixedTicker() for m in MOMENTS}
     if planes_across:
         for made, (_, k) in zip(figures, order, strict=True):
-            made.yaxis.visible = panels.up is not None and k == 0
+            made.yaxis.visible = panels.up is not None and k % columns == 0
     named = []
     if len(change.before.names) != 2:
         # beside what is always seen; where rows of panels are moments, each has its own
         last = min(columns, len(figures)) - 1
-        ends = dict.fromkeys(moments, count - 1) | {"after": -1} if planes_across else {"after": last}
+        at = {moment: count * place + last for place, moment in enumerate(moments)}
+        ends = at if planes_across else {"after": last}
         named = [colour_bar(figures[k], mappers[m], "", ticker=tickers[m]) for m, k in ends.items()]
 
     def colour(state: Change) -> None:
@@ -113,6 +117,13 @@ def residual_map(
             made.frame_height = sheet.height_px
 
     before = [one for one, (moment, _) in zip(figures, order, strict=True) if moment == "before"]
+    if planes_across:
+        # moments begin with rows of their own
+        figures = [
+            one
+            for k in range(0, len(figures), count)
+            for one in (*figures[k : k + count], *[None] * (-count % columns))
+        ]
     return Picture.of("residual_map", figures, sources, tables, tune, note=note(change), columns=columns, before=before)
 
 
@@ -128,6 +139,8 @@ def _panel(
         tools="pan,box_zoom,wheel_zoom,box_select,lasso_select,tap,reset",
     )  # fmt: skip
     made.yaxis.visible = panels.up is not None
+    if width <= _WIDE:
+        made.xaxis[0].ticker.desired_num_ticks = max(width // _TICK, 2)
     colour = {"field": "colour", "transform": mapper}
     made.segment("x", "y", "x1", "y1", source=source, color=colour, line_width=2.5, nonselection_line_alpha=0.15)
     # the tail is where the pose is; its head has the arrow's colour
@@ -202,7 +215,7 @@ def _still_panel(sheet: Sheet, tables: Tables, moment: str, k: int) -> str:
     for tail, head, shade in zip(tails, heads, np.clip(part, 0, 1) * (len(DIVERGING) - 1), strict=True):
         colour = DIVERGING[round(shade)]
         drawn[colour] = f"{drawn.get(colour, '')}M{tail}L{head}"
-    title, _, size = key["title"][0].rpartition("\n")
+    titles = enumerate(key["title"][0].split("\n"))
     ((bar,), (end,)), (circle,) = (at(key, x, "bar_y") for x in ("bar_x0", "bar_x1")), at(key, "noise_x", "noise_y")
     return (
         f'<rect width="{sheet.width}" height="{sheet.height_px}" fill="none" stroke="{RULE}"/>'
@@ -211,8 +224,9 @@ def _still_panel(sheet: Sheet, tables: Tables, moment: str, k: int) -> str:
         + f'<path stroke="{INK}" stroke-width="3.5" d="{"".join(f"M{tail}h0" for tail in tails)}"/>'
         f'<path stroke="{INK}" d="M{bar}L{end}"/>'
         f'<circle transform="translate({circle})" r="{key["noise_r"][0] / sheet.pixel:.1f}" stroke="{MUTED}"/></g>'
-        + words(title, "title_x", "title_y", ' dy="0.8em" font-weight="bold"')
-        + words(size, "title_x", "title_y", ' dy="2em" font-weight="bold"')
+        + "".join(
+            words(line, "title_x", "title_y", f' dy="{0.8 + 1.2 * k:g}em" font-weight="bold"') for k, line in titles
+        )
         + words(key["bar_text"][0], "bar_text_x", "bar_text_y", ' text-anchor="end"')
         + words(key["noise_text"][0], "noise_text_x", "noise_y", ' dy="0.35em"')
     )

@@ -14,6 +14,7 @@ import numpy as np
 from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import ReadingNoise
+from ..diagnosis import Diagnosis
 from ..evidence.fitted_run import FittedRun
 from ..fit.identify import Fit
 
@@ -60,6 +61,13 @@ class Residuals:
         """The noise as the error is counted: of all that is read of a row together."""
         return float(np.linalg.norm(self.noise))
 
+    def with_noise_of(self, found: Diagnosis | None) -> Residuals:
+        """The same beside the noise that a diagnosis knows: what an effect moves between repeats of a pose is none."""
+        noise = np.array([np.nan if found is None else found.noise.get(name, np.nan) for name in self.names])
+        if found is None or found.noise_origin == "unknown" or not np.isfinite(noise).all():
+            return self
+        return self if np.allclose(noise, self.noise) else replace(self, noise=noise, noise_origin=found.noise_origin)
+
     @cached_property
     def rms(self) -> Floats:
         """Root mean square of each reading (m,) over rows that are not marked as outliers."""
@@ -89,15 +97,16 @@ def at_the_rim(left: Residuals, values: Floats) -> tuple[Floats, list[str]]:
 
 @dataclass(frozen=True, eq=False)
 class ModelState:
-    """A fit to look at, under its title, and what it leaves."""
+    """A fit to look at, under its title, and what it leaves, beside the noise of the diagnosis where one is known."""
 
     title: str
     fit: Fit
+    found: Diagnosis | None = None
 
-    @property
+    @cached_property
     def left(self) -> Residuals:
         """Measured minus predicted."""
-        return residuals_of(self.fit)
+        return residuals_of(self.fit).with_noise_of(self.found)
 
 
 def residuals_of(fit: Fit) -> Residuals:

@@ -96,7 +96,6 @@ class Scene:
     begin: float = 0.0
     arrows: Arrows | None = None
     field: Field | None = None
-    unit: str = "mm"
     aspect: float = 0.72
     moment: int = 0
     whole: bool = False
@@ -133,7 +132,7 @@ class Scene:
         centre, size = self._extent
         parts = [] if not self.frames else self.frames[0][1].parts
         return {
-            **{name: getattr(self, name) for name in ("label", "aspect", "unit", "begin", "moment")},
+            **{name: getattr(self, name) for name in ("label", "aspect", "begin", "moment")},
             "view": _VIEW,
             "centre": centre.round(6).tolist(),
             "size": round(size, 6),
@@ -299,17 +298,16 @@ def space_of(
     if len(where) < 2:
         return None
     sizes = np.linalg.norm(errors, axis=2)
-    mm = machine.unit == "mm"
     arrows = Arrows(
         where, list(errors), titles, lines.astype(float), "pose at " + data.counted,
         [np.argsort(-s)[:_WORST].astype(float) for s in sizes], _slabs(where[:, 2]), "height",
-        "µm" if mm else machine.unit, 1e3 if mm else 1.0, round_number(float(np.quantile(sizes[0], 0.9))) or 1.0,
+        "µm", 1e3, round_number(float(np.quantile(sizes[0], 0.9))) or 1.0,
     )  # fmt: skip
     field = None if calibration is None else _field(calibration, draw, fit, where)
     label = f"{machine_name(fit.model)} and the errors of {len(where)} poses, {' and '.join(titles)}"
     aspect = _ASPECT_OF_ALL if whole else _ASPECT
     moment = min(moment, len(errors) - 1)
-    return Scene(label, [(0.0, machine)], 0.0, arrows, field, machine.unit, aspect, moment, whole)
+    return Scene(label, [(0.0, machine)], 0.0, arrows, field, aspect, moment, whole)
 
 
 def machine_name(model: Any) -> str:

@@ -51,7 +51,7 @@ def states_of(study: Study, found: Diagnosis, base: Fit) -> list[ModelState]:
     """
     run, known = FittedRun(base), [e.name for e in base.model.effects]
     path = {s.effects: drawn(s.fit) for s in study.history if s.fit is not None and set(s.effects) > set(known)}
-    out = [ModelState(state_with(known), base)]
+    out = [ModelState(state_with(known), base, found)]
     named = {e.name: e for e in (*run.catalogue, *study.own.values())}
     taken = {frozenset(added) for added in path}
     for candidate in found.candidates[:_MOST_SINGLE]:
@@ -63,10 +63,10 @@ def states_of(study: Study, found: Diagnosis, base: Fit) -> list[ModelState]:
         try:
             if effect.search is not None:
                 setting = setting_for(base, effect)
-            out.append(ModelState(title, run.refit([(effect, setting)]).fit))
+            out.append(ModelState(title, run.refit([(effect, setting)]).fit, found))
         except SherkitError:
             continue
-    return out + [ModelState(state_with(added), fit) for added, fit in path.items()]
+    return out + [ModelState(state_with(added), fit, found) for added, fit in path.items()]
 
 
 def packed(states: Sequence[ModelState], maps: Picture[Change]) -> dict[str, Any]:
@@ -169,15 +169,16 @@ def current_path(history: Sequence[StudyStep]) -> list[int]:
     return path
 
 
-def states_so_far(study: Study) -> dict[int, ModelState]:
+def states_so_far(study: Study, found: Diagnosis | None = None) -> dict[int, ModelState]:
     """By the number of its step, what a reader compares: the states of the current path whose rows are those of today,
-    under names that tell them apart. The last is where the study stands."""
+    under names that tell them apart, beside the noise that a diagnosis ``found``; the last is where the study stands.
+    """
     path = current_path(study.history)
     # of a loaded study the step that it came back to may have no fit
     fits = {k: study.history[k].fit for k in path} | {path[-1]: study.fit}
     known = {k: fit for k, fit in fits.items() if fit and len(fit.data) == len(study.data)}
     names = told_apart([study.history[k].action for k in known])
-    return {k: ModelState(name, fit) for (k, fit), name in zip(known.items(), names, strict=True)}
+    return {k: ModelState(name, fit, found) for (k, fit), name in zip(known.items(), names, strict=True)}
 
 
 def error_history_of(study: Study, found: Diagnosis | None = None) -> ErrorHistory:

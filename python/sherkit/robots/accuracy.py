@@ -225,15 +225,16 @@ class Accurate(Deployed):
         return None
 
     def spread(
-        self, coordinates: Floats, joints: Floats, *, frame: str | None = None, temperature_c: float | None = None
-    ) -> Floats:
+        self, coordinates: Floats, joints: Floats, *, frame: str | None = None, temperature_c: float | None = None,
+        **load: float,
+    ) -> Floats:  # fmt: skip
         """Covariance (n, d, d) of where the robot really is when sent to ``coordinates`` (n, k) of :attr:`frame` by
         ``joints`` (n, j), as ``frame`` counts it.
 
         Parameter covariance carried there, that of what no reading tells with it, plus that of what the model leaves.
         In the axes of :attr:`frame`, and in units of which one makes :attr:`reach_mm` at the tool.
         """
-        where, now = self.frame_of(frame), self._now(temperature_c)
+        where, now = self.frame_of(frame), self._now(temperature_c, **load)
         out = np.empty((len(coordinates), *self.whole.residual_covariance.shape))
         for part, here in self._ruled(coordinates):
             at = self.moment_of(part, now)
@@ -271,7 +272,7 @@ class Accurate(Deployed):
 
     def accuracy(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None,
+        direction: ArrayLike | None = None, **load: float,
     ) -> float:  # fmt: skip
         """Radius, mm, within which the mean of many visits to ``coordinates`` (k,) of a ``frame`` is predicted to lie
         in 95 of 100 cases: pose accuracy (ISO 9283). How single visits scatter about it is :meth:`repeatability`.
@@ -279,10 +280,12 @@ class Accurate(Deployed):
         The whole of :meth:`predicted_accuracy`: what the poses of the run show, and what they could not have shown.
         In the frame of the base what no reading tells of where the instrument stood is part of it, but for what defines
         that frame: numbers of the geometry that are held since others say the same (:attr:`~ChainModel.fixed`). At
-        ``temperature_c``, by default the mean of the run, and at its end. Where no pose was measured (:meth:`measured`)
-        this is extrapolation. For a posture: :meth:`predicted_accuracies_with`. Raises as :meth:`inverse`.
+        ``temperature_c``, by default the mean of the run, and at its end; under the ``load`` that an arm's
+        :meth:`inverse` takes (``payload_kg``): of what that does, what the model holds. Where no pose was measured
+        (:meth:`measured`) this is extrapolation. For a posture: :meth:`predicted_accuracies_with`. Raises as
+        :meth:`inverse`.
         """
-        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction}
+        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction} | load
         return self.predicted_accuracy(coordinates, **now).total_mm
 
     def repeatability(self, coordinates: ArrayLike) -> float:
@@ -293,19 +296,20 @@ class Accurate(Deployed):
 
     def accuracy_batch(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None,
+        direction: ArrayLike | None = None, **load: float,
     ) -> Batch:  # fmt: skip
         """:meth:`accuracy` at every one of ``coordinates`` (n, k): values (n,), mm; those out of reach are marked."""
-        made = self.predicted_accuracies(coordinates, frame=frame, temperature_c=temperature_c, direction=direction)
+        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction} | load
+        made = self.predicted_accuracies(coordinates, **now)
         return Batch(made.total_mm, made.reached, made.why)
 
     def predicted_accuracy(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None,
+        direction: ArrayLike | None = None, **load: float,
     ) -> PredictedAccuracy:  # fmt: skip
-        """How far off the robot may be at ``coordinates`` (k,), and why. Arguments and errors as :meth:`inverse`."""
+        """How far off the robot may be at ``coordinates`` (k,), and why. Arguments and errors as :meth:`accuracy`."""
         x = self._place(coordinates)
-        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction}
+        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction} | load
         made = self.predicted_accuracies(x[None, :], **now)
         if not made.reached[0]:
             self.inverse(x, **now)  # says why
@@ -313,7 +317,7 @@ class Accurate(Deployed):
 
     def predicted_accuracies(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None,
+        direction: ArrayLike | None = None, **load: float,
     ) -> PredictedAccuracies:  # fmt: skip
         """:meth:`predicted_accuracy` at every one of ``coordinates`` (n, k) of a ``frame``, all reached in one
         ``direction`` (j,) if given.
@@ -326,8 +330,8 @@ class Accurate(Deployed):
         could do most.
         """
         x, where = self._places(coordinates), self.frame_of(frame)
-        inverse = self.joints_to(x, frame=frame, temperature_c=temperature_c, direction=direction)
-        return self._predicted(self._own(x, where), inverse, where, temperature_c, direction)
+        inverse = self.joints_to(x, frame=frame, temperature_c=temperature_c, direction=direction, **load)
+        return self._predicted(self._own(x, where), inverse, where, temperature_c, direction, **load)
 
     def predicted_accuracies_with(
         self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
@@ -338,14 +342,15 @@ class Accurate(Deployed):
         return self._predicted(x.values, Batch(q, x.reached, x.why), where, temperature_c, None)
 
     def _predicted(
-        self, x: Floats, inverse: Batch, where: str, temperature_c: float | None, direction: ArrayLike | None
-    ) -> PredictedAccuracies:
+        self, x: Floats, inverse: Batch, where: str, temperature_c: float | None, direction: ArrayLike | None,
+        **load: float,
+    ) -> PredictedAccuracies:  # fmt: skip
         """For places (n, k) of :attr:`frame` and the joints that lead there."""
         rows = np.flatnonzero(inverse.reached)
         joints = np.ascontiguousarray(inverse.values[rows])
         radius, addition, visit = (np.full(len(x), np.nan) for _ in range(3))
         worst: list[Hiding | None] = [None] * len(x)
-        known = self.spread(x[rows], joints, frame=where, temperature_c=temperature_c)
+        known = self.spread(x[rows], joints, frame=where, temperature_c=temperature_c, **load)
         ruled, loop = self._ruled(x[rows]), self._now(temperature_c)[:2]
         now = loop
         far, whole, scatter = self.beyond_poses(x[rows], joints), np.empty_like(known), np.empty_like(known)

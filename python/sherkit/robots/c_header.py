@@ -9,7 +9,7 @@ from typing import Any
 from ..base.figures import listed
 from ..base.types import Floats
 from ..errors import CalibrationError
-from ..model.kinds import catalogue_of
+from ..model.kinds import catalogue_of, kind_of
 from .calibrated import Calibration
 
 #: The type of the C library by the kind of robot that a row is of (rust/core/src/flat/mod.rs): its second number.
@@ -23,10 +23,12 @@ _NO_LITERAL = "#include <math.h>\n"
 
 def covariates_needed(calibration: Calibration) -> dict[str, tuple[str, ...]]:
     """The effects of a calibration that follow time, temperature or the direction of motion, and which of these each
-    needs: a control loop has to say them."""
+    needs: a control loop has to say them. What an instrument makes of a reading is in no loop."""
     known = catalogue_of(calibration.robot)
     names = dict.fromkeys(name for part in calibration.parts_made for name in part.effects)
-    return {name: known[name].needs for name in names if known[name].needs}
+    distance = kind_of(calibration.robot).layout.distance
+    needs = {name: tuple(one for one in known[name].needs if one != distance) for name in names}
+    return {name: told for name, told in needs.items() if told}
 
 
 def calibration_header(calibration: Calibration, source: str = "calibrated.toml", name: str = "robot") -> str:

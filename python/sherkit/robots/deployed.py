@@ -176,17 +176,20 @@ class Deployed(Saved, ABC):
         return made
 
     def forward_batch(
-        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
-    ) -> Batch:
-        """Coordinates (n, k) in a ``frame`` for joint readings (n, j); rows out of reach are marked."""
-        values, _, reached = self._rows(joints, frame, temperature_c)
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> Batch:  # fmt: skip
+        """Coordinates (n, k) in a ``frame`` for joint readings (n, j), all reached in one ``direction`` (j,) if given;
+        rows out of reach are marked."""
+        values, _, reached = self._rows(joints, frame, temperature_c, direction)
         return Batch(values, reached)
 
     def jacobian_batch(
-        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None
-    ) -> Batch:
-        """Jacobians (n, k, j) for joint readings (n, j); rows out of reach are marked."""
-        _, values, reached = self._rows(joints, frame, temperature_c)
+        self, joints: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
+        direction: ArrayLike | None = None,
+    ) -> Batch:  # fmt: skip
+        """Jacobians (n, k, j) for joint readings (n, j). Arguments as :meth:`forward_batch`."""
+        _, values, reached = self._rows(joints, frame, temperature_c, direction)
         return Batch(values, reached)
 
     def inverse_batch(
@@ -226,11 +229,11 @@ class Deployed(Saved, ABC):
 
     def joints_to(
         self, coordinates: Floats, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None,
+        direction: ArrayLike | None = None, **load: float,
     ) -> Batch:  # fmt: skip
         """Joints (n, j) with which the robot is asked how accurate it is at ``coordinates`` (n, k); where a place
         leaves them open, those nearest to what was measured. Arguments as :meth:`inverse_batch`."""
-        return self.inverse_batch(coordinates, frame=frame, temperature_c=temperature_c, direction=direction)
+        return self.inverse_batch(coordinates, frame=frame, temperature_c=temperature_c, direction=direction, **load)
 
     def beyond_poses(self, coordinates: Floats, joints: Floats) -> Floats:
         """How far outside the hull of the poses (:func:`~sherkit.robots.poses_hull.beyond`) the ``joints`` (n, j) lie
@@ -297,12 +300,10 @@ class Deployed(Saved, ABC):
         made: tuple[Floats, Floats] = self.core_in(frame).forward(q, self._now(*now))
         return made
 
-    def _rows(
-        self, joints: ArrayLike, frame: str | None = None, temperature_c: float | None = None
-    ) -> tuple[Floats, Floats, Bools]:
+    def _rows(self, joints: ArrayLike, frame: str | None = None, *now: Any) -> tuple[Floats, Floats, Bools]:
         """Coordinates, Jacobians, and which rows are within reach."""
         q = matrix(joints, "joint readings", self._joints)
-        made: tuple[Floats, Floats, Bools] = self.core_in(frame).forward_batch(q, self._now(temperature_c))
+        made: tuple[Floats, Floats, Bools] = self.core_in(frame).forward_batch(q, self._now(*now))
         return made
 
     def _now(self, temperature_c: float | None = None, direction: ArrayLike | None = None) -> list[float]:

@@ -181,10 +181,9 @@ class DeltaModel(ChainModel):
         return super().as_known(parameter)
 
     def is_testable(self, effects: Sequence[Effect], data: Measurements) -> tuple[list[Effect], dict[str, str]]:
-        """As of any model, by what distances between places can tell. Where there are none, nobody asks for a bar."""
-        far = data.between_places
-        tried, untestable = super().is_testable([e for e in effects if e.name != BAR or far.any()], data)
-        if not far.all():
+        """As of any model, by what distances between places can tell."""
+        tried, untestable = super().is_testable(effects, data)
+        if not data.between_places.all():
             return tried, untestable
         of_both = {e.name for e in tried if e.function is None and (e.link == "sensor" or e.name in _ALIKE)} - {BAR}
         untestable |= dict.fromkeys(of_both, _NO_BEAM) | {e.name: _NO_SIDE for e in tried if "direction" in e.needs}

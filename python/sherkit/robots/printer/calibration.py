@@ -74,11 +74,12 @@ class PrinterCalibration(DeltaCalibration):
         return (self.frame,)
 
     def spread(
-        self, coordinates: Floats, joints: Floats, *, frame: str | None = None, temperature_c: float | None = None
-    ) -> Floats:
+        self, coordinates: Floats, joints: Floats, *, frame: str | None = None, temperature_c: float | None = None,
+        **load: float,
+    ) -> Floats:  # fmt: skip
         """Covariance (n, 3, 3), mm², of the height alone: along the plate a probe sees nothing, and where on it a print
         stands is no error."""
-        out = super().spread(coordinates, joints, frame=frame, temperature_c=temperature_c)
+        out = super().spread(coordinates, joints, frame=frame, temperature_c=temperature_c, **load)
         out[:, :2] = out[:, :, :2] = 0.0
         return out
 

@@ -134,6 +134,7 @@ _ARMS = replace(
 
 _CALLIPERS = replace(
     DELTA["bar_zero"],
+    needs=(),
     physics="Callipers read every distance too long or too short by the same length: they are not at zero when closed, "
     "or their jaws do not touch the edges that are meant.",
     remedy="Close the callipers, set them to zero, and measure from edge to like edge.",

@@ -105,22 +105,22 @@ class SerialCalibration(Calibration):
 
     def inverse_batch(
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None, starts: ArrayLike | None = None,
+        direction: ArrayLike | None = None, payload_kg: float = 0.0, starts: ArrayLike | None = None,
     ) -> Batch:  # fmt: skip
         """Joint readings (n, k) for positions (n, 3), each from its own of ``starts`` (n, k); those out of reach are
-        marked. ``direction`` (k,) as :meth:`forward`."""
-        core, now = self.core_in(frame), self._now(temperature_c, direction)
+        marked. ``direction`` (k,) and ``payload_kg`` as :meth:`forward`."""
+        core, now = self.core_in(frame), self._now(temperature_c, direction, payload_kg)
         places = self._places(coordinates)
         found = self.robot.all_found_from(lambda x, q: core.inverse_batch(x, now, q), places, starts)
         return Batch(*found)
 
     def joints_to(
         self, coordinates: Floats, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None,
+        direction: ArrayLike | None = None, **load: float,
     ) -> Batch:  # fmt: skip
         """From the pose of the run whose place is nearest; from home, as :meth:`inverse_batch`, where no way leads from
         that."""
-        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction}
+        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction} | load
         poses = self.whole.poses
         if not len(poses):
             return self.inverse_batch(coordinates, **now)

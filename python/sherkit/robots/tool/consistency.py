@@ -19,7 +19,7 @@ import scipy
 from ...base import linalg
 from ...base.types import Floats, Ints
 from .alignment import at_times
-from .filters import DEPTH_PART, NIS_LEVEL, TIP_PART, Estimate
+from .filters import DEPTH_PART, NIS_LEVEL, TIP_PART, Estimate, Track
 from .runs import check_camera
 
 #: What intervals are stated to cover.
@@ -121,14 +121,12 @@ def _truths(e: Estimate) -> list[_Truth]:
 def known(e: Estimate) -> list[NeesConsistency]:
     """Depth where the run has ``depth_mm``, tip where a camera saw it; over the run, with and without a force.
 
-    The filter of both stands beside the others where these are not its parts.
+    The filter of both stands beside the others where these are not its parts, here and among the errors.
     """
     told = np.isfinite(e.fibre_depth_mm)
     out: list[NeesConsistency] = []
     for truth in _truths(e):
-        signals = {"filter": e.depth if truth.quantity == "depth" else e.tip}
-        if e.tool.noise != "propagated":
-            signals["filter of both"] = e.together.part(truth.part)
+        signals = _filters(e, truth)
         with_force = told[truth.rows]
         conditions = {"whole run": np.ones_like(with_force), "with a force": with_force, "without a force": ~with_force}
         for signal, track in signals.items():
@@ -140,6 +138,11 @@ def known(e: Estimate) -> list[NeesConsistency]:
                 if rows.sum() >= _LEAST_ROWS
             ]  # fmt: skip
     return out
+
+
+def _filters(e: Estimate, truth: _Truth) -> dict[str, Track]:
+    signals = {"filter": e.depth if truth.quantity == "depth" else e.tip}
+    return signals if e.tool.noise == "propagated" else signals | {"filter of both": e.together.part(truth.part)}
 
 
 def known_of(truths: Sequence[NeesConsistency], quantity: str) -> NeesConsistency | None:
@@ -238,8 +241,7 @@ def judge(e: Estimate) -> list[ErrorStatistics]:
     for truth in _truths(e):
         signals = {
             **truth.raw,
-            "filter": (e.depth if truth.quantity == "depth" else e.tip).value,
-            "filter of both": e.together.value[:, truth.part],
+            **{name: track.value for name, track in _filters(e, truth).items()},
             "paper's filter": e.paper.value[:, truth.part],
         }
         off = {name: truth.off(value) for name, value in signals.items()}

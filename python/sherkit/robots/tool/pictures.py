@@ -98,8 +98,9 @@ def estimate_picture(state: EstimateOverTime, headline: str = "") -> Picture[Est
         made.line(
             "t", f"other_{k}", source=sources["run"], color=INK if truth else (PLAIN, *COLOURS[1:])[k % 4],
             line_width=2, line_dash="dashed" if truth else "solid", legend_label=name,
+            level="annotation" if truth else "glyph",  # above an estimate that is right
         )  # fmt: skip
-    line = made.line("t", "estimate", source=sources["run"], color=ADDED, line_width=2.5, legend_label="estimate")
+    line = made.line("t", "estimate", source=sources["run"], color=ADDED, line_width=3.5, legend_label="estimate")
     made.add_tools(hover([line], ("time", "@t{0.00} s"), ("estimate", f"@estimate{{0.000}} {state.unit}")))
     made.legend.orientation = "horizontal"
     legend(made, "above")
@@ -122,6 +123,8 @@ def estimate_picture(state: EstimateOverTime, headline: str = "") -> Picture[Est
     below = " Below the dotted line the force says little." if state.threshold_mN is not None else ""
     if state.innovation is not None:
         below += " Innovations squared, over their variance, are 1 on average where the filter's noise is right."
+        if not np.isfinite(state.innovation).all():
+            below += f" Their line breaks where for {_MEAN_S:g} s no reading was used."
     note = f"The band holds the truth in 95 of 100 steps.{below}{few}"
     if headline:
         figures[0].title.text = headline

@@ -127,7 +127,7 @@ effects! { At;
         sine_1, cosine_1, sine_2, cosine_2, sine_3, cosine_3: "mm", 0.002, 1.0;
     }
     // what a bar or callipers add to every distance; the last for the same reason
-    bar_zero: Sensor by bar {
+    bar_zero: Sensor by bar needs "distance_mm" {
         length: "mm", 0.1, 1.0;
     }
 }
