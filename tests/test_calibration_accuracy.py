@@ -145,6 +145,20 @@ def test_extrapolation_is_flagged(seed: int, axis: int, far: float) -> None:
         assert not c.measured(x)
 
 
+def test_what_a_region_lacks_does_not_end_at_its_border() -> None:
+    """Catches a promise that falls from 28 to 5 µm in one step at the border, where the run of the region has just
+    shown a bump beside it: half of the places there were off by more."""
+    c = made(0)
+    assert c.local is not None
+    worse = replace(c.local, residual_covariance=100.0 * (c.local.residual_covariance + np.eye(3) * 1e-6))
+    c = DeltaCalibration(EXAMPLE, c.whole, worse, HALF)
+    steps = c.predicted_accuracies(np.outer(HALF * np.array([0.99, 1.01, 1.5, 1.99, 2.5]), [1.0, 0.0, 0.0])).radius_mm
+    assert steps[1] > 0.9 * steps[0]
+    assert (np.diff(steps[:4]) < 0).all()
+    plain = DeltaCalibration(EXAMPLE, c.whole).predicted_accuracies(np.array([[2.5 * HALF, 0.0, 0.0]])).radius_mm
+    assert steps[4] == pytest.approx(plain[0])
+
+
 def test_region_measured_elsewhere_is_flagged() -> None:
     """Catches the whole run's box used inside the region, where the local model rules."""
     c = made(0)

@@ -26,6 +26,8 @@ from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, 
 
 #: Degrees of freedom of a noise that a calibration knows.
 OF_CALIBRATION = 200
+#: Readings that are off by no more times what they were on the day of the calibration are off as they were.
+_AS_THEN = 1.15
 #: Nothing has changed at the calibration, all of it since.
 SINCE = np.array([0.0, 1.0])
 
@@ -82,6 +84,9 @@ class CheckRows(ChangeRows):
         model = known.model.for_run(data)
         made = cls(known, data, axes, part, 1.0, model, known.values, change_candidates(model, [data]))
         left = float(np.sqrt(np.square(made.stand.residual[made.rows]).mean()))
+        if left <= _AS_THEN * scattered_then(known, axes):
+            # lost motion that visits of a pose scattered by on that day is none since
+            made = replace(made, candidates=[one for one in made.candidates if "direction" not in one.needs])
         columns = {name: one[made.rows] for name, one in made._columns[1].items()}
         takes_up = zeros_of(made.candidates, columns, data.joints[made.rows])
         return replace(made, unit=noise * float(np.sqrt(1.0 - part)) or left or 1.0, takes_up=takes_up)
@@ -158,6 +163,14 @@ class CheckRows(ChangeRows):
     def sets(self) -> ChangeSets:
         """Sets of changes."""
         return ChangeSets(self, SINCE[None], self.base)
+
+
+def scattered_then(known: Known, axes: tuple[int, ...]) -> float:
+    """By how much a reading of its own run was off the calibration, visits of a pose and all; 0 where nobody knows."""
+    part: Any = known.calibration.parts_made[0]
+    if not part.scatter.size or len(part.residual_covariance) != len(axes):
+        return 0.0
+    return float(np.sqrt(np.trace(part.residual_covariance + part.scatter) / len(axes)))
 
 
 def noise_of(known: Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float, int, float]:

@@ -22,12 +22,12 @@ from ..base.answer import AFTER, TARGET, Answer, Bar, ToDo
 from ..base.arguments import Count, Seed, validate_arguments
 from ..base.figures import finite, listed, number
 from ..base.notebook import Shown
-from ..base.types import Floats
+from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import unit_in
 from ..data.doubts import copied
 from ..data.reader import RunLike
-from ..errors import FitError
+from ..errors import FitError, SherkitError
 from ..evidence.base import Base
 from ..evidence.design import showing
 from ..evidence.names import judged_names
@@ -40,7 +40,7 @@ from ..robots.deployed import SENSOR
 from .change_model import ParameterChange, estimated
 from .check_rows import OF_CALIBRATION, SINCE, CheckRows, Known, noise_of
 from .pool import predicted, rows_of, told_ties
-from .runs import change_candidates, change_columns, moved_in_words
+from .runs import change_candidates, change_columns, moved_in_words, stand_of
 from .vouching import broken, errors_at_work, mistaken, shows, sights_of, smooth_fields, stand_columns, unable
 
 #: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
@@ -52,6 +52,8 @@ _SHAPES = 6
 _BY_CHANCE = 0.5
 #: The promise is mostly what the model lacks from this part of its square on.
 _LACKED = 0.5
+#: A row is wild that is off by so many times the median of all; no more than this part of them.
+_WILD, _WILD_PART = 12.0, 0.1
 #: An error, in promises, of which it is said whether a check finds it.
 _SURE = 1.5
 _CANDIDATES, _RIDGE = 240, 1e-3
@@ -79,6 +81,8 @@ class Verification(Shown):
     silent: str = ""
     #: The accuracy that the robot is for, in 95 of 100 cases, µm, where its file says so.
     required_um: float | None = None
+    #: Readings far off from all others, by their lines, which count for nothing.
+    set_aside: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -119,6 +123,8 @@ class Verification(Shown):
     def answer(self) -> Answer:
         """What it says for whoever reads nothing else."""
         told = [*self.sees, *told_ties(self.indistinguishable)]
+        if self.set_aside:
+            told.insert(0, f"Set aside, far off from all others: {listed(self.set_aside)}; read it once more")
         if self.unit == "µm" and (promised := self.error["promised"]) is not None:
             within = promised * float(np.sqrt(scipy.stats.chi2.ppf(_SHARE, 3) / 3))
             # what could hide between the poses of the calibration no check by a few other poses can be held to
@@ -162,6 +168,7 @@ class Verification(Shown):
             "evidence": finite(self.evidence),
             "stand": self.stand,
             "required_um": self.required_um,
+            "set_aside": list(self.set_aside),
             "would_show": list(self.would_show),
             "would_not": list(self.would_not),
             "silent": self.silent,
@@ -192,6 +199,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         mute = Silent("these are the rows that it was calibrated from: nothing was measured since", "measure once more")
     if mute is not None:
         return _unsaid(known, data, mute)
+    wild = _wild(known, data, axes)
+    data = data.mark_outliers(wild) if len(wild) else data
     noise, noise_freedom, part = noise_of(known, data, axes)
     rows = CheckRows.of(known, data, axes, noise, part)
     model, used, stand = rows.model, rows.used, rows.stand
@@ -261,7 +270,24 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         advice=mute.measure if mute is not None else _advice(valid, names, ties, evidence, held),
         silent="" if mute is None else f"{data.source}: {mute}",
         required_um=required_um(made.robot),
+        set_aside=tuple(f"{data.counted} {data.line[row]}" for row in wild),
     )
+
+
+def _wild(known: Known, data: Measurements, axes: tuple[int, ...]) -> Ints:
+    """Rows (k,) that are accidents: so far off from where nearly all others are that no change of a robot is that of
+    one place, and, where their pose was read again, off from what was read then."""
+    used = data.used[:, list(axes)]
+    try:
+        stand = stand_of(known.model, data, known.values, axes, used, known.corrected(data, axes))
+    except SherkitError:
+        return np.zeros(0, dtype=np.int64)
+    off = np.linalg.norm(np.where(used, stand.residual, 0.0), axis=1)
+    far = off > _WILD * np.median(off[used.any(axis=1)])
+    # a pose that is off whenever it is read is no accident
+    far &= ~np.array([(data.groups == pose).sum() > 1 and far[data.groups == pose].all() for pose in data.groups])
+    rows = np.flatnonzero(far)
+    return rows if len(rows) <= _WILD_PART * len(data) else rows[:0]
 
 
 def _unsaid(known: Known, data: Measurements, why: Silent) -> Verification:

@@ -311,12 +311,19 @@ class DeltaCalibration(Calibration):
         return made
 
     def left_at(self, part: IdentifiedModel, coordinates: Floats) -> Floats:
-        """Covariance (n, 3, 3), mm²; without the correction as far as it has faded."""
+        """Covariance (n, 3, 3), mm²; without the correction as far as it has faded. What the run of the region shows
+        to be left does not end at its border: where that is more, it fades over as much as the region reaches."""
         own = cast(DeltaPart, part)
-        if own.correction is None:
-            return super().left_at(part, coordinates)
-        share = np.array([own.correction.share(at) for at in own.at_base(coordinates)])[:, None, None]
-        return np.asarray(share * own.residual_covariance + (1.0 - share) * own.uncorrected_covariance)
+        left = np.array(super().left_at(part, coordinates))
+        if own.correction is not None:
+            share = np.array([own.correction.share(at) for at in own.at_base(coordinates)])[:, None, None]
+            left = share * own.residual_covariance + (1.0 - share) * own.uncorrected_covariance
+        if self.local is not None and self.region_half_width_mm is not None and part is not self.local:
+            outside = (np.abs(own.at_base(coordinates)) - self.region_half_width_mm).max(axis=1)
+            near = (1.0 - outside / self.region_half_width_mm).clip(0.0, 1.0)[:, None, None]
+            more = np.trace(self.local.residual_covariance) > np.trace(left, axis1=1, axis2=2)
+            left = np.where(more[:, None, None], near * self.local.residual_covariance + (1.0 - near) * left, left)
+        return np.asarray(left)
 
     def part_at(self, coordinates: Floats) -> DeltaPart:
         """The local part inside the region of interest, where there is one, else the whole one."""
