@@ -176,7 +176,7 @@ def test_measured_robot_round_trip() -> None:
     c = experiment(0, 0.01)[1].calibration
     assert c.local is not None
     assert c.whole.correction is not None
-    x = np.concatenate([grid(20.0, 15, (-20.0, -7.0, 0.0, 11.0, 20.0)), grid(12.5, 15, (-10.0, 3.0, 11.0))])
+    x = np.concatenate([grid(20.0, 9, (-20.0, -7.0, 0.0, 11.0, 20.0)), grid(12.5, 9, (-10.0, 3.0, 11.0))])
     q = c.inverse_batch(x).require()
     np.testing.assert_allclose(c.forward_batch(q).require(), x, rtol=0, atol=1e-6)
 

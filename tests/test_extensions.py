@@ -37,7 +37,7 @@ ARM = PlanarArm((250.0, 180.0), joint_limits_deg=(-170.0, 170.0))
 # -- the suite of kinds ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["spherical", *slow("delta", "serial"), "printer"])
+@pytest.mark.parametrize("name", ["printer", *slow("spherical", "delta", "serial")])
 def test_a_built_in_kind_passes_the_suite_of_strangers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a suite that asks what sherkit's own robots do not do, and a robot of its own that has an exception. How
     often they alarm is counted elsewhere."""
@@ -97,8 +97,8 @@ class _Open(PlanarArm):
 @pytest.mark.parametrize(
     ("change", "robot", "said"),
     [
-        (lambda k: replace(k, robot=_Short), _Short, "inverse_batch: do not agree"),
         *slow(
+            (lambda k: replace(k, robot=_Short), _Short, "inverse_batch: do not agree"),
             (lambda k: replace(k, model=_Steep), PlanarArm, "derivative by length_1 is not that of the readings"),
             (lambda k: replace(k, model=_Lazy), PlanarArm, "droop: has no remedy"),
             (lambda k: replace(k, virtual=_Bent), PlanarArm, "alarms where nothing is hidden"),

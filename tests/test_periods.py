@@ -72,6 +72,7 @@ def test_an_alias_is_said() -> None:
     assert any(abs(number / wrong - 1) < 0.01 for number in numbers)
 
 
+@pytest.mark.slow
 def test_the_file_decides_between_aliases() -> None:
     """Catches a file that is overruled by an alias which fits as well."""
     world = worlds.delta_world(

@@ -80,7 +80,7 @@ def test_repeats_that_all_agree_share_all_of_the_rounding() -> None:
 # -- named ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("repeats", [1, 5])
+@pytest.mark.parametrize("repeats", [1, *slow(5)])
 @pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_joints_of_too_few_digits_are_named(seed: int, repeats: int) -> None:
     """Catches "each pose is off by its own" that sends somebody to look at markers and seats."""
@@ -96,14 +96,14 @@ def test_joints_of_too_few_digits_are_named(seed: int, repeats: int) -> None:
 
 def test_what_steps_of_joints_leave_is_what_they_left() -> None:
     """Catches a wrong size: that of the poses' own, estimated without any model of rounding, within 15 %."""
-    data = few(400, 4, 9).data
+    data = few(200, 4, 9).data
     d = sk.diagnose(DELTA, replace(data, joints=rounded(data.joints, 0.02)))
     own = next(one.result for one in d.checks if one.name == "poses_as_repeats").split("off by ")[1].split()[0]
     alone = d.headline.split("that alone leaves ")[1].split()[0]
     assert float(alone) == pytest.approx(float(own), rel=0.15)
 
 
-@pytest.mark.parametrize("repeats", [1, 5])
+@pytest.mark.parametrize("repeats", [1, *slow(5)])
 def test_readings_of_too_few_digits_are_named(repeats: int) -> None:
     """Catches a dial of a tenth of a millimetre that is taken for physics."""
     data = few(300, repeats, 4).data

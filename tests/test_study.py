@@ -320,6 +320,7 @@ def test_a_calibration_deploys_the_effects() -> None:
     assert misses(without).max() > 5 * NOISE_MM
 
 
+@pytest.mark.slow
 def test_a_clock_that_counts_from_1970_promises_the_same(tmp_path: Path) -> None:
     """Catches rows held out that are predicted with the drift of fifty years: 300 km were promised, and the file of it
     could not be read."""
