@@ -245,6 +245,7 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(app: Served, lab: Path) -> 
         page.wait_for_function("Bokeh.documents[0].get_model_by_name('steps').data.action.length == 4")
 
 
+@pytest.mark.slow
 def test_nothing_is_cut_off_at_the_widths_of_screens(app: Served) -> None:
     """Catches what is pressed below the edge of a header whose answer is long, and maps cut at the right."""
     with seen(app.url) as page:
