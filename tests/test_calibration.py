@@ -171,12 +171,13 @@ def test_inverse_undoes_forward(seed: int, x: tuple[float, float, float], effect
     np.testing.assert_allclose(c.inverse(c.forward(q)), q, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_measured_robot_round_trip() -> None:
     """Catches what random numbers do not have: a calibration as it comes from two runs, on a fine grid."""
     c = experiment(0, 0.01)[1].calibration
     assert c.local is not None
     assert c.whole.correction is not None
-    x = np.concatenate([grid(20.0, 9, (-20.0, -7.0, 0.0, 11.0, 20.0)), grid(12.5, 9, (-10.0, 3.0, 11.0))])
+    x = np.concatenate([grid(20.0, 15, (-20.0, -7.0, 0.0, 11.0, 20.0)), grid(12.5, 15, (-10.0, 3.0, 11.0))])
     q = c.inverse_batch(x).require()
     np.testing.assert_allclose(c.forward_batch(q).require(), x, rtol=0, atol=1e-6)
 

@@ -304,11 +304,16 @@ def said(capsys: pytest.CaptureFixture[str], code: int, *typed: str) -> str:
 
 
 def test_compare_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches keys that programs count on and that are not there, and a page that is not written."""
+    """Catches keys that programs count on and that are not there."""
     found = json.loads(said(capsys, 0, "compare", "robot.toml", "before.csv", "after.csv", "--json"))
     assert {"verdict", "changed", "indistinguishable", "stand", "error", "parameters", "next_poses"} <= set(found)
     assert set(found["error"]) == {"before", "after", "needed"}
     assert found["changed"] == ["base_angle_2"]
+
+
+@pytest.mark.slow
+def test_the_page_of_a_comparison(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a page that is not written."""
     text = said(capsys, 0, "compare", "robot.toml", "before.csv", "after.csv", "--report", "page.html")
     assert "base_angle_2 by" in text
     assert "<h1>" in (folder / "page.html").read_text(encoding="utf-8") or (folder / "page.html").stat().st_size > 1000
@@ -332,10 +337,13 @@ def test_a_beam_that_was_lost_is_said_before_a_calibration(folder: Path) -> None
     run = pl.read_csv("before.csv")
     held = [pl.Series(c, [*run[c][:-12], *[run[c][-12]] * 12]) for c in ("x_mm", "y_mm", "z_mm")]
     run.with_columns(held).write_csv("lost.csv")
-    told = command(folder, "calibrate", "robot.toml", "lost.csv")[2]
+    told = command(folder, "calibrate", "robot.toml", "lost.csv", "--correction", "none")[2]
     assert told.count("readings that were lost") == 1
     assert f"in 12 of {len(run)} rows" in told
-    assert "readings that were lost" not in command(folder, "calibrate", "robot.toml", "before.csv")[2]
+    assert (
+        "readings that were lost"
+        not in command(folder, "calibrate", "robot.toml", "before.csv", "--correction", "none")[2]
+    )
 
 
 def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], bumped: DeltaPair) -> None:
@@ -599,6 +607,7 @@ def years(kind: str) -> tuple[Any, list[dict[str, Any]], list[str]]:
     return first.robot, runs, dates
 
 
+@pytest.mark.slow
 def test_a_step_has_its_date() -> None:
     """Catches a step at another run, another parameter, or as wear."""
     robot, runs, dates = years("step")
@@ -640,6 +649,7 @@ def test_two_courses_of_two_numbers_have_their_dates() -> None:
     assert "calibrate again" in found.advice
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("worn", "expected"),
     [

@@ -224,21 +224,32 @@ def test_options_reach_the_library(
     assert said != plain
 
 
-def test_excluded_lines_are_named_and_not_fitted(work: Path, whole: Measurements) -> None:
-    """Catches lines counted from the wrong end: line 12 of the file is its eleventh row."""
+def spoilt() -> str:
+    """A run with a note above it, whose line 13 is wrong."""
     lines = Path("whole.csv").read_text().splitlines()
     cells = lines[11].split(",")
     lines[11] = ",".join([*cells[:-1], str(float(cells[-1]) + 5.0)])
-    Path("spoilt.csv").write_text("# with a note above\n" + "\n".join(lines) + "\n")
+    return "# with a note above\n" + "\n".join(lines) + "\n"
+
+
+def test_excluded_lines_are_named_and_not_fitted(work: Path, whole: Measurements) -> None:
+    """Catches lines counted from the wrong end: line 12 of the file is its eleventh row."""
+    Path("spoilt.csv").write_text(spoilt())
     done = sherkit(work, "calibrate", "robot.toml", "spoilt.csv", "--exclude", " 13, 20", "--correction", "none")
     assert done.returncode == 0
     assert "marked as outliers and not fitted: lines 13, 20" in done.stdout
     clean = whole.mark_outliers(np.array([10, 17]))
     after = calibrate(load_robot("robot.toml"), clean, correction="none").whole.fit.rms()
     assert " ± ".join([f"{after['x_mm']:.1f}"] * 2) in done.stdout
-    for given, what in (((), "left out"), (("--with-outliers",), "used all the same")):
-        said = sherkit(work, "calibrate", "robot.toml", "spoilt.csv", "--correction", "none", *given).stdout
-        assert re.search(rf"gross errors?, lines? [^:]*\b13\b[^:]*: {what}", re.sub(r"\s+", " ", said))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("given", "what"), [((), "left out"), (("--with-outliers",), "used all the same")])
+def test_gross_errors_are_named_by_their_lines(given: tuple[str, ...], what: str, work: Path) -> None:
+    """Catches the same of rows that nobody excluded."""
+    Path("spoilt.csv").write_text(spoilt())
+    said = sherkit(work, "calibrate", "robot.toml", "spoilt.csv", "--correction", "none", *given).stdout
+    assert re.search(rf"gross errors?, lines? [^:]*\b13\b[^:]*: {what}", re.sub(r"\s+", " ", said))
 
 
 # -- exit codes and errors -----------------------------------------------------------------------------------

@@ -124,7 +124,7 @@ def test_a_robot_that_is_not_as_drawn_is_measured_to_its_end(kind, seed, tmp_pat
 
 #: Faults that take longer to be seen than others of their sort; some are also asked at a real port.
 LONG = ("one column frozen", "one sign turned", "another unit", "all columns shift", "one column lags by a pose",
-        "noise explodes", "read in coarse steps")  # fmt: skip
+        "noise explodes", "read in coarse steps", "all encoders slipped")  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.slow] * (one in LONG)) for one in FAULTS])

@@ -207,10 +207,15 @@ def verbs(installed: Path, folder: Path, *lines: str, code: int = 0) -> list[str
     return [" ".join((out + err).split()) for _, out, err in done]
 
 
-def test_a_robot_from_outside_is_one_like_the_others(installed: Path, tmp_path: Path) -> None:
-    """Catches a door that only sherkit's own robots come through: the suite, a simulation, a diagnosis, the schema."""
+@pytest.mark.slow
+def test_a_robot_from_outside_passes_the_suite(installed: Path, tmp_path: Path) -> None:
+    """Catches a suite that only sherkit's own robots pass."""
     asked = "import sherkit.testing, xy_stage; print(len(sherkit.testing.check_robot(xy_stage.KIND)))"
     assert run(installed, tmp_path, asked).split()[0] == "9"
+
+
+def test_a_robot_from_outside_is_one_like_the_others(installed: Path, tmp_path: Path) -> None:
+    """Catches a door that only sherkit's own robots come through: a simulation, a diagnosis, the schema."""
     (tmp_path / "robot.toml").write_text('kind = "xy_stage"\n[geometry]\ntravel_mm = [120.0, 80.0]\n')
     made, found, effects, schema = verbs(
         installed, tmp_path, "simulate robot.toml -o run.csv --bow-um 12 --seed 3", "diagnose robot.toml run.csv",

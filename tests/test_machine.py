@@ -246,7 +246,7 @@ def test_joints_within_their_ranges_are_in_their_unit(times: float, unit: str) -
 def test_another_gear_is_a_mistake_of_the_set_up(name: str, joint: str, times: float) -> None:
     """Catches a joint with another pulley or pitch than the file's that is "unexplained", or an effect of 200 times its
     usual size."""
-    run = run_of(name, 3)
+    run = run_of(name, 3, poses=60)
     d = sk.diagnose(MACHINE[name], run.with_columns(pl.col(joint) * times))
     ratio, word = (max(times, 1.0 / times), "large" if times > 1 else "small")
     assert f"{joint} looks {ratio:g} times too {word} (another pitch, gear or pulley?)" in d.headline
@@ -659,10 +659,11 @@ def test_a_machine_with_the_columns_of_a_delta_is_itself() -> None:
 # -- by its file -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_a_machine_by_its_file(tmp_path: Path) -> None:
     """Catches a verb that reads TOML only. Seed 7."""
     run = tmp_path / "run.csv"
-    run_of("gantry", 7, {"droop": 3e-7}, poses=60).write_csv(run)
+    run_of("gantry", 7, {"droop": 3e-7}).write_csv(run)
     code, told, wrong = command(tmp_path, "diagnose", str(EXAMPLES / "gantry.py"), str(run))
     assert code == 0, wrong
     assert "explained: droop" in told
@@ -676,7 +677,7 @@ def test_the_command_line_takes_a_machine_by_its_file(tmp_path: Path) -> None:
 def test_a_calibration_of_a_machine_is_checked_by_the_machines_file(tmp_path: Path) -> None:
     """Catches verbs that take a calibration alone and cannot be used for a machine that a Python file makes. Seed 8."""
     run, file = tmp_path / "run.csv", str(EXAMPLES / "gantry.py")
-    rows = run_of("gantry", 8, {})
+    rows = run_of("gantry", 8, {}, poses=60)
     rows.write_csv(run)
     rows[:-9].write_csv(tmp_path / "check.csv")
     code, _, wrong = command(tmp_path, "calibrate", file, "run.csv", "-o", "c.toml")

@@ -195,6 +195,7 @@ def test_what_slipped_and_stayed_is_an_effect(noises: float) -> None:
     assert "slip" in named(d)
 
 
+@pytest.mark.slow
 def test_what_slipped_early_is_an_effect() -> None:
     """Catches the beginning of a run that is thrown away because it is the smaller part, and poses with it of which
     one reading belongs to that beginning: a slip after the first twentieth of shuffled rows."""

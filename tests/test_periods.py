@@ -29,6 +29,7 @@ def notes_on_periods(d: sk.diagnosis.Diagnosis) -> list[str]:
 pytestmark = pytest.mark.filterwarnings("ignore:.*is left out")
 
 
+@pytest.mark.slow
 def test_a_pitch_that_is_right_stays() -> None:
     """Catches a searched period in place of the file's where it is as good, and words on it."""
     d = worlds.delta_world(0, {"encoder_cyclic": 2 * NOISE_UM}).ask().diagnosis

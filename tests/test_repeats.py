@@ -98,7 +98,7 @@ def test_the_way_there_that_repeats_show_is_a_finding(order: Order) -> None:
 
 
 @pytest.mark.parametrize(
-    ("ratio", "said"), [(0.5, True), (1.5, False), *slow((10.0, True), (0.1, True), (0.95, False))]
+    ("ratio", "said"), [(0.5, True), *slow((1.5, False), (10.0, True), (0.1, True), (0.95, False))]
 )
 def test_declared_noise_that_repeats_contradict_is_said(ratio: float, said: bool) -> None:
     """Catches 0.03 mm declared where repeats show 3 µm and "adequate" without a word, by the declared one: a cycle

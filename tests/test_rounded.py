@@ -94,9 +94,10 @@ def test_joints_of_too_few_digits_are_named(seed: int, repeats: int) -> None:
     assert "seating" not in d.headline
 
 
+@pytest.mark.slow
 def test_what_steps_of_joints_leave_is_what_they_left() -> None:
     """Catches a wrong size: that of the poses' own, estimated without any model of rounding, within 15 %."""
-    data = few(200, 4, 9).data
+    data = few(400, 4, 9).data
     d = sk.diagnose(DELTA, replace(data, joints=rounded(data.joints, 0.02)))
     own = next(one.result for one in d.checks if one.name == "poses_as_repeats").split("off by ")[1].split()[0]
     alone = d.headline.split("that alone leaves ")[1].split()[0]
@@ -130,7 +131,7 @@ def ur5(tmp_path_factory: pytest.TempPathFactory) -> Serial:
 
 def test_degrees_of_two_decimals_are_named_in_degrees(ur5: Serial) -> None:
     """Catches a step in radians that nobody recognises, and a robot for which nothing of this was made."""
-    joints = np.tile(postures(ur5, 100, 0.9, 2), (3, 1))
+    joints = np.tile(postures(ur5, 70, 0.9, 2), (2, 1))
     data = OwnArm.made(2).run(ur5, joints, 2, False)
     step = float(np.radians(0.02))
     d = sk.diagnose(ur5, replace(data, joints=rounded(data.joints, step)))

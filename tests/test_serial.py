@@ -445,7 +445,7 @@ def test_growth_of_all_links_alike_is_tied_with_that_of_the_whole(ur5: Serial) -
 
 def test_what_hangs_is_told_to_the_loop(ur5: Serial) -> None:
     """Catches a payload that is lost between the run and the calibrated arm."""
-    data = simulated(ur5, 3, 120, sags=1e-4)
+    data = simulated(ur5, 3, 80, sags=1e-4)
     made = sk.calibrate(ur5, data, effects=["payload_compliance"], correction="none").calibration
     virtual = SecondArm.simulated(ur5, 3, 1.0, PLAIN).with_hidden(sags=1e-4)
     q, still = postures(ur5, 1, 0.8, seed=5)[0], np.zeros(6)

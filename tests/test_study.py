@@ -299,6 +299,7 @@ def test_a_line_that_no_table_has_is_said(leaning: sk.Measurements, tmp_path: Pa
         sk.Study.load(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_calibration_deploys_the_effects() -> None:
     """Catches an effect that is found and then left out where the robot is commanded: on the simulator's truth."""
     errors, effects = planted(4, "rail_lean", "joint_scale")

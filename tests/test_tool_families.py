@@ -98,6 +98,7 @@ def test_what_play_leaves_in_section_iii_is_no_fault() -> None:
     assert j.ours.depth_covered > 0.85, j
 
 
+@pytest.mark.slow
 def test_a_fibre_that_fails_is_not_taken_for_section_iii() -> None:
     """Catches the section named whose three gratings stand beside one that is bad."""
     assert faulty(21000, "phantom", "fibre").right
