@@ -67,7 +67,7 @@ def test_the_lag_of_a_stand_is_found(seed: int) -> None:
 
 def test_a_loop_is_not_given_what_a_stand_does() -> None:
     """Catches a control loop that moves with the tripod of an instrument that is no longer there."""
-    run = delta.measured(delta.GRIDS["small"], 2, scaled={"thermal_shift": delta.NOISE_UM}, repeats=1)
+    run = delta.measured(delta.GRIDS["whole"], 2, scaled={"thermal_shift": delta.NOISE_UM}, repeats=1)
     made = sk.calibrate(delta.DELTA, run.data, effects=["thermal_shift"], correction="none").calibration
     q = delta.DELTA.inverse([1.0, 2.0, 3.0])
     np.testing.assert_array_equal(made.forward(q, temperature_c=15.0), made.forward(q, temperature_c=25.0))
