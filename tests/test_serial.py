@@ -526,12 +526,13 @@ def test_the_story_of_an_arm(
 # -- not fooled by many parameters ---------------------------------------------------------------------------------
 
 
-def test_more_parameters_than_rows_support_are_said(ur5: Serial) -> None:
+@pytest.mark.parametrize("arms", [3, *slow(6)])
+def test_more_parameters_than_rows_support_are_said(arms: int, ur5: Serial) -> None:
     """Catches a geometry of 27 parameters on 34 rough samples that is called a success: it fits better than the few
     that the rows support and predicts worse, and plausible sizes make up for that."""
     rough = {**PLAIN, "noise_um": 4000.0}
     fitted: dict[bool, list[float]] = {False: [], True: []}
-    for seed in range(3):
+    for seed in range(arms):
         virtual = SecondArm.simulated(ur5, seed, 1.0, rough)
         data = virtual.measure(postures(ur5, 34, 0.5, seed), seed=seed)
         new = replace(virtual, noise_mm=0.0).measure(postures(ur5, 100, 0.9, seed + 50), seed=1)

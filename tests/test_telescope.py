@@ -155,10 +155,11 @@ def test_planted_flexure_explains() -> None:
     assert "arcsec held out" in repr(d)
 
 
-def test_nothing_planted_nothing_found() -> None:
-    verdicts = [sk.diagnose(sk.identify(mount.Mount(), simulated(seed))).verdict for seed in range(4)]
+@pytest.mark.parametrize("runs", [4, pytest.param(8, marks=pytest.mark.slow)])
+def test_nothing_planted_nothing_found(runs: int) -> None:
+    verdicts = [sk.diagnose(sk.identify(mount.Mount(), simulated(seed))).verdict for seed in range(runs)]
     # one in a hundred may be found at this level
-    assert verdicts.count("adequate") >= 3
+    assert verdicts.count("adequate") >= runs - 1
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])
