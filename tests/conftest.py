@@ -9,13 +9,13 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from hypothesis import settings
 
 import browsing
 from consistency import consistent
-from running import thin
 from sherkit.diagnosis import Diagnosis
 
 # how long an example takes depends on what else the machine does; and a run that says something else than the last one
@@ -83,17 +83,15 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
             terminalreporter.write_line(f"{one.processor_s:5.1f} s of processor  {one.when:8}  {one.nodeid}")
 
 
-@pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a reader has after ``make demo``, what that said with its tables (``said.txt``), and the files that the
-    documents name as the reader's own. The worker that is first makes it for all; tests that write there take a copy
-    (:func:`work`)."""
+def made_once(tmp_path_factory: pytest.TempPathFactory, name: str, every: int) -> Path:
+    """What ``make demo`` leaves of one of so many poses. The worker that is first makes it for all."""
+    from sherkit.robots.delta.robot import paper_local, paper_whole
     from test_docs import sherkit
     from test_klipper import SAVED, TRUE, config
 
     base = tmp_path_factory.getbasetemp()
-    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "made_by_demo"
-    making = shared.with_name("making")
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
+    making = shared.with_name(f"making_{name}")
     while not shared.exists():
         try:
             making.mkdir()
@@ -102,13 +100,29 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             continue
         if not shared.exists():
             folder = tmp_path_factory.mktemp("made")
-            (folder / "said.txt").write_text(sherkit(["demo", "--tables"], folder), encoding="utf-8")
+            some = {one.__name__: lambda one=one: one()[every - 1 :: every] for one in (paper_whole, paper_local)}
+            with patch.multiple("sherkit.cli.demo", **some):
+                (folder / "said.txt").write_text(sherkit(["demo", "--tables"], folder), encoding="utf-8")
             shutil.copy(folder / "demo" / "robot.toml", folder / "robot.toml")
             shutil.copy(folder / "demo" / "local.csv", folder / "run.csv")
             (folder / "printer.cfg").write_text(config(TRUE, SAVED), encoding="utf-8")
             folder.rename(shared)
         making.rmdir()
     return shared
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a reader has after ``make demo``, what that said with its tables (``said.txt``), and the files that the
+    documents name as the reader's own. Of every sixth pose: what is shown must run, and how long it takes goes with the
+    rows. Tests that write there take a copy (:func:`work`)."""
+    return made_once(tmp_path_factory, "made_by_demo", 6)
+
+
+@pytest.fixture(scope="session")
+def made_whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same of all poses, as a reader has it: where figures are compared with those of the documents."""
+    return made_once(tmp_path_factory, "made_by_whole_demo", 1)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -144,12 +158,9 @@ def in_each_font() -> Iterator[browsing.InEachFont]:
 
 @pytest.fixture
 def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A fresh copy of it, as the current folder. Its runs keep every sixth pose: what is shown must run, and how long
-    it takes goes with the rows."""
+    """A fresh copy of it, as the current folder."""
     folder = tmp_path / "work"
     shutil.copytree(made, folder)
-    for run in (folder / "run.csv", *(folder / "demo").glob("*.csv")):
-        thin(run)
     monkeypatch.chdir(folder)
     return folder
 

@@ -91,6 +91,7 @@ def test_the_mean_of_bayes_factors_never_rises_where_nothing_is_missing() -> Non
     assert np.mean(last) < 1.0 + 4.0 * np.std(last) / np.sqrt(len(last))
 
 
+@pytest.mark.slow
 def test_what_is_tried_does_not_hang_on_the_rows_read_so_far() -> None:
     """Catches a scale, a setting or a weight that moves with each look: the columns of every effect and shape, on the
     scale of their prior, are those of the rows before, once more rows are there; then no mean of them is an e-process.
@@ -223,6 +224,7 @@ def pan_and_tilt(joints: Any, p: Any) -> Floats:
     return np.stack([out * np.cos(a), out * np.sin(a), far * np.sin(b)], axis=1)
 
 
+@pytest.mark.slow
 def test_a_shape_of_one_number_does_not_outdo_one_of_six() -> None:
     """Catches shapes that say as much as an effect as one of its numbers alone does, and stop a loop for that: one
     coupling of six was "unexplained" in 11 of 12 loops, which a diagnosis of the same rows named. Readings are
@@ -340,16 +342,18 @@ def test_a_row_that_is_wrong_is_driven_again() -> None:
     assert "again" in reasons
 
 
-def test_state_follows_from_the_rows(leaning: tuple[sk.Adaptive, World], tmp_path: Path) -> None:
+@pytest.mark.parametrize("from_file", [False, *slow(True)], ids=["at once", "file"])
+def test_state_follows_from_the_rows(leaning: tuple[sk.Adaptive, World], from_file: bool, tmp_path: Path) -> None:
     """Catches a file, or all rows told at once, that lead to another verdict or other poses."""
     loop, _ = leaning
-    loop.save(tmp_path / "loop.json")
-    again = sk.Adaptive.load(tmp_path / "loop.json")
-    at_once = sk.Adaptive(loop.robot, required_um=20, budget=150, span_min=5.0)
-    at_once.tell(loop.data)
-    for other in (again, at_once):
-        assert (other.verdict, other.effects, other.readings) == (loop.verdict, loop.effects, loop.readings)
-        assert [one.log_evidence for one in other.looks] == pytest.approx([one.log_evidence for one in loop.looks])
+    if from_file:
+        loop.save(tmp_path / "loop.json")
+        other = sk.Adaptive.load(tmp_path / "loop.json")
+    else:
+        other = sk.Adaptive(loop.robot, required_um=20, budget=150, span_min=5.0)
+        other.tell(loop.data)
+    assert (other.verdict, other.effects, other.readings) == (loop.verdict, loop.effects, loop.readings)
+    assert [one.log_evidence for one in other.looks] == pytest.approx([one.log_evidence for one in loop.looks])
 
 
 # -- bad input ------------------------------------------------------------------------------------------------------

@@ -47,6 +47,7 @@ def test_the_error_is_that_of_readings_that_the_fit_did_not_know(
     assert "µm by the geometry alone" in loop.sentence()
 
 
+@pytest.mark.slow
 def test_reasons_are_kept_with_the_rows(on_its_way: tuple[sk.Adaptive, World, list[str]], tmp_path: Path) -> None:
     """Catches reasons that are lost in a file, or that stand at other rows."""
     loop, _, asked = on_its_way

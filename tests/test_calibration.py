@@ -171,6 +171,7 @@ def test_inverse_undoes_forward(seed: int, x: tuple[float, float, float], effect
     np.testing.assert_allclose(c.inverse(c.forward(q)), q, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_measured_robot_round_trip() -> None:
     """Catches what random numbers do not have: a calibration as it comes from two runs, on a fine grid."""
     c = experiment(0, 0.01)[1].calibration

@@ -99,24 +99,24 @@ def values(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Any]]:
     plan = sk.lab.plan_of_poses(data.joints, (1.0, 2.0, 3.0))
     gantry = load_machine(Path(__file__).parents[1] / "examples" / "machines" / "gantry.py")
     of_gantry = sk.Study(gantry, run_of("gantry", 1, poses=40))
+    calibrated, seen = sk.calibrate(EXAMPLE, data), sk.tool.estimate(tool, run)
     made = [
         sk.lab.Live(EXAMPLE, plan), sk.model.Extended(Leaning()), plan, effect,
         *plain.catalogue.values(), *fit.parameters, data, stream, data.repeatability, study, fit,
-        study.history[-1], study.diagnose(), *study.diagnose().findings,
-        sk.Study(EXAMPLE, data).calibration(), EXAMPLE, study.model,
+        study.history[-1], study.diagnose(), *study.diagnose().findings, calibrated.calibration, EXAMPLE, study.model,
         sk.delta.VirtualDelta.draw(EXAMPLE, 1), EXAMPLE.sensor_pose, EXAMPLE.tolerances,
         sk.fit.hold_out(plain, data), noise_of(data),
         sk.delta.choose_correction(sk.identify(EXAMPLE, data)), sk.delta.DELTA, sk.fit.identify_stream(EXAMPLE, stream),
         sph, sph.camera, virtual_of(sph), looked, by_sight, by_sight.model,
         sk.Study(sph, looked).calibration(), sk.spherical.camera_placement(200.0, 0.5),
         sk.spherical.task_error(by_sight.model, looked, by_sight.values),
-        tool, hand, run, loads, sk.tool.estimate(tool, run), *sk.tool.judge(sk.tool.estimate(tool, run)),
+        tool, hand, run, loads, seen, *sk.tool.judge(seen),
         sk.tool.calibrate_tool(tool, loads), sk.tool.ToolModel(tool, run),
         sk.tool.align(free.time_s, free.position_mm, free.camera_time_s, free.camera_mm).registration,
         planning, planning.effect_powers, sk.planning.choose_poses(plain, data, 6),
         sk.planning.EffectSize("rail_lean", {}),
         gantry, of_gantry.model, of_gantry.calibration(), sk.lab.Goal(10.0), sk.lab.load_experiment(experiment(folder)),
-        sk.lab.load_laboratory(folder / "lab.toml"), sk.calibrate(EXAMPLE, data),
+        sk.lab.load_laboratory(folder / "lab.toml"), calibrated,
         sk.fit.Mistake("x"), sk.delta.fit_polynomial(data.readings[:, :3], data.readings[:, :3], (1, 1, 1)),
         sk.spherical.remote_centre(sk.identify(sph, looked, effects=["axis_offset"])),
     ]  # fmt: skip

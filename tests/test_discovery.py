@@ -145,7 +145,7 @@ def silent(case: Case, seed: int) -> sk.diagnosis.Diagnosis:
 
 #: One of each link and of each way to be found. That every effect is tried, and by the right columns, is asked where
 #: nothing is hidden and in ``test_effects.py``.
-ASKED = ("backlash", "rod_mismatch", "thermal_growth", "slip")
+ASKED = ("rod_mismatch",)
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_nothing_is_found_where_nothing_is(seed: int) -> None:
 
 @pytest.mark.parametrize(
     ("name", "seed"),
-    [pytest.param(name, seed, marks=[pytest.mark.slow] * ((name, seed) != ("slip", 0)))
+    [pytest.param(name, seed, marks=pytest.mark.slow)
      for name in ("slip", "joint_slip") for seed in range(4)],
 )  # fmt: skip
 def test_the_moment_of_a_slip_is_found_to_the_row(name: str, seed: int) -> None:
@@ -234,6 +234,7 @@ def test_two_effects_are_found_together(pair: tuple[str, str]) -> None:
     assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_UM - 1) < held_out_allowance(d)
 
 
+@pytest.mark.slow
 def test_humidity_is_described_and_not_explained() -> None:
     """Catches an unknown cause pressed into the catalogue, and a description that misses its variable. Seed 3."""
     d = measured(GRIDS["small"], 3, scaled={"humidity": 2 * NOISE_UM}).diagnose()

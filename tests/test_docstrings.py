@@ -31,7 +31,11 @@ def test_every_name_at_the_door_is_described() -> None:
         assert inspect.getdoc(getattr(sk, name)), name
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
+#: What takes longest; the tests of their own verbs ask the same functions.
+LONG = ("fleet", "history", "compare")
+
+
+@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.slow] * (one in LONG)) for one in FUNCTIONS])
 def test_an_example_runs(name: str, work: Path) -> None:
     """Catches a function without an example, and one that shows what no longer works. In a folder where ``make demo``
     has run, with what others wrote beside it."""

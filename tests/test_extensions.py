@@ -37,7 +37,7 @@ ARM = PlanarArm((250.0, 180.0), joint_limits_deg=(-170.0, 170.0))
 # -- the suite of kinds ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["spherical", *slow("delta", "serial"), "printer"])
+@pytest.mark.parametrize("name", ["printer", *slow("spherical", "delta", "serial")])
 def test_a_built_in_kind_passes_the_suite_of_strangers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a suite that asks what sherkit's own robots do not do, and a robot of its own that has an exception. How
     often they alarm is counted elsewhere."""
@@ -97,8 +97,8 @@ class _Open(PlanarArm):
 @pytest.mark.parametrize(
     ("change", "robot", "said"),
     [
-        (lambda k: replace(k, robot=_Short), _Short, "inverse_batch: do not agree"),
         *slow(
+            (lambda k: replace(k, robot=_Short), _Short, "inverse_batch: do not agree"),
             (lambda k: replace(k, model=_Steep), PlanarArm, "derivative by length_1 is not that of the readings"),
             (lambda k: replace(k, model=_Lazy), PlanarArm, "droop: has no remedy"),
             (lambda k: replace(k, virtual=_Bent), PlanarArm, "alarms where nothing is hidden"),
@@ -207,10 +207,15 @@ def verbs(installed: Path, folder: Path, *lines: str, code: int = 0) -> list[str
     return [" ".join((out + err).split()) for _, out, err in done]
 
 
-def test_a_robot_from_outside_is_one_like_the_others(installed: Path, tmp_path: Path) -> None:
-    """Catches a door that only sherkit's own robots come through: the suite, a simulation, a diagnosis, the schema."""
+@pytest.mark.slow
+def test_a_robot_from_outside_passes_the_suite(installed: Path, tmp_path: Path) -> None:
+    """Catches a suite that only sherkit's own robots pass."""
     asked = "import sherkit.testing, xy_stage; print(len(sherkit.testing.check_robot(xy_stage.KIND)))"
     assert run(installed, tmp_path, asked).split()[0] == "9"
+
+
+def test_a_robot_from_outside_is_one_like_the_others(installed: Path, tmp_path: Path) -> None:
+    """Catches a door that only sherkit's own robots come through: a simulation, a diagnosis, the schema."""
     (tmp_path / "robot.toml").write_text('kind = "xy_stage"\n[geometry]\ntravel_mm = [120.0, 80.0]\n')
     made, found, effects, schema = verbs(
         installed, tmp_path, "simulate robot.toml -o run.csv --bow-um 12 --seed 3", "diagnose robot.toml run.csv",

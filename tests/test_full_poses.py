@@ -125,9 +125,7 @@ def test_the_turn_of_a_tool_tells_more_than_its_place() -> None:
     ("seed", "hidden", "says"),
     [
         (3, {}, ()),
-        *slow((4, {}, ())),
-        (3, {"play": 4e-4}, ("backlash",)),
-        *slow((4, {"gives": 1e-3}, ("joint_compliance",))),
+        *slow((4, {}, ()), (3, {"play": 4e-4}, ("backlash",)), (4, {"gives": 1e-3}, ("joint_compliance",))),
     ],
 )
 def test_a_diagnosis_of_full_poses(seed: int, hidden: dict[str, float], says: tuple[str, ...]) -> None:

@@ -130,6 +130,7 @@ def test_an_innocent_is_not_named(make: Make, kinds: dict[Kind, frozenset[str]],
     assert len(lies) <= praised * runs, lies
 
 
+@pytest.mark.slow
 def test_a_step_does_not_stand_in_for_a_cycle() -> None:
     """Catches slip named for the air conditioning of a room: beside a free course in time it brings nothing. Seed 0."""
     d = ask(delta_unnamed(room_cycle, 5.0, "shuffled", 0)).diagnosis

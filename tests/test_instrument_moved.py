@@ -79,6 +79,7 @@ def test_how_far_and_at_which_line(seed: int, shift_mm: float, turn_deg: float, 
     assert "Of the instrument: clamp the stand" in d.finding("brings").to_do
 
 
+@pytest.mark.slow
 def test_it_leads_before_a_slip_of_the_robot(tmp_path: Path) -> None:
     """Catches a robot that is blamed where its instrument was shifted: both leave the same, and the tie is told."""
     table, true = knocked(3, 0.12, 0.0)

@@ -98,7 +98,8 @@ def held_out(d: sk.diagnosis.Diagnosis) -> float:
 # -- what is missing ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [1, *slow(2, 3)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_bend_is_no_wave(seed: int) -> None:
     """Catches a period as long as the travel, "799 ± 393 mm", given to a rail that bends once over its length."""
     found = diagnosed("gantry", seed, {"bow_mm": 0.04})
@@ -167,7 +168,8 @@ def assert_template_helps(name: str, run: pl.DataFrame, d: sk.diagnosis.Diagnosi
     assert max(with_it.values()) < 0.6 * max(without.values())
 
 
-@pytest.mark.parametrize("seed", [2, *slow(0, 1, 3, 4, 5)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 0, 1, 3, 4, 5])
 def test_motors_that_warm_up_are_no_slip(seed: int, tmp_path: Path) -> None:
     """Catches a course of joints in time, which no column tells, that is named as joints that slip (four of six); and
     its effect for one's own, which does not run or helps nothing."""
@@ -178,7 +180,8 @@ def test_motors_that_warm_up_are_no_slip(seed: int, tmp_path: Path) -> None:
     assert_template_helps("scara", run, d, tmp_path)
 
 
-@pytest.mark.parametrize("seed", [0, *slow(*range(1, 8))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
 def test_a_rack_in_two_pieces_is_no_wave(seed: int, tmp_path: Path) -> None:
     """Catches another slope of a joint from a place on that is named as a wave longer than half of its range, or told
     as a curve; and its effect for one's own, which helps nothing."""
@@ -204,7 +207,8 @@ def test_a_bump_is_no_wave(seed: int, tmp_path: Path) -> None:
     assert_template_helps("scara", run, d, tmp_path)
 
 
-@pytest.mark.parametrize("seed", [0, *slow(*range(1, 8))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
 def test_play_that_grows_is_no_play_and_no_ring(seed: int, tmp_path: Path) -> None:
     """Catches play that is more at one end of a joint and is "explained" by play and an eccentric ring."""
     run = run_of("scara", seed, {"worn_rad": 1e-3})
@@ -215,7 +219,8 @@ def test_play_that_grows_is_no_play_and_no_ring(seed: int, tmp_path: Path) -> No
     assert_template_helps("scara", run, d, tmp_path)
 
 
-@pytest.mark.parametrize("seed", [1, *slow(0, *range(2, 8))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
 def test_a_step_of_a_joint_that_shifts_all_is_in_the_tie(seed: int) -> None:
     """Catches "the instrument moved, or what stands on it" of a gantry whose motor lost steps at a moment that is none
     of those that are tried first: joint_slip, which says the same, was in no tie."""
@@ -235,11 +240,13 @@ def test_joints_within_their_ranges_are_in_their_unit(times: float, unit: str) -
     assert tried == ({unit} if unit else set())
 
 
-@pytest.mark.parametrize(("name", "joint", "times"), [("scara", "elbow_rad", 1.25), ("gantry", "y_axis_mm", 0.5)])
+@pytest.mark.parametrize(
+    ("name", "joint", "times"), [*slow(("scara", "elbow_rad", 1.25)), ("gantry", "y_axis_mm", 0.5)]
+)
 def test_another_gear_is_a_mistake_of_the_set_up(name: str, joint: str, times: float) -> None:
     """Catches a joint with another pulley or pitch than the file's that is "unexplained", or an effect of 200 times its
     usual size."""
-    run = run_of(name, 3)
+    run = run_of(name, 3, poses=60)
     d = sk.diagnose(MACHINE[name], run.with_columns(pl.col(joint) * times))
     ratio, word = (max(times, 1.0 / times), "large" if times > 1 else "small")
     assert f"{joint} looks {ratio:g} times too {word} (another pitch, gear or pulley?)" in d.headline
@@ -255,7 +262,7 @@ def crane(q: Any, p: Any) -> Any:
     return np.stack([x, y, 12000.0 + p.jib * reach - hoist], axis=1)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_play_of_a_long_joint_is_large(seed: int) -> None:
     """Catches play that leaves the noise and is refused, "its size would be absurd", as if 0.02 mm were usual of a
     hoist of 8 m as of a stage of 50 mm: unexplained in 5 of 8 cranes."""
@@ -345,7 +352,8 @@ def test_two_coordinates_of_three_tell_what_moves_them() -> None:
         assert (d.verdict, set(d.effects) <= {"joint_scale", "joint_coupling", "sensor_scale"}) == ("explained", True)
 
 
-@pytest.mark.parametrize("seed", [960004, *slow(960001, 960007, 960010)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [960004, 960001, 960007, 960010])
 def test_one_coupling_pays_for_no_other(seed: int) -> None:
     """Catches a belt that runs over one shoulder and is one of six couplings of a SCARA: beside a drift it was "shapes
     that follow no cause say as much in its place", as it paid for all six (2 of 5 pairs)."""
@@ -562,7 +570,7 @@ def test_a_place_beside_the_surface_of_two_joints_is_reached() -> None:
     columns = {"pose": np.arange(60), "a_rad": joints[:, 0], "b_rad": joints[:, 1]}
     run = sk.from_frame(pl.DataFrame(columns | dict(zip(("x_mm", "y_mm", "z_mm"), places.T, strict=True))))
     made = sk.calibrate(machine, run).calibration
-    inside = places[(np.abs(joints - [0.7, 2.1]) < 0.4).all(axis=1)]
+    inside = places[(np.abs(joints - [0.7, 2.1]) < 0.4).all(axis=1)][:3]
     assert np.isfinite(made.predicted_accuracies(inside).radius_mm).all()
     with pytest.raises(NotConverged):
         made.inverse(inside[0] + [0.0, 0.0, 5.0])
@@ -651,6 +659,7 @@ def test_a_machine_with_the_columns_of_a_delta_is_itself() -> None:
 # -- by its file -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_a_machine_by_its_file(tmp_path: Path) -> None:
     """Catches a verb that reads TOML only. Seed 7."""
     run = tmp_path / "run.csv"
@@ -668,7 +677,7 @@ def test_the_command_line_takes_a_machine_by_its_file(tmp_path: Path) -> None:
 def test_a_calibration_of_a_machine_is_checked_by_the_machines_file(tmp_path: Path) -> None:
     """Catches verbs that take a calibration alone and cannot be used for a machine that a Python file makes. Seed 8."""
     run, file = tmp_path / "run.csv", str(EXAMPLES / "gantry.py")
-    rows = run_of("gantry", 8, {})
+    rows = run_of("gantry", 8, {}, poses=60)
     rows.write_csv(run)
     rows[:-9].write_csv(tmp_path / "check.csv")
     code, _, wrong = command(tmp_path, "calibrate", file, "run.csv", "-o", "c.toml")

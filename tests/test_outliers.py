@@ -81,7 +81,8 @@ def test_accidents_are_few_however_many_readings_a_pose_has() -> None:
     assert found.tolist() == sorted(wild.tolist())
 
 
-@pytest.mark.parametrize("seed", [3, *slow(4, 6)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4, 6])
 def test_play_of_many_noises_is_named_whichever_side_the_first_reading_came_from(seed: int) -> None:
     """Catches axes that are weighed by a scatter of repeats that is play, so that the fit leaves too much of one that
     is read ten times as well; and a first reading, whose side nobody told, that speaks against what makes all others.
@@ -182,7 +183,7 @@ def test_wrong_rows_here_and_there_are_not_in_the_first_line() -> None:
     assert d.headline == "adequate: no effect is missing"
 
 
-@pytest.mark.parametrize("noises", [5.0, 50.0])
+@pytest.mark.parametrize("noises", [5.0, *slow(50.0)])
 def test_what_slipped_and_stayed_is_an_effect(noises: float) -> None:
     """Catches the end of a run that is thrown away because it is the smaller part: a slip after seven eighths."""
     world = worlds.delta_world(4)
@@ -194,6 +195,7 @@ def test_what_slipped_and_stayed_is_an_effect(noises: float) -> None:
     assert "slip" in named(d)
 
 
+@pytest.mark.slow
 def test_what_slipped_early_is_an_effect() -> None:
     """Catches the beginning of a run that is thrown away because it is the smaller part, and poses with it of which
     one reading belongs to that beginning: a slip after the first twentieth of shuffled rows."""
@@ -205,6 +207,7 @@ def test_what_slipped_early_is_an_effect() -> None:
     assert "slip" in named(d)
 
 
+@pytest.mark.slow
 def test_a_slip_between_two_rounds_of_the_same_poses_leaves_the_right_readings_in() -> None:
     """Catches a slip in the model that only the readings that are off are asked about: all poses are read once before
     it and once after it, so that the means of the poses say nothing of it. A good reading was listed, and the bad one
@@ -272,7 +275,8 @@ def test_one_wild_reading_of_two_makes_no_wrong_pose(seed: int) -> None:
     assert not [note for note in d.notes if "in all" in note]
 
 
-@pytest.mark.parametrize("seed", [0, *slow(*range(1, 6))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
 def test_what_hid_beside_an_effect_comes_to_light_with_it(seed: int) -> None:
     """Catches gross errors that are judged only beside a model that lacks what is found later: three poses off by eight
     noises beside play of ten stayed in, and the run was "partly explained"."""

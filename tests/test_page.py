@@ -233,6 +233,15 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(app: Served, lab: Path) -> 
         page.wait_for_function("Math.max(...Bokeh.documents[0].get_model_by_name('points').data.v) > 200")
         np.testing.assert_allclose(sorted(source(page, "points")["v"]), np.sort(data.time_s), rtol=1e-5)
 
+
+@pytest.mark.slow
+def test_what_was_taken_back_is_there_again_and_folded(app: Served) -> None:
+    """Catches a step that cannot be taken back, or made again, and a path that shows what was taken back unasked."""
+    with seen(app.url) as page:
+        button(page, "+ rail_lean").wait_for()
+        begun(page)
+        button(page, "+ rail_lean").click()
+        button(page, "✓ rail_lean").wait_for()
         # click again: removed; undo: there again
         button(page, "✓ rail_lean").click()
         button(page, "+ rail_lean").wait_for()
@@ -245,6 +254,7 @@ def test_the_hidden_effect_leads_and_a_click_adds_it(app: Served, lab: Path) -> 
         page.wait_for_function("Bokeh.documents[0].get_model_by_name('steps').data.action.length == 4")
 
 
+@pytest.mark.slow
 def test_nothing_is_cut_off_at_the_widths_of_screens(app: Served) -> None:
     """Catches what is pressed below the edge of a header whose answer is long, and maps cut at the right."""
     with seen(app.url) as page:

@@ -167,7 +167,7 @@ def machine_in(path: Path) -> sk.Machine:
     return load_machine(path)
 
 
-@pytest.mark.parametrize("unit", ["V", "counts", "K", "nm", "1/m", "steps"])
+@pytest.mark.parametrize("unit", ["V", "1/m", *slow("counts", "K", "nm", "steps")])
 def test_a_reading_in_any_unit(unit: str, tmp_path: Path) -> None:
     """Catches a unit that is refused, and an accuracy that is called micrometres whatever is read."""
     (tmp_path / "lamp.py").write_text(
@@ -409,6 +409,7 @@ def test_a_study_with_effects_of_ones_own_says_how_it_is_read(tmp_path: Path) ->
 # -- Joints that do not move -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_joint_that_stands_still_is_no_candidate(tmp_path: Path) -> None:
     """Catches a column of zeros that ends a verb, and sizes of what was never moved."""
     made = case("stilljoint", tmp_path, "1")

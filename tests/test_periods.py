@@ -29,6 +29,7 @@ def notes_on_periods(d: sk.diagnosis.Diagnosis) -> list[str]:
 pytestmark = pytest.mark.filterwarnings("ignore:.*is left out")
 
 
+@pytest.mark.slow
 def test_a_pitch_that_is_right_stays() -> None:
     """Catches a searched period in place of the file's where it is as good, and words on it."""
     d = worlds.delta_world(0, {"encoder_cyclic": 2 * NOISE_UM}).ask().diagnosis
@@ -72,6 +73,7 @@ def test_an_alias_is_said() -> None:
     assert any(abs(number / wrong - 1) < 0.01 for number in numbers)
 
 
+@pytest.mark.slow
 def test_the_file_decides_between_aliases() -> None:
     """Catches a file that is overruled by an alias which fits as well."""
     world = worlds.delta_world(

@@ -65,7 +65,7 @@ def blind() -> DeltaCalibration:
 )  # fmt: skip
 def test_what_the_poses_could_not_show_is_promised(name: str) -> None:
     """Catches a promise by the residuals alone: the ripple is in none of them, and everywhere between the poses."""
-    found = kept(named(name), range(1, 3), places=60)
+    found = kept(named(name), range(1, 2 if "10°" in name else 3), places=60)
     assert found.by_radius < 0.9
     assert found.whole >= 0.93
 
@@ -77,7 +77,7 @@ def test_what_the_poses_could_not_show_is_promised(name: str) -> None:
 )  # fmt: skip
 def test_poses_that_show_everything_leave_little_unseen(name: str) -> None:
     """Catches an addition for what irregular poses have ruled out, and a radius that does not hold without it."""
-    found = kept(named(name), range(2), places=60)
+    found = kept(named(name), range(1 if "jittered" in name else 2), places=60)
     assert np.median(found.addition) < 0.4 * np.median(found.visit)
     assert found.by_radius >= 0.90
     assert found.whole >= 0.93
@@ -98,7 +98,7 @@ def test_a_promise_holds(set_up: SetUp) -> None:
 # -- what it is made of --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("correction", ["none", "auto"])
+@pytest.mark.parametrize("correction", ["auto", *slow("none")])
 def test_what_an_effect_does_unseen_is_what_the_robot_misses(correction: str) -> None:
     """Catches a wrong sign, or a share of fit or correction left out: against the second simulator without noise.
 
@@ -190,7 +190,8 @@ def test_a_room_of_one_temperature_adds_nothing_at_that_temperature() -> None:
     assert promised[26.0] == pytest.approx(promised[None], rel=0.1)
 
 
-@pytest.mark.parametrize(("share", "least", "most"), [*slow((0.01, 0.99, 1.1)), (0.2, 0.8, 1.6)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "least", "most"), [(0.01, 0.99, 1.1), (0.2, 0.8, 1.6)])
 def test_poses_that_are_left_out_count_as_cases_of_a_hundred(share: float, least: float, most: float) -> None:
     """Catches a promise of the good poses alone where one pose of five is off by 100 noises in all its readings (kept
     in 0.7 of the places of a robot with a dent in a rail), and one that a single accident in a hundred poses blows up.

@@ -274,6 +274,7 @@ def test_callipers_that_are_not_at_zero_are_named(zero_mm: float, tmp_path: Path
 # -- what its owner is told --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_twist_is_said_in_its_direction_and_size(tmp_path: Path) -> None:
     """Catches a lean that is told the wrong way round, or at the wrong size."""
     meshes = {
@@ -324,6 +325,12 @@ def test_a_turn_that_nobody_told_is_asked_for(tmp_path: Path) -> None:
     said = dict(e.sections)
     assert "a pattern that neither this plate nor a known fault of the machine makes" in " ".join(said["What is wrong"])
     assert "--plate at60=DEGREES" in " ".join(said["What to measure next"])
+
+
+@pytest.mark.slow
+def test_a_turn_that_was_told_names_the_plate(tmp_path: Path) -> None:
+    """Catches a turn that is asked for and then not used."""
+    (config,) = Trial.of("bent plate", 5, 1).write(tmp_path, "klipper", (0.0, 60.0), 5)
     told = examine(import_klipper(config, {"at60": 60.0}))
     assert [s.names for s in told.suspects] == [("bed_shape",)]
     assert "DEGREES" not in " ".join(dict(told.sections)["What to measure next"])

@@ -80,7 +80,7 @@ def test_repeats_that_all_agree_share_all_of_the_rounding() -> None:
 # -- named ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("repeats", [1, 5])
+@pytest.mark.parametrize("repeats", [1, *slow(5)])
 @pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_joints_of_too_few_digits_are_named(seed: int, repeats: int) -> None:
     """Catches "each pose is off by its own" that sends somebody to look at markers and seats."""
@@ -94,6 +94,7 @@ def test_joints_of_too_few_digits_are_named(seed: int, repeats: int) -> None:
     assert "seating" not in d.headline
 
 
+@pytest.mark.slow
 def test_what_steps_of_joints_leave_is_what_they_left() -> None:
     """Catches a wrong size: that of the poses' own, estimated without any model of rounding, within 15 %."""
     data = few(400, 4, 9).data
@@ -103,7 +104,7 @@ def test_what_steps_of_joints_leave_is_what_they_left() -> None:
     assert float(alone) == pytest.approx(float(own), rel=0.15)
 
 
-@pytest.mark.parametrize("repeats", [1, 5])
+@pytest.mark.parametrize("repeats", [1, *slow(5)])
 def test_readings_of_too_few_digits_are_named(repeats: int) -> None:
     """Catches a dial of a tenth of a millimetre that is taken for physics."""
     data = few(300, repeats, 4).data
@@ -130,7 +131,7 @@ def ur5(tmp_path_factory: pytest.TempPathFactory) -> Serial:
 
 def test_degrees_of_two_decimals_are_named_in_degrees(ur5: Serial) -> None:
     """Catches a step in radians that nobody recognises, and a robot for which nothing of this was made."""
-    joints = np.tile(postures(ur5, 100, 0.9, 2), (3, 1))
+    joints = np.tile(postures(ur5, 70, 0.9, 2), (2, 1))
     data = OwnArm.made(2).run(ur5, joints, 2, False)
     step = float(np.radians(0.02))
     d = sk.diagnose(ur5, replace(data, joints=rounded(data.joints, step)))

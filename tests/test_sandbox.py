@@ -133,7 +133,7 @@ _MISBEHAVE = [
 ]
 
 
-@pytest.mark.parametrize("ways", [_MISBEHAVE[:2], *slow(_MISBEHAVE[2:])], ids=len)
+@pytest.mark.parametrize("ways", [_MISBEHAVE[:1], *slow(_MISBEHAVE[1:])], ids=len)
 def test_lines_that_misbehave_are_ended(bench: Workbench, ways: list[tuple[str, str, str]]) -> None:
     """Catches lines that take the page with them, one that is silent on what happened, and half a change."""
     told = errors(bench)
@@ -167,7 +167,7 @@ def running(command: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize("then", ["import time; time.sleep(600)", "import os; os._exit(3)", "pass"])
+@pytest.mark.parametrize("then", ["import time; time.sleep(600)", *slow("import os; os._exit(3)", "pass")])
 def test_what_lines_begin_ends_with_them(bench: Workbench, then: str) -> None:
     """Catches a child, or a detached grandchild, that outlives lines that were ended, crashed or were put away."""
     patient(bench, 1.0 if "sleep" in then else 20.0)
@@ -245,7 +245,7 @@ def test_lines_are_ended_with_the_one_who_asks(tmp_path: Path) -> None:
     asked = time.monotonic()
 
     def look() -> None:
-        if time.monotonic() - asked > 1.0:
+        if time.monotonic() - asked > 0.3:
             raise Cancelled("enough")
 
     with pytest.raises((Cancelled, EffectError)):

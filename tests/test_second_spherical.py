@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from running import slow
 from second_simulator.effects import motion_direction
 from second_simulator.spherical import (
     ALL_EFFECTS,
@@ -223,7 +224,7 @@ def test_limbs_of_any_geometry_are_the_cores(seed: int) -> None:
     np.testing.assert_allclose(robot.pixels(joints), readings, atol=1e-9)
 
 
-@pytest.mark.parametrize("size", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("size", [1.0, *slow(0.1, 10.0)])
 @pytest.mark.parametrize("name", ALL_EFFECTS)
 def test_each_effect_is_the_cores(name: str, size: float) -> None:
     """Catches an effect with another sign, unit, order of parameters or place in the chain than the core's."""
@@ -258,7 +259,7 @@ def test_effect_vanishes_with_its_parameters_and_only_then(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ALL_EFFECTS)
-@pytest.mark.parametrize("ratio", [1.0, 5.0])
+@pytest.mark.parametrize("ratio", [1.0, *slow(5.0)])
 def test_at_ratio_leaves_that_many_times_the_noise(name: str, ratio: float) -> None:
     """Catches sizes measured before the fit instead of after, and a noise taken for a variance."""
     found = PAPER.at_ratio(name, ratio, 0.1, PLAN, np.random.default_rng(3))

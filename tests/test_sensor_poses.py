@@ -55,7 +55,7 @@ def test_a_joint_that_stands_still_is_no_traceback(kind: str) -> None:
     assert blames_nobody(sk.diagnose(world.robot, world.run()))
 
 
-@pytest.mark.parametrize("kind", WORLDS)
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.slow] * (k == "arm")) for k in WORLDS])
 def test_what_is_hidden_is_told_wherever_the_instrument_stands(kind: str) -> None:
     """Catches an effect that is lost in the pose of the instrument, or named along axes that are not the robot's."""
     number, _, name = KINDS[kind]

@@ -80,7 +80,7 @@ def test_a_left_handed_frame_is_said_wherever_the_instrument_stands(name: str) -
     assert said.after < 0.01 * said.before
 
 
-@pytest.mark.parametrize(("part", "degrees", "by_mm"), [(0.8, 40.0, 50.0), (0.1, -7.0, 0.0), (0.5, 90.0, 300.0)])
+@pytest.mark.parametrize(("part", "degrees", "by_mm"), [(0.8, 40.0, 50.0), (0.1, -7.0, 0.0), *slow((0.5, 90.0, 300.0))])
 def test_an_instrument_that_was_set_up_anew_is_said_from_its_first_row(
     part: float, degrees: float, by_mm: float
 ) -> None:
@@ -102,6 +102,7 @@ def test_an_instrument_that_was_set_up_anew_is_said_from_its_first_row(
     assert f"row {line} " in said.sentence
 
 
+@pytest.mark.slow
 def test_an_instrument_that_was_set_up_anew_twice_is_said_twice() -> None:
     """Catches a second move that hides behind the first one: said with it, or once a column 'setup' has the first."""
 
@@ -146,7 +147,7 @@ def test_large_physics_is_no_mistake(world: World) -> None:
     assert told(world) == ()
 
 
-@pytest.mark.parametrize("name", ["a camera that is turned", "alpha in radians"])
+@pytest.mark.parametrize("name", [*slow("a camera that is turned"), "alpha in radians"])
 def test_mistakes_of_a_robots_file_are_said_as_such(name: str) -> None:
     """Catches a limb blamed for an angle in radians, and a camera blamed for how it was mounted."""
     kind, mistake = next((k, m) for k, (_, every) in mistakes.MISTAKES.items() for m in every if m.name == name)
@@ -173,20 +174,20 @@ def test_a_table_of_the_other_convention_is_said(read: str, tmp_path: Path) -> N
     meant = {"standard": "modified", "modified": "standard"}[read]
     right, wrong = (replace(import_dh(tmp_path / "ur5.csv", how), target_mm=TARGET_MM) for how in (meant, read))
     arm = SecondArm.simulated(right, 1, 1.0, PLAIN)
-    data = arm.measure(postures(right, 80, 0.9, 1), repeats=2, order="shuffled", seed=1)
+    data = arm.measure(postures(right, 40, 0.9, 1), order="shuffled", seed=1)
     fit = sk.identify(wrong, data)
     said = set_up_mistakes(fit.model, fit.data, fit.values)
     assert f"looks {meant}, and was read as {read}" in said[0].sentence
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [-1.0, *slow(1.0)])
 def test_a_joint_counted_from_the_horizontal_is_said(sign: float, tmp_path: Path) -> None:
     """Catches "nothing that is usually mistaken explains the run" of joint 3 of an arm that is read with joint 2 in it,
     16 of 16 arms; and a cure that does not cure."""
     (tmp_path / "ur5.csv").write_text(UR5)
     robot = replace(import_dh(tmp_path / "ur5.csv"), target_mm=TARGET_MM)
     arm = SecondArm.simulated(robot, 1, 1.0, PLAIN)
-    frame = arm.measure(postures(robot, 60, 0.9, 1), repeats=2, order="shuffled", seed=1).to_frame()
+    frame = arm.measure(postures(robot, 60, 0.9, 1), order="shuffled", seed=1).to_frame()
     second, third = (robot.layout.joints[k] for k in (1, 2))
     data = sk.from_frame(frame.with_columns(pl.col(third) + sign * pl.col(second)))
     fit = sk.identify(robot, data)
@@ -260,7 +261,8 @@ def test_a_camera_that_is_written_from_its_own_side_is_said(written: str, looks:
 
 
 @pytest.mark.parametrize("seed", [3, *slow(8)])
-def test_a_camera_that_stands_nowhere_near_ends_in_a_sentence(seed: int) -> None:
+@pytest.mark.parametrize("ask", [sk.diagnose, *slow(lambda robot, run: sk.Study(robot, run).diagnose())])
+def test_a_camera_that_stands_nowhere_near_ends_in_a_sentence(ask: Callable[..., Any], seed: int) -> None:
     """Catches a traceback where a fit to the rows that are left cannot compute the others, and silence where the robot
     moves the marker by less than the camera is off."""
     robot = sk.spherical.Spherical(
@@ -278,10 +280,9 @@ def test_a_camera_that_stands_nowhere_near_ends_in_a_sentence(seed: int) -> None
     joints = robot.inverse_batch(places).require()
     columns = dict(zip(("theta1_rad", "theta2_rad", "u_px", "v_px"), np.hstack([joints, seen]).T, strict=True))
     run = sk.from_frame(pl.DataFrame(columns | {"pose": np.tile(np.arange(100), 2) + 1}))
-    found = sk.diagnose(robot, run)
+    found = ask(robot, run)
     assert found.verdict == "unexplained"
     assert "nothing that is usually mistaken explains the run" in found.notes[0]
-    assert sk.Study(robot, run).diagnose().verdict == "unexplained"
 
 
 def test_an_error_of_reach_names_the_mistake() -> None:
@@ -338,6 +339,7 @@ def test_an_arm_of_a_users_own_has_the_usual_mistakes(name: str, arm: tuple[Plan
     assert [words in m.sentence for m in said] == ([True] if words else [])
 
 
+@pytest.mark.slow
 def test_a_word_of_an_arms_file_is_found(arm: tuple[PlanarArm, sk.Measurements]) -> None:
     """Catches a choice of the robot's file that no reading tells and its joints do."""
     robot, run = arm
@@ -381,7 +383,7 @@ def test_a_model_with_three_methods_has_them_too() -> None:
 
 def test_a_mistake_beside_large_physics_ends_in_a_sentence() -> None:
     """Catches a search for wrong rows where all are wrong: the columns of x and y exchanged on leaning rails."""
-    world = worlds.delta_world(0, effects={"rail_lean": np.full(6, 8e-3)})
+    world = worlds.delta_world(0, effects={"rail_lean": np.full(6, 8e-3)}, repeats=1)
     columns = world.columns | {"x_mm": world.columns["y_mm"], "y_mm": world.columns["x_mm"]}
     answer = replace(world, columns=columns).ask()
     assert answer.verdict == "unexplained"
@@ -399,7 +401,7 @@ def test_swapped_columns_are_said_on_leaning_rails(seed: int, lean_mrad: float) 
     assert "left-handed" in said[0].sentence
 
 
-@pytest.mark.parametrize("kind", ["delta", "spherical", "serial"])
+@pytest.mark.parametrize("kind", ["delta", "spherical", *slow("serial")])
 @pytest.mark.parametrize("poses", ["a line", "a place", "everywhere"])
 def test_readings_that_were_computed_are_told_from_measured_ones(kind: str, poses: str) -> None:
     """Catches a division by what is left where nothing is, a structure found in rounding, and a silent yes to a file of

@@ -19,6 +19,7 @@ from hypothesis import assume, given
 from numpy.typing import NDArray
 
 import sherkit as sk
+from running import slow
 from second_simulator.spherical import SecondSpherical, sphere_grid, spherical_plan
 from sherkit import _core, load_robot, save_robot
 from sherkit.cli.verbs import cli
@@ -260,13 +261,15 @@ def test_joint_space_and_task_space_errors(run: sk.Measurements) -> None:
         identify_joints(ROBOT, sk.from_frame(halved))
 
 
-def test_remote_centre_covers_the_truth() -> None:
-    """Catches a bound on the remote centre that is too small: 30 runs with axes that miss the centre, seeds 0 to 29.
+@pytest.mark.parametrize("runs", [10, *slow(30)])
+def test_remote_centre_covers_the_truth(runs: int) -> None:
+    """Catches a bound on the remote centre that is too small: runs with axes that miss the centre, seeds from 0.
 
-    The bound holds in 95 % for one pose, so nearly always for the worst of a run: at most 4 failures (one in 100).
+    The bound holds in 95 % for one pose, so nearly always for the worst of a run: of 30 four failures at
+    most (one in 100).
     """
     failures = 0
-    for seed in range(30):
+    for seed in range(runs):
         rng = np.random.default_rng(seed)
         offset = 0.3 * rng.normal(size=4)
         there = SecondSpherical(
@@ -281,7 +284,7 @@ def test_remote_centre_covers_the_truth() -> None:
         failures += worst > found.within_mm
         assert not found.explained
         assert found.displacement_mm.shape == (len(data), 3)
-    assert failures <= 4
+    assert failures <= (4 if runs == 30 else 2)
 
 
 def test_where_nothing_misses_the_centre(run: sk.Measurements) -> None:

@@ -180,7 +180,7 @@ def test_the_plan_fills_the_picture() -> None:
 
 #: One of each link and of each way to be found. That every effect is tried, and by the right columns, is asked where
 #: nothing is hidden and in ``test_second_spherical.py``.
-ASKED = ("joint_offset", "backlash", "gravity_flexure", "camera_delay")
+ASKED = ("camera_delay",)
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     assert d.signature is None
 
 
-@pytest.mark.parametrize("name", ["drift", "thermal_growth"])
+@pytest.mark.parametrize("name", ["thermal_growth", pytest.param("drift", marks=pytest.mark.slow)])
 def test_what_is_named_is_fitted_as_a_calibration_fits_it(name: str) -> None:
     """Catches a diagnosis that holds what it named to plausible sizes, since rows beside a model that lacked it could
     not do without the drawing: a growth of 1.7e-3 was told as 1.3e-4, four noises were said to be left, and a
@@ -274,6 +274,7 @@ def test_where_the_camera_stands_is_no_effect(seed: int) -> None:
     assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_PX - 1) < held_out_allowance(d)
 
 
+@pytest.mark.slow
 def test_a_cause_of_many_parameters_is_found_beside_the_small_ones_that_imitate_it() -> None:
     """Catches a true cause that is never fitted, for want of tries, since simpler ones take nearly as much of the run.
 

@@ -299,6 +299,7 @@ def test_a_line_that_no_table_has_is_said(leaning: sk.Measurements, tmp_path: Pa
         sk.Study.load(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_calibration_deploys_the_effects() -> None:
     """Catches an effect that is found and then left out where the robot is commanded: on the simulator's truth."""
     errors, effects = planted(4, "rail_lean", "joint_scale")
@@ -320,6 +321,7 @@ def test_a_calibration_deploys_the_effects() -> None:
     assert misses(without).max() > 5 * NOISE_MM
 
 
+@pytest.mark.slow
 def test_a_clock_that_counts_from_1970_promises_the_same(tmp_path: Path) -> None:
     """Catches rows held out that are predicted with the drift of fifty years: 300 km were promised, and the file of it
     could not be read."""

@@ -155,10 +155,11 @@ def test_planted_flexure_explains() -> None:
     assert "arcsec held out" in repr(d)
 
 
-def test_nothing_planted_nothing_found() -> None:
-    verdicts = [sk.diagnose(sk.identify(mount.Mount(), simulated(seed))).verdict for seed in range(8)]
+@pytest.mark.parametrize("runs", [4, pytest.param(8, marks=pytest.mark.slow)])
+def test_nothing_planted_nothing_found(runs: int) -> None:
+    verdicts = [sk.diagnose(sk.identify(mount.Mount(), simulated(seed))).verdict for seed in range(runs)]
     # one in a hundred may be found at this level
-    assert verdicts.count("adequate") >= 7
+    assert verdicts.count("adequate") >= runs - 1
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])
@@ -300,6 +301,7 @@ def nights(encoder: str) -> list[sk.Measurements]:
     return [mount.read_mmt(DATA / mount.MMT, f"point_{night.replace('-', '')}.dat", encoder) for night in NIGHTS]
 
 
+@pytest.mark.slow
 def test_what_the_nights_have_in_common_is_no_change() -> None:
     """Catches what the six terms miss in every night alike, 0.6″ along the azimuth, taken for a change since the first:
     of encoders that the telescope's own pointing model has corrected nothing has changed."""

@@ -295,7 +295,7 @@ def draws(rng: np.random.Generator, memory: float, k: int) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -memory], own, axis=0)[1000:])
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.99])
+@pytest.mark.parametrize("memory", [0.99, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_knowledge_tells_true_deviations_from_wrong(memory: float) -> None:
     """Catches a band for errors that are taken as independent, and deviations 1.5 times off that nobody sees: 40 draws.
 

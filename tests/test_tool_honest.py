@@ -251,7 +251,8 @@ def test_a_witness_that_is_lost_costs_no_row() -> None:
     assert b.faulty_sections[::2, 2].all()
 
 
-@pytest.mark.parametrize("benches", [2, pytest.param(12, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("benches", [2, 12])
 def test_a_calibration_says_what_it_does_not_know(tmp_path: Path, benches: int) -> None:
     """Catches a doubt that the file loses, deviations that are made up, and a stiffness that a noisy load cell bends.
 
@@ -270,6 +271,7 @@ def test_a_calibration_says_what_it_does_not_know(tmp_path: Path, benches: int) 
     assert found.tool.doubt != ToolDoubt()
 
 
+@pytest.mark.slow
 def test_a_bench_that_the_model_cannot_follow_is_said() -> None:
     """Catches a rod bent to 120 mN that gives wrong gains in silence, and a sentence where nothing is wrong."""
     world = World()

@@ -84,7 +84,7 @@ def diagnosed(name: str | None, seed: int, ratio: float = 1.0) -> sk.diagnosis.D
     return sk.diagnose(fitted(model))
 
 
-@pytest.mark.parametrize("name", ["tool_stiffness", "shaft_bend", "registration", "camera_delay"])
+@pytest.mark.parametrize("name", ["registration", *slow("tool_stiffness", "shaft_bend", "camera_delay")])
 def test_effects_are_found_by_name(name: str) -> None:
     """Catches an effect that is computed with the wrong sign or not at all; visible part 1 × the noise, seed 1."""
     d = diagnosed(name, 1)
@@ -125,11 +125,11 @@ def test_a_short_run_without_a_force_is_soon_answered(monkeypatch: pytest.Monkey
     assert len(counted) < 10
 
 
-def test_nothing_is_found_where_nothing_is() -> None:
-    """Catches an alarm without cause; seeds 2 and 3, level 1 % (of the seeds 0 to 23 seed 1 alone has p < 1 %)."""
-    for seed in (2, 3):
-        d = diagnosed(None, seed)
-        assert (d.verdict, d.effects) == ("adequate", ())
+@pytest.mark.parametrize("seed", [2, *slow(3)])
+def test_nothing_is_found_where_nothing_is(seed: int) -> None:
+    """Catches an alarm without cause; level 1 % (of the seeds 0 to 23 seed 1 alone has p < 1 %)."""
+    d = diagnosed(None, seed)
+    assert (d.verdict, d.effects) == ("adequate", ())
 
 
 @pytest.mark.parametrize("shows", [np.nan, *slow(0.0, 1531.03)])
@@ -158,7 +158,7 @@ def test_wrong_pictures_are_listed() -> None:
     assert len(d.to_json()["outliers"]) == 3
 
 
-@pytest.mark.parametrize("name", ["fbg_bias", "fbg_temperature"])
+@pytest.mark.parametrize("name", [*slow("fbg_bias"), "fbg_temperature"])
 def test_a_crept_grating_is_fitted(name: str) -> None:
     """Catches places of the tip that jump as a force falls under a threshold: no fit of them converges; 50 pm."""
     there = planted(name, 0, 5.0)
@@ -202,7 +202,7 @@ def test_a_run_without_pictures_is_refused() -> None:
         ToolModel(TOOL, without_camera(VirtualTool(TOOL).run("vessels", seconds=3.0)))
 
 
-@pytest.mark.parametrize(("name", "seed"), [("shaft_bend", 2), ("camera_delay", 2)])
+@pytest.mark.parametrize(("name", "seed"), [("shaft_bend", 2), *slow(("camera_delay", 2))])
 def test_what_takes_most_of_a_run_is_no_mistake_of_the_set_up(name: str, seed: int) -> None:
     """Catches a large effect that is taken for a wrong set-up where the tip hardly moves, or whose fit ends on the way
     and takes a minute: five times the noise."""
@@ -245,24 +245,24 @@ def test_a_verdict_hangs_on_no_seed() -> None:
     assert np.mean(same) >= 0.97
 
 
-def test_what_was_named_is_written() -> None:
+@pytest.mark.parametrize(
+    "name",
+    ["tool_stiffness", "fbg_gain", *slow("fbg_bias", "fbg_temperature"), "registration", "camera_delay",
+     *slow("fibre_delay"), "shaft_bend"],
+)  # fmt: skip
+def test_what_was_named_is_written(name: str) -> None:
     """Catches a value that is written with the wrong sign or about another point: the next run leaves no more."""
-    names = (
-        "tool_stiffness", "fbg_gain", "fbg_bias", "fbg_temperature", "registration", "camera_delay", "fibre_delay",
-        "shaft_bend",
-    )  # fmt: skip
-    for name in names:
-        there = planted(name, 2)
-        model = ToolModel(there.tool, there.run("vessels", seconds=12.0, seed=2))
-        fit = fitted(model, name)
-        told = applied(model, fit)
-        left = fitted(ToolModel(told.tool, model.run))
-        if name == "shaft_bend":
-            assert (told.written, told.kept_out) == ((), ("shaft_bend",))
-            continue
-        assert told.written == (name,)
-        assert np.mean(left.residuals**2) == pytest.approx(np.mean(fit.residuals**2), rel=0.02)
-        assert np.abs(left.values).max() < 0.03
+    there = planted(name, 2)
+    model = ToolModel(there.tool, there.run("vessels", seconds=12.0, seed=2))
+    fit = fitted(model, name)
+    told = applied(model, fit)
+    left = fitted(ToolModel(told.tool, model.run))
+    if name == "shaft_bend":
+        assert (told.written, told.kept_out) == ((), ("shaft_bend",))
+        return
+    assert told.written == (name,)
+    assert np.mean(left.residuals**2) == pytest.approx(np.mean(fit.residuals**2), rel=0.02)
+    assert np.abs(left.values).max() < 0.03
 
 
 def test_what_a_tie_leaves_open_is_doubted() -> None:
@@ -280,6 +280,7 @@ def test_what_a_tie_leaves_open_is_doubted() -> None:
     assert np.mean(off < 1.96 * e.depth_std_mm[1000:]) > 0.95
 
 
+@pytest.mark.slow
 def test_what_is_written_need_not_be_added() -> None:
     """Catches the command that was just run as the next, and fibres of a needle that are called limbs."""
     model = ToolModel(FlexibleTool(), planted("fbg_bias", 2, 2.0).run("vessels", seconds=SECONDS, seed=2))

@@ -53,13 +53,15 @@ def _scale(names: tuple[str, ...], factor: float) -> Callable[[Table], None]:
     return change
 
 
-@pytest.mark.parametrize("seed", [100, *(pytest.param(k, marks=pytest.mark.slow) for k in (101, 102, 103))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [100, 101, 102, 103])
 def test_a_sound_bench_is_not_blamed(seed: int) -> None:
     """Catches a sentence on a bench that has nothing wrong."""
     made, _ = calibrated(lambda table: None, seed)
     assert made.lack_of_fit == ()
 
 
+@pytest.mark.slow
 def test_one_wrong_load_of_eighty_is_left_out() -> None:
     """Catches a load ten times too large that moves the stiffness (by 18 % without a word), or a wrong row's number."""
     row = 0
@@ -81,11 +83,17 @@ def test_one_wrong_load_of_eighty_is_left_out() -> None:
     [
         (_exchange("force_x_mn", "force_y_mn"), "force_x_mn and force_y_mn are exchanged"),
         pytest.param(_scale(("force_y_mn",), -1.0), "force_y_mn has the other sign", marks=pytest.mark.slow),
-        (_scale(("force_x_mn", "force_y_mn"), 1.0 / 9.80665), "are forces in gram-force?"),
+        pytest.param(
+            _scale(("force_x_mn", "force_y_mn"), 1.0 / 9.80665), "are forces in gram-force?", marks=pytest.mark.slow
+        ),
         pytest.param(
             _exchange("fbg1_nm", "fbg2_nm"), "are exchanged, fbg1_nm and fbg2_nm as it seems", marks=pytest.mark.slow
         ),
-        (_exchange("fbg3_nm", "fbg4_nm"), "fbg3_nm and fbg4_nm are exchanged: loads are off by"),
+        pytest.param(
+            _exchange("fbg3_nm", "fbg4_nm"),
+            "fbg3_nm and fbg4_nm are exchanged: loads are off by",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_columns_are_held_against_the_drawing(change: Callable[[Table], None], says: str) -> None:
@@ -144,23 +152,23 @@ def test_the_depth_is_called_once() -> None:
     assert "no depth_mm is in this run" in told(tool, replace(run, depth_mm=None)).sentence
 
 
-@pytest.mark.parametrize("seeds", [(60,), pytest.param((61,), marks=pytest.mark.slow)])
-def test_a_robot_that_is_late_is_said_and_led_on(seeds: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("is_late", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [60, pytest.param(61, marks=pytest.mark.slow)])
+def test_a_robot_that_is_late_is_said_and_led_on(seed: int, is_late: bool) -> None:
     """Catches a lateness of the wrong sign or size, one of a robot that is not late, and a tip that stays behind."""
-    for seed in seeds:
-        world, sound = FAMILIES["robot late"](seed), Wide(seed)
-        true_s = float(world._rng("late").uniform(0.02, 0.08))
-        for w, late in ((world, true_s), (sound, 0.0)):
-            truth = w.run("vessels", seconds=60.0)
-            # its camera was not registered
-            e = estimate(wide_tool_of(w), without_camera(run_of(truth)))
-            assert 0.3 * late - 0.004 < e.late_s[-1] < 1.4 * late + 0.004, (seed, late)
-            said = [s for s in trust(e, known(e)).noticed if "later than the gratings" in s]
-            assert bool(said) == (late > 0.0)
-            if late:
-                off = [np.linalg.norm(x[6000:] - truth.tip_mm[6000:], axis=1).mean() for x in
-                       (e.tip.value, e.tip.value - led_on(e))]  # fmt: skip
-                assert off[0] < 0.85 * off[1]
+    world = FAMILIES["robot late"](seed)
+    late = float(world._rng("late").uniform(0.02, 0.08)) if is_late else 0.0
+    w = world if is_late else Wide(seed)
+    truth = w.run("vessels", seconds=60.0)
+    # its camera was not registered
+    e = estimate(wide_tool_of(w), without_camera(run_of(truth)))
+    assert 0.3 * late - 0.004 < e.late_s[-1] < 1.4 * late + 0.004, (seed, late)
+    said = [s for s in trust(e, known(e)).noticed if "later than the gratings" in s]
+    assert bool(said) == is_late
+    if is_late:
+        off = [np.linalg.norm(x[6000:] - truth.tip_mm[6000:], axis=1).mean() for x in
+               (e.tip.value, e.tip.value - led_on(e))]  # fmt: skip
+        assert off[0] < 0.85 * off[1]
 
 
 def led_on(e: Estimate) -> np.ndarray:
@@ -172,6 +180,7 @@ def led_on(e: Estimate) -> np.ndarray:
     return np.asarray(speed * e.late_s.clip(0.0)[:, None])
 
 
+@pytest.mark.slow
 def test_a_bend_that_comes_at_once_is_no_exchange_of_peaks() -> None:
     """Catches two peaks that pass each other in a bend of one row, taken for exchanged: the depth was off by 8 mm."""
     world = FAMILIES["softer outwards"](901)

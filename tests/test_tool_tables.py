@@ -127,6 +127,7 @@ def test_a_column_in_another_unit_is_no_slip_of_the_finger(
     assert any(says in one for one in wrong_with(TOOL, path, table_at(path)))
 
 
+@pytest.mark.slow
 def test_a_bench_without_unloaded_rows_says_what_stays(tables: dict[str, pl.DataFrame], tmp_path: Path) -> None:
     """Catches references of a tool file that are taken for those of the bench in silence."""
     tables["bench"].filter(C("force_x_mn") != 0).write_csv(tmp_path / "bench.csv")

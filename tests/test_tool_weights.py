@@ -65,7 +65,7 @@ def test_a_weight_bends_the_shaft_as_the_elastica_says(by_height: bool) -> None:
     np.testing.assert_allclose(found[:, 2:], made[:, 2:], rtol=2e-5)
 
 
-@pytest.mark.parametrize(("seed", "by_height"), [(1, True), (2, False)])
+@pytest.mark.parametrize(("seed", "by_height"), [(1, True), pytest.param(2, False, marks=pytest.mark.slow)])
 def test_dead_weights_are_told_from_what_pushes(seed: int, by_height: bool) -> None:
     """Catches weights that are read as what pushes the shaft, with friction of 0.1 that nobody has: the wrong
     convention in 6 of 20 benches, "χ² 401 against 369"."""
@@ -81,6 +81,7 @@ def test_dead_weights_are_told_from_what_pushes(seed: int, by_height: bool) -> N
     assert abs(told.stiffness_mn_mm2[0] - EI) < 4.0 * told.stiffness_mn_mm2[1]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::sherkit.errors.SherkitWarning")
 def test_readings_that_are_as_good_are_said() -> None:
     """Catches a convention that is taken without a word where bends are too small to tell."""

@@ -48,7 +48,9 @@ def compared(robot: Any, *runs: Run) -> sk.changes.Comparison:
 # -- compare ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case", CARELESS)
+@pytest.mark.parametrize(
+    "case", [pytest.param(one, marks=[pytest.mark.slow] * (one == "another robot")) for one in CARELESS]
+)
 def test_compare_does_not_vouch_for_a_careless_run(robot: Any, case: str) -> None:
     """Catches "unchanged" of a run that shows nothing, and a run that cannot speak and is not named."""
     found = compared(robot, first_run(), CARELESS[case](Delta(1), 2))

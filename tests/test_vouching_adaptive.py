@@ -128,6 +128,7 @@ def test_a_sensor_that_comes_right_again_is_believed_again() -> None:
     assert any(note.startswith("z_mm stays") and "rows 4-8" in note for note in loop.notes)
 
 
+@pytest.mark.slow
 def test_rows_that_are_told_again_are_no_witnesses() -> None:
     """Catches twelve readings that count as thirty-six: as they are, they are known; under new numbers and times they
     are copies."""

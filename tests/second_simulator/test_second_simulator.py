@@ -297,7 +297,7 @@ def test_leaning_rail_turns_about_its_home_height() -> None:
 @pytest.mark.parametrize(
     ("name", "target"),
     # a robot of its own in every row takes long to simulate
-    [pytest.param(name, target, marks=[pytest.mark.slow] * ((name, target) == ("link_growth", 0.0005)))
+    [pytest.param(name, target, marks=[pytest.mark.slow] * (target < 0.01 or name == "link_growth"))
      for target in (0.0005, 0.01) for name in EFFECTS if name != "sensor_pose"],
 )  # fmt: skip
 def test_scaled_effect_leaves_the_target(name: str, target: float) -> None:
