@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from ..base import linalg
 from ..base.arguments import Level, Seed, validate_arguments
-from ..base.figures import listed
 from ..base.types import Floats, Ints
-from ..data.columns import TEMPERATURE
 from ..data.doubts import by_number, commanded, doubts
 from ..data.reader import RunLike
 from ..errors import EffectError, FitError
@@ -26,7 +25,8 @@ from ..fit.set_up import Mistake, set_up_mistakes
 from ..model.any import Model
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike
-from ..model.thermometers import SHIFT, further, nearer_by, thermometers_of, with_temperature_of
+from ..model.thermometers import thermometers_of
+from .by_thermometer import by_nearest_thermometer
 from .checks import checks_of
 from .findings import findings_of
 from .gathered import checks_of_outliers
@@ -34,7 +34,7 @@ from .held_out import backward_elimination, candidates_of, noise_quantile, stron
 from .next_poses import Proposal, next_poses
 from .outliers import is_first_by_side, outliers_beside, sentences, without_outliers
 from .repeats import contradicted, in_repeats, noise_beside, steps_in
-from .result import ADD_IT, WRONG, Diagnosis, Finding, verdict_of
+from .result import Diagnosis, verdict_of
 from .selection import NamedEffects, not_needed, searched
 from .sensor_pose import taken_by_pose
 from .signature import bends_in_words, signature_of, waves_in_words
@@ -78,41 +78,8 @@ def diagnose(
     if fit.for_regions:
         # what an effect that is missing does to regions is not the drawing's to say
         fit = identify(fit.model, fit.data, loss=fit.loss, priors=False, noise=fit.noise)
-    found = _diagnosed(fit, effects, level, keep, seed, step)
-    others = [_by_thermometer(found, fit, column, effects, level, keep, seed, step) for column in further(fit.data)]
-    nearer = [one for one in others if one is not None]
-    return min(nearer, key=lambda one: one.error.rms) if nearer else found
-
-
-def _by_thermometer(
-    found: Diagnosis, fit: Fit, column: str, effects: Sequence[Effect], level: float, keep: Sequence[int], seed: int,
-    step: Callable[[str], None],
-) -> Diagnosis | None:  # fmt: skip
-    """The same with another thermometer of the run as the one that the robot follows, where its own growth explains by
-    that what was ``found`` to follow no thermometer, or to be the instrument's; else None."""
-    instead = [name for name in found.effects if name.startswith(SHIFT)]
-    grows = any(e.needs == (TEMPERATURE,) and not e.name.startswith(SHIFT) for e in fit.model.known_effects.values())
-    asked = grows and (found.verdict in ("unexplained", "partly explained") or instead)
-    if not asked or any(check.name == "set_up" and check.holds is False for check in found.checks):
-        return None
-    if any(TEMPERATURE in effect.needs or column in effect.needs for effect in (*fit.model.effects, *effects)):
-        return None
-    step(f"with {column} as the robot's temperature")
-    other = _diagnosed(
-        identify(fit.model, with_temperature_of(fit.data, column), loss=fit.loss, priors=fit.priors or None),
-        effects, level, keep, seed, step,
-    )  # fmt: skip
-    own = [e.name for e in other.fit.model.effects
-           if e.name in other.effects and TEMPERATURE in e.needs and not e.name.startswith(SHIFT)]  # fmt: skip
-    if not own or other.verdict != "explained":
-        return None
-    if found.verdict == "explained" and other.error.rms > found.error.rms:
-        return None
-    note = f"{listed(own)} goes with {column}, which is taken for {TEMPERATURE} in all of this"
-    write = nearer_by(column, fit.data)
-    return replace(other, notes=(note, *other.notes), findings=(*(
-        replace(one, answer=write, command="") if one.answer == ADD_IT else one for one in other.findings
-    ), Finding(WRONG, "unread", f"{note}.")))  # fmt: skip
+    again = partial(_diagnosed, effects=effects, level=level, keep=keep, seed=seed, step=step)
+    return by_nearest_thermometer(again(fit), fit, effects, again)
 
 
 def _diagnosed(

@@ -1,0 +1,51 @@
+"""Which thermometer the robot follows, where a run has several: its own growth is asked by ``temperature_c`` first, and
+by another where that explains what goes with none, or with the instrument's stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from ..base.figures import listed
+from ..data.columns import TEMPERATURE
+from ..fit.identify import Fit, identify
+from ..model.effect import Effect
+from ..model.thermometers import SHIFT, further, nearer_by, with_temperature_of
+from .result import ADD_IT, WRONG, Diagnosis, Finding
+
+
+def by_nearest_thermometer(
+    found: Diagnosis, fit: Fit, effects: Sequence[Effect], again: Callable[[Fit], Diagnosis]
+) -> Diagnosis:
+    """What was ``found``, or, where the robot's growth by another thermometer explains that as well or better, what is
+    found ``again`` with its column as the robot's temperature."""
+    others = (_by(column, found, fit, effects, again) for column in further(fit.data))
+    return min((one for one in others if one is not None), key=lambda one: one.error.rms, default=found)
+
+
+def _by(
+    column: str, found: Diagnosis, fit: Fit, effects: Sequence[Effect], again: Callable[[Fit], Diagnosis]
+) -> Diagnosis | None:
+    instead = any(map(_of_stand, found.effects))
+    grows = any(e.needs == (TEMPERATURE,) and not _of_stand(e.name) for e in fit.model.known_effects.values())
+    asked = grows and (instead or found.verdict in ("unexplained", "partly explained"))
+    if not asked or any(check.name == "set_up" and check.holds is False for check in found.checks):
+        return None
+    if any(TEMPERATURE in effect.needs or column in effect.needs for effect in (*fit.model.effects, *effects)):
+        return None
+    other = again(identify(fit.model, with_temperature_of(fit.data, column), loss=fit.loss, priors=fit.priors or None))
+    named = [effect for effect in other.fit.model.effects if effect.name in other.effects]
+    own = [effect.name for effect in named if TEMPERATURE in effect.needs and not _of_stand(effect.name)]
+    if not own or other.verdict != "explained":
+        return None
+    if found.verdict == "explained" and other.error.rms > found.error.rms:
+        return None
+    note = f"{listed(own)} goes with {column}, which is taken for {TEMPERATURE} in all of this"
+    to_do = nearer_by(column, fit.data)
+    next_steps = (replace(one, answer=to_do, command="") if one.answer == ADD_IT else one for one in other.findings)
+    return replace(other, notes=(note, *other.notes), findings=(*next_steps, Finding(WRONG, "unread", f"{note}.")))
+
+
+def _of_stand(name: str) -> bool:
+    """Whether it is the instrument's stand that goes with a thermometer."""
+    return name.startswith(SHIFT)
