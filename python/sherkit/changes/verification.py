@@ -238,7 +238,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
             if not power.speaks:
                 mute = unable(power, (noise or off * unit) * per_row, data.layout.unit, data, axes)
             elif not np.isfinite(least):
-                mute = Silent("its rows cannot tell an error of any size", "measure at a dozen places or more")
+                more = f"measure at more places than these {len(np.unique(data.groups))}, or read each more often"
+                mute = Silent("its rows cannot tell an error of any size", more)
             valid = None if mute is not None else valid
     # what the model lacks looks like a change as long as it is no larger than it was
     evidence = 0.0 if valid and lacked else base.evidence
