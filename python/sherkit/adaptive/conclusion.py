@@ -17,6 +17,7 @@ from ..diagnosis.result import Check
 from ..errors import FitError
 from ..evidence.thresholds import SURE, TIED
 from ..fit.identify import identify
+from ..model.base import asked_for
 from . import rule, told
 from .choice import are_beyond
 from .held import BatchLooks, accuracy_um
@@ -120,7 +121,10 @@ def conclude(loop: BatchLooks) -> Conclusion:
         # a verdict of silence rests on what would have been seen; beside a name it is only told
         layout = found.data.layout
         unseen = rule.outlook(found, loop.level)
-        notes += [*first, *rule.sentences(unseen, layout.unit, layout.per_unit, found.known.untestable)]
+        notes += [
+            *first,
+            *rule.sentences(unseen, layout.unit, layout.per_unit, asked_for(found.known.untestable, found.data)),
+        ]
         notes += _unsure(found)
         late = told.incomplete(loop.frame, loop.layout)
         notes += [f"{name} is not in every row: nothing was made to depend on it" for name in late]

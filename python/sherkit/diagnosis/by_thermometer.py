@@ -41,9 +41,12 @@ def _by(
     if found.verdict == "explained" and other.error.rms > found.error.rms:
         return None
     note = f"{listed(own)} goes with {column}, which is taken for {TEMPERATURE} in all of this"
-    to_do = nearer_by(column, fit.data)
-    next_steps = (replace(one, answer=to_do, command="") if one.answer == ADD_IT else one for one in other.findings)
-    return replace(other, notes=(note, *other.notes), findings=(*next_steps, Finding(WRONG, "unread", f"{note}.")))
+    said = Finding(WRONG, "unread", f"{note}; {nearer_by(column, fit.data)}")
+    again_first = "write that, and ask again"
+    next_steps = (
+        replace(one, answer=again_first, command="") if one.answer == ADD_IT else one for one in other.findings
+    )
+    return replace(other, notes=(note, *other.notes), findings=(*next_steps, said))
 
 
 def _of_stand(name: str) -> bool:

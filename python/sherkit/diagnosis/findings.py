@@ -9,6 +9,7 @@ from ..base.answer import FILES
 from ..base.figures import in_names, listed, number, stated
 from ..fit.constant_columns import unread
 from ..fit.regions import TO_DO
+from ..model.base import asked_for
 from ..model.effect import Effect
 from ..model.kinds import required_um
 from ..model.sensor_pose import SLIP
@@ -315,9 +316,10 @@ def _apart(d: Diagnosis) -> Iterator[Finding]:
         yield Finding(APART, "confounded", f"{name}, if there is any, is confounded with {listed(parameters)}")
     if said := pose_in_words(d.base.unobserved, d.taken_by_pose):
         yield Finding(APART, "sensor_pose", said)
-    for name, reason in d.untestable.items():
+    untestable = asked_for(d.untestable, d.fit.data)
+    for name, reason in untestable.items():
         yield Finding(APART, "untestable", f"{name} could not be tried: {reason}")
-    if not (d.indistinguishable or d.confounded_with or d.untestable or said):
+    if not (d.indistinguishable or d.confounded_with or untestable or said):
         yield Finding(APART, "nothing", "nothing of what was tried")
 
 

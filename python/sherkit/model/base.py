@@ -366,6 +366,12 @@ class ModelWithEffects(Saved, ABC):
             check_user_effect(effect, self.rows(data, values), self.axes_of(effect, data))
 
 
+def asked_for(untestable: Mapping[str, str], data: Measurements) -> dict[str, str]:
+    """Of effects that could not be tried, with the reason, those that somebody may miss: who reads no distances asks
+    for no effect of a bar."""
+    return {name: why for name, why in untestable.items() if not why.endswith(f" {data.layout.distance}")}
+
+
 def missing_columns(effect: Effect, data: Measurements) -> tuple[str, ...]:
     """Columns that an effect needs and a run does not have, or has empty."""
     out = []
