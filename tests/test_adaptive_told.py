@@ -116,6 +116,14 @@ def test_rows_of_one_place_say_nothing() -> None:
     assert loop.verdict == "undecided"
 
 
+def test_a_loop_warns_of_nothing_from_within() -> None:
+    """Catches the warnings of a calibration, which the loop makes for itself at each look, in the middle of a drive."""
+    world = DrivenDelta(1, ("backlash",), 8.0)
+    # a warning is an error in these tests
+    loop = drive(world, lambda row: {**row, "x_mm": None}, required_um=20)
+    assert loop.accuracy_um is not None
+
+
 def test_a_cell_that_is_a_list_is_said_and_a_late_column_left_out() -> None:
     """Catches a dump of a library, and a column that begins later and stops the run."""
     world = DrivenDelta(5)

@@ -14,7 +14,6 @@ from .base.arguments import NotNegative, Seed, validate_arguments
 from .base.figures import listed
 from .base.types import Floats
 from .data import Measurements
-from .data.columns import TEMPERATURE
 from .data.doubts import doubts
 from .data.reader import RunLike
 from .diagnosis.outliers import gross_errors, warn_of_outliers
@@ -28,7 +27,7 @@ from .model.base import missing_columns
 from .model.effect import Effect, named_effects
 from .model.kinds import model_of
 from .model.robot_file import RobotLike, robot_of, run_for
-from .model.thermometers import SHIFT, catalogue_for, further, nearer_by, with_temperature_of
+from .model.thermometers import catalogue_for, further, grows, nearer_by, with_temperature_of
 from .robots.calibrated import Calibration, calibration_class
 from .robots.calibration_run import CalibrationRun
 
@@ -128,9 +127,8 @@ def calibrate(
             model = model.adopting(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         refuse_absurd(fit, [effect.name for effect in added])
-        grows = any(effect.needs == (TEMPERATURE,) and not effect.name.startswith(SHIFT) for effect in added)
         used = {name for effect in model.effects for name in effect.needs}
-        for column in (one for one in further(data) if grows and one not in used):
+        for column in (one for one in further(data) if any(map(grows, added)) and one not in used):
             other = identify(model, with_temperature_of(data, column), loss=loss, priors=priors, linear=linear)
             if len(data) * np.log(fit.error.rms / other.error.rms) > SURE:
                 warnings.warn(f"{data.source}: {nearer_by(column, data)}", SherkitWarning, stacklevel=2)

@@ -121,10 +121,8 @@ def conclude(loop: BatchLooks) -> Conclusion:
         # a verdict of silence rests on what would have been seen; beside a name it is only told
         layout = found.data.layout
         unseen = rule.outlook(found, loop.level)
-        notes += [
-            *first,
-            *rule.sentences(unseen, layout.unit, layout.per_unit, asked_for(found.known.untestable, found.data)),
-        ]
+        untestable = asked_for(found.known.untestable, found.data)
+        notes += [*first, *rule.sentences(unseen, layout.unit, layout.per_unit, untestable)]
         notes += _unsure(found)
         late = told.incomplete(loop.frame, loop.layout)
         notes += [f"{name} is not in every row: nothing was made to depend on it" for name in late]
@@ -141,13 +139,11 @@ def _told_the_side(loop: BatchLooks, found: InterimAnalysis) -> str:
     if lead is None or not any(block.effect and "direction" in block.effect.needs for block in lead.blocks):
         return ""
     told = accuracy_um(loop, found, lead.names, found.best_fit, from_one_side=True)
+    if told is None:
+        return ""
     return (
-        ""
-        if told is None
-        else (
-            f"; lost motion is in it, by half of it to either side: told from which side it comes "
-            f"(inverse(…, direction=…)) it is within {told:.3g} µm"
-        )
+        "; lost motion is in it, by half of it to either side: told from which side it comes "
+        f"(inverse(…, direction=…)) it is within {told:.3g} µm"
     )
 
 

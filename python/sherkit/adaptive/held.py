@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,7 +14,7 @@ from ..base import linalg
 from ..calibration import calibrate
 from ..data import Measurements
 from ..data.columns import REASON, TIME
-from ..errors import SherkitError
+from ..errors import SherkitError, SherkitWarning
 from ..fit.error import axes_of
 from ..fit.identify import Fit, residuals
 from . import rule, told
@@ -159,7 +160,10 @@ def accuracy_um(
     """
     places = found.known.region.spread(PLACES, task.seed + 1)
     try:
-        made = calibrate(task.robot, found.data, effects=effects, correction="none").calibration
+        with warnings.catch_warnings():
+            # it is asked at every look; what is wrong with the rows the loop says itself
+            warnings.simplefilter("ignore", SherkitWarning)
+            made = calibrate(task.robot, found.data, effects=effects, correction="none").calibration
         # the region is one of the drawing: where its poses are in the calibration's frame is the calibration's to say
         there = made.forward_batch(places.joints)
         promised = made.predicted_accuracies(

@@ -286,7 +286,8 @@ def _wild(known: Known, data: Measurements, axes: tuple[int, ...]) -> Ints:
     off = np.linalg.norm(np.where(used, stand.residual, 0.0), axis=1)
     far = off > _WILD * np.median(off[used.any(axis=1)])
     # a pose that is off whenever it is read is no accident
-    far &= ~np.array([(data.groups == pose).sum() > 1 and far[data.groups == pose].all() for pose in data.groups])
+    visits = np.bincount(data.groups)
+    far &= ~((visits > 1) & (np.bincount(data.groups, far) == visits))[data.groups]
     rows = np.flatnonzero(far)
     return rows if len(rows) <= _WILD_PART * len(data) else rows[:0]
 

@@ -10,7 +10,7 @@ from ..base.figures import listed
 from ..data.columns import TEMPERATURE
 from ..fit.identify import Fit, identify
 from ..model.effect import Effect
-from ..model.thermometers import SHIFT, further, nearer_by, with_temperature_of
+from ..model.thermometers import SHIFT, further, grows, nearer_by, with_temperature_of
 from .result import ADD_IT, WRONG, Diagnosis, Finding
 
 
@@ -26,16 +26,18 @@ def by_nearest_thermometer(
 def _by(
     column: str, found: Diagnosis, fit: Fit, effects: Sequence[Effect], again: Callable[[Fit], Diagnosis]
 ) -> Diagnosis | None:
-    instead = any(map(_of_stand, found.effects))
-    grows = any(e.needs == (TEMPERATURE,) and not _of_stand(e.name) for e in fit.model.known_effects.values())
-    asked = grows and (instead or found.verdict in ("unexplained", "partly explained"))
-    if not asked or any(check.name == "set_up" and check.holds is False for check in found.checks):
+    instead = any(name.startswith(SHIFT) for name in found.effects)
+    asked = instead or found.verdict in ("unexplained", "partly explained")
+    if (
+        not asked
+        or not any(map(grows, fit.model.known_effects.values()))
+        or any(check.name == "set_up" and check.holds is False for check in found.checks)
+    ):
         return None
     if any(TEMPERATURE in effect.needs or column in effect.needs for effect in (*fit.model.effects, *effects)):
         return None
     other = again(identify(fit.model, with_temperature_of(fit.data, column), loss=fit.loss, priors=fit.priors or None))
-    named = [effect for effect in other.fit.model.effects if effect.name in other.effects]
-    own = [effect.name for effect in named if TEMPERATURE in effect.needs and not _of_stand(effect.name)]
+    own = [effect.name for effect in other.fit.model.effects if effect.name in other.effects and grows(effect)]
     if not own or other.verdict != "explained":
         return None
     if found.verdict == "explained" and other.error.rms > found.error.rms:
@@ -47,8 +49,3 @@ def _by(
         replace(one, answer=again_first, command="") if one.answer == ADD_IT else one for one in other.findings
     )
     return replace(other, notes=(note, *other.notes), findings=(*next_steps, said))
-
-
-def _of_stand(name: str) -> bool:
-    """Whether it is the instrument's stand that goes with a thermometer."""
-    return name.startswith(SHIFT)

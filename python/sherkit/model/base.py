@@ -353,7 +353,7 @@ class ModelWithEffects(Saved, ABC):
                 continue
             missing = missing_columns(effect, data)
             if missing:
-                untestable[effect.name] = f"it needs the column {' and '.join(missing)}"
+                untestable[effect.name] = _lacking(missing)
             else:
                 tried.append(effect)
         return tried, untestable
@@ -369,7 +369,11 @@ class ModelWithEffects(Saved, ABC):
 def asked_for(untestable: Mapping[str, str], data: Measurements) -> dict[str, str]:
     """Of effects that could not be tried, with the reason, those that somebody may miss: who reads no distances asks
     for no effect of a bar."""
-    return {name: why for name, why in untestable.items() if not why.endswith(f" {data.layout.distance}")}
+    return {name: why for name, why in untestable.items() if why != _lacking((data.layout.distance or "",))}
+
+
+def _lacking(columns: Sequence[str]) -> str:
+    return f"it needs the column {' and '.join(columns)}"
 
 
 def missing_columns(effect: Effect, data: Measurements) -> tuple[str, ...]:

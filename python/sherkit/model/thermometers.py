@@ -23,6 +23,11 @@ SHIFT = "thermal_shift"
 OTHER = f"other_{TEMPERATURE}"
 
 
+def grows(effect: Effect) -> bool:
+    """Whether it is the robot itself, and not the instrument's stand, that goes with its temperature."""
+    return effect.needs == (TEMPERATURE,) and not effect.name.startswith(SHIFT)
+
+
 def further(data: Measurements) -> tuple[str, ...]:
     """Columns of °C beside ``temperature_c`` that are never constant."""
     return tuple(

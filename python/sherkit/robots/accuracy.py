@@ -351,11 +351,10 @@ class Accurate(Deployed):
         radius, addition, visit = (np.full(len(x), np.nan) for _ in range(3))
         worst: list[Hiding | None] = [None] * len(x)
         known = self.spread(x[rows], joints, frame=where, temperature_c=temperature_c, **load)
-        ruled, loop = self._ruled(x[rows]), self._now(temperature_c)[:2]
-        now = loop
+        ruled, given = self._ruled(x[rows]), self._now(temperature_c)[:2]
         far, whole, scatter = self.beyond_poses(x[rows], joints), np.empty_like(known), np.empty_like(known)
         for part, here in ruled:
-            now = self.moment_of(part, loop)
+            now = self.moment_of(part, given)
             known[here] += (self.grown(part, far[here]) - 1.0)[:, None, None] * self.left_at(part, x[rows[here]])
             if direction is None:
                 known[here] += self._either_side(part, joints[here], now)
@@ -373,6 +372,8 @@ class Accurate(Deployed):
         radius[rows] = self.reach_mm * radius_95(known)
         addition[rows] = self.reach_mm * radius_95(whole) - radius[rows]
         visit[rows] = self.reach_mm * radius_95(whole + scatter)
+        # asked of several parts, for the moment of the last
+        now = self.moment_of(ruled[-1][0], given) if ruled else given
         when, outside = self._when([part for part, _ in ruled], now), np.full(len(x), np.nan)
         outside[rows] = far
         return PredictedAccuracies(

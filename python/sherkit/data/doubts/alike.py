@@ -201,8 +201,7 @@ def piled(data: Measurements) -> Iterator[DataWarning]:
         here = data.used[:, k] & (data.readings[:, k] == value)
         if how == "lost":
             # one beam that was lost holds all its readings, each at its own value
-            alike = (each for each in lost if each[0][1] == value or np.array_equal(each[0][2], here))
-            same = next(alike, None)
+            same = next((one for one in lost if one[0][1] == value or np.array_equal(one[0][2], here)), None)
             if same is None:
                 lost.append(same := [])
             same.append((name, value + 0.0, here))
