@@ -11,7 +11,7 @@ from scipy import stats
 
 import sherkit as sk
 from running import slow
-from sherkit.diagnosis.sensor_pose import KnownStand, known_stand
+from sherkit.fit.known_stand import KnownStand, known_stand
 from sherkit.robots.delta import VirtualDelta, paper_whole
 from strategies import EXAMPLE
 from test_spherical_discovery import ROBOT, measured

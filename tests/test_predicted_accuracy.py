@@ -73,7 +73,7 @@ def test_what_the_poses_could_not_show_is_promised(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     ["delta, grid of 147, jittered",
-     *slow("spherical, grid of 100", "delta, slip fitted")],
+     *slow("delta, slip fitted")],
 )  # fmt: skip
 def test_poses_that_show_everything_leave_little_unseen(name: str) -> None:
     """Catches an addition for what irregular poses have ruled out, and a radius that does not hold without it."""

@@ -23,6 +23,7 @@ from .evidence.thresholds import SURE, refuse_absurd
 from .fit.constant_columns import unread
 from .fit.hold_out import hold_out
 from .fit.identify import identify
+from .fit.known_stand import known_stand
 from .model.base import missing_columns
 from .model.effect import Effect, named_effects
 from .model.kinds import model_of
@@ -34,6 +35,11 @@ from .robots.calibration_run import CalibrationRun
 Progress = Callable[[str], None]
 
 CORRECTIONS = ("auto", "none", "paper")
+#: What is said of a sensor that a fit has elsewhere than where it is known to stand.
+_OFF_STAND = (
+    ": it stands elsewhere (measure again where, or say [sensor_pose] free = true), or takes up what the model lacks "
+    "(diagnose); the accuracy in the frame of the base counts both"
+)
 
 
 def _silent(_: str) -> None:
@@ -127,6 +133,9 @@ def calibrate(
             model = model.adopting(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         refuse_absurd(fit, [effect.name for effect in added])
+        if (stand := known_stand(fit)) is not None and not stand.holds:
+            its = "camera" if data.layout.unit == "px" else "sensor"
+            warnings.warn(f"{data.source}: the {its} stands {stand}{_OFF_STAND}", SherkitWarning, stacklevel=2)
         used = {name for effect in model.effects for name in effect.needs}
         for column in (one for one in further(data) if any(map(grows, added)) and one not in used):
             other = identify(model, with_temperature_of(data, column), loss=loss, priors=priors, linear=linear)

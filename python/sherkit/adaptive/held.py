@@ -154,7 +154,7 @@ def accuracy_um(
 ) -> float | None:
     """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
 
-    As a calibration of these rows promises it (:class:`~sherkit.robots.accuracy.PredictedAccuracy`); of a
+    As a calibration of these rows promises it (:class:`~sherkit.robots.predicted_accuracy.PredictedAccuracy`); of a
     kind without one, or an effect that a calibration cannot hold, by the covariance of the fit. None where that is in
     no length. ``from_one_side`` is how far it is off where it is told that each joint came upwards.
     """

@@ -16,6 +16,7 @@ from ..evidence.fitted_run import FittedRun
 from ..evidence.thresholds import COUNTS, PLAUSIBLE, farthest_parameter, times_plausible
 from ..fit.constant_columns import frozen
 from ..fit.identify import ABSURD
+from ..fit.known_stand import known_stand
 from ..fit.set_up import Mistake
 from .held_out import PRAISE, Elimination, HeldOutGain
 from .repeats import CONTRADICTS, Repeats, Rounded, rounded
@@ -33,7 +34,7 @@ from .result import (  # fmt: skip
     Check,
 )
 from .selection import NamedEffects
-from .sensor_pose import KNOWN_LEVEL, known_stand, stands_with
+from .sensor_pose import stands_with
 from .where import SlowDrift
 
 
@@ -186,7 +187,7 @@ def _stands(final: FittedRun, used: str) -> list[Check]:
     stand = known_stand(final.fit)
     if stand is None:
         return []
-    its, holds = "camera" if final.unit == "px" else "sensor", stand.p > KNOWN_LEVEL
+    its, holds = "camera" if final.unit == "px" else "sensor", stand.holds
     instead = () if holds else stands_with(final)
     also = f"; with it there {listed(instead)} would do as well" if instead else ""
     return [

@@ -1,10 +1,8 @@
-"""The pose of a sensor: what it takes up where it is free, and whether it stands where it is known to.
+"""The pose of a sensor: what it takes up where it is free, and what else would do where it stands elsewhere than known.
 
 What a free pose takes up are directions of effects and of the geometry that these readings cannot tell from where the
 instrument stands. A lean common to all rails is a tilt of the tracker, a turn common to all base angles its turn; a
-target fixed to the base would tell them apart, no reading of the tool does. What is known of a pose is a prior, which
-readings contradict where both together are less likely than chance (a prior predictive check: Box, "Sampling and Bayes'
-inference in scientific modelling and robustness", 1980).
+target fixed to the base would tell them apart, no reading of the tool does.
 """
 
 from __future__ import annotations
@@ -26,11 +24,12 @@ from ..evidence.fitted_run import FittedRun
 from ..evidence.thresholds import is_plausible
 from ..evidence.whitening import orthonormal
 from ..fit.identify import Fit
+from ..fit.known_stand import known_stand
 from ..fit.plausible import thinned
 from ..fit.table import Direction
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
-from ..model.sensor_pose import POSE, SHIFTS, SLIP, TURNS, left_jacobian, slip_of
+from ..model.sensor_pose import POSE, SLIP, left_jacobian, slip_of
 from ..model.set_ups import SETUP_PREFIX
 
 # -- What a free pose takes up -----------------------------------------------------------------------------------------
@@ -39,10 +38,6 @@ from ..model.set_ups import SETUP_PREFIX
 _TAKEN = 0.05
 #: Directions of an effect beside its strongest that count.
 _COUNTS = 1e-3
-#: A known pose is contradicted where chance would do as much in one run of so many.
-KNOWN_LEVEL = 1e-4
-#: Directions of which readings tell less than this part of what is known already contradict nothing.
-_TELLS = 0.01
 
 
 def taken_by_pose(
@@ -114,57 +109,6 @@ def pose_in_words(unobserved: Sequence[Direction], taken: dict[str, tuple[int, i
 # -- where it is known to stand ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class KnownStand:
-    """How far a fit has a sensor from where it is known to stand: shift, mm, and turn, degrees, each with how well that
-    is known (0 where it is not), and how likely that is (``p``: χ² of as many directions as the readings tell)."""
-
-    shift_mm: float
-    shift_sd_mm: float
-    turn_deg: float
-    turn_sd_deg: float
-    p: float
-
-    def __str__(self) -> str:
-        each = ((self.shift_mm, self.shift_sd_mm, " mm"), (self.turn_deg, self.turn_sd_deg, "°"))
-        told = [(f"{off:.2g}{unit}", f"± {sd:.2g}{unit}") for off, sd, unit in each if sd > 0]
-        off, known = zip(*told, strict=True)
-        return f"{' and '.join(off)} from where the robot's file has it, known within {' and '.join(known)}"
-
-
-def known_stand(fit: Fit) -> KnownStand | None:
-    """How far the sensor is from where it is known to stand; None where nothing is known of it that readings tell.
-
-    With ``z`` (k,) the values in what is known of them and ``c`` an eigenvalue of their covariance there, readings
-    weigh ``a = r² (1/c - 1)`` along its direction, by noise that is ``r`` times as large as it was taken for. If the
-    sensor stands as well as is known, ``z`` has the variance ``(a/(1 + a))² (1 + r²/a)`` there.
-    """
-    named = [(k, p) for k, p in enumerate(fit.parameters) if p.known and p.name in POSE]
-    if not named:
-        return None
-    at, sd = np.array([k for k, _ in named]), np.array([p.size for _, p in named])
-    z = fit.values[at] / sd
-    covariance = (fit.covariance + fit.unobserved_covariance)[np.ix_(at, at)] / np.outer(sd, sd)
-    c, directions = linalg.eigh(covariance)
-    ratio = float(fit.scale) ** 2
-    a = ratio * (1.0 / c.clip(1e-300, 1.0) - 1.0)
-    told = a > _TELLS
-    if not told.any():
-        return None
-    a = a[told]
-    along = directions[:, told].T @ z
-    square = float((along**2 / ((a / (1.0 + a)) ** 2 * (1.0 + ratio / a))).sum())
-    off, known = dict.fromkeys(POSE, 0.0), dict.fromkeys(POSE, 0.0)
-    for k, p in named:
-        off[p.name], known[p.name] = float(fit.values[k]), p.size
-    sizes = [float(np.linalg.norm([off[name] for name in part])) for part in (SHIFTS, TURNS)]
-    sds = [max(known[name] for name in part) for part in (SHIFTS, TURNS)]
-    return KnownStand(
-        sizes[0], sds[0], float(np.rad2deg(sizes[1])), float(np.rad2deg(sds[1])),
-        float(scipy.special.chdtrc(len(a), square)),
-    )  # fmt: skip
-
-
 def stands_with(run: FittedRun) -> tuple[str, ...]:
     """Effects of a plausible size, each of which alone has the sensor of a run where it is known to stand."""
     tried, _ = run.model.is_testable([effect for effect in run.catalogue if effect.search is None], run.data)
@@ -173,7 +117,7 @@ def stands_with(run: FittedRun) -> tuple[str, ...]:
         with contextlib.suppress(SherkitError):
             more = run.refit([(effect, None)])
             stand = known_stand(more.fit)
-            if more.fit.converged and is_plausible(more, effect) and stand is not None and stand.p > KNOWN_LEVEL:
+            if more.fit.converged and is_plausible(more, effect) and stand is not None and stand.holds:
                 out.append(effect.name)
     return tuple(out)
 

@@ -29,6 +29,7 @@ from ..data.declared import Key, key, keys_from, keys_of
 from ..data.in_time import DRAWN_C
 from ..data.toml import Table
 from ..fit.identify import Fit
+from ..fit.known_stand import off_stand
 from ..model.chain import ChainModel
 from ..model.effect import Effect, Setting, as_written, effects_by_name
 from ..model.kinds import Robot, catalogue_of, kind_of, model_of
@@ -238,6 +239,9 @@ class IdentifiedModel:
     #: regions that were left out whole exceeds that of poses among others.
     poses: Floats = field(default_factory=lambda: np.zeros((0, 0)), kw_only=True)
     elsewhere: float = field(default=1.0, kw_only=True)
+    #: The values (p,) that have the instrument where it is known not to stand, the others zero: either it stands there,
+    #: or they hold what the model lacks. None where there are none.
+    off_stand: Floats | None = field(default=None, kw_only=True)
     #: By which the rows of the run are known again; empty in earlier files.
     digest: str = field(default="", kw_only=True)
 
@@ -269,6 +273,7 @@ class IdentifiedModel:
             readings=data.layout.coordinates,
             poses=outermost(data.joints[data.used.any(axis=1)]),
             elsewhere=1.0 if fit.elsewhere is None else fit.elsewhere.beside(fit.error),
+            off_stand=off if (off := off_stand(fit)[:core]).any() else None,
             **own,
         )
 
@@ -320,6 +325,7 @@ class IdentifiedModel:
                 lambda table, name: np.array(table.rows(name, joints) if table.has(name) else np.zeros((0, 0)), float)
             ),
             "elsewhere": key(Table.number, least=1.0),
+            "off_stand": Key(lambda table, name: table.array(name, values) if table.has(name) else None),
             "readings": key(Table.texts).needed,
             "untried": key(Table.texts).needed,
         }

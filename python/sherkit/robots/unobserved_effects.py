@@ -43,7 +43,7 @@ class Counted:
     places there by what they took of an effect, and which effects do."""
 
     spread: Floats
-    values: Callable[[Effect], Bools]
+    values: Bools
     moves: Callable[[Effect], bool]
 
 
@@ -142,9 +142,10 @@ class LinearFit:
 
     @property
     def _noise(self) -> float:
-        """Variance of a reading over its weight: one where the noise is known."""
+        """Variance of a reading over its weight: where the noise is known, with what the model lacks, as the fit
+        weighed its readings against what is known of the values."""
         if self.fit.noise.origin != "unknown":
-            return 1.0
+            return max(self.fit.scale, 1.0) ** 2
         free = max(int(np.count_nonzero(self._weights)) - len(self.fit.values), 1)
         return float(np.square(self._left).sum()) / free
 
@@ -239,7 +240,7 @@ class LinearFit:
     def missed(self, one: BiasBound, effect: Effect, places: Floats, frame: Counted | None = None) -> Floats:
         """What coordinates miss at the asked places (q, d, k) of an effect whose columns there are ``places`` (q, m,
         k): in a frame, or as readings are."""
-        by_values = self._there[0] if frame is None else np.where(frame.values(effect), self._there[0], 0.0)
+        by_values = self._there[0] if frame is None else np.where(frame.values, self._there[0], 0.0)
         moved = places if frame is None or frame.moves(effect) else np.zeros_like(places)
         missed = one.missed(by_values, moved, self._functions_there)
         return self.asked.carry(self.asked.joints, self._there[1], missed)

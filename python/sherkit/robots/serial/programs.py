@@ -21,7 +21,7 @@ from ...base.figures import listed
 from ...base.types import Bools, Floats, Ints
 from ...data.called import factor, header_unit
 from ...errors import MeasurementError, OutOfReach
-from ..accuracy import PredictedAccuracies
+from ..predicted_accuracy import PredictedAccuracies
 from .calibration import SerialCalibration
 from .frames import of_rpy, turns_of
 from .full_poses import cells_of, meant

@@ -170,10 +170,6 @@ class SphericalCalibration(Calibration):
         angles, by_values, _ = self.core.by_parameters_batch(joints, now, self.model.indices)
         return _across(by_values, angles)
 
-    def counted_beside(self, part: IdentifiedModel, frame: str, effect: Effect) -> Bools:
-        """Where a joint or a limb turns the tool, the camera has seen to where."""
-        return np.ones(len(part.values), dtype=bool) if self.moves(effect, frame) else self.counted(part, frame)
-
     def counted(self, part: IdentifiedModel, frame: str) -> Bools:
         """What is the measurement's alone turns no tool."""
         names = [p.name for p in self.model.parameters[: len(part.values)]]
