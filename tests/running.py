@@ -42,7 +42,8 @@ def command(folder: Path, *arguments: str) -> tuple[int, str, str]:
 def parse(arguments: list[str]) -> None:
     """Reads the words of a command after ``sherkit`` without running it. Raises ClickException where a verb or an
     option is gone."""
-    top = click.Context(cli, info_name="sherkit")
+    # a verb remembers how its help is asked for by the first that asks
+    top = click.Context(cli, info_name="sherkit", **cli.context_settings)
     (verb, *words), context = arguments, top
     made = cli.get_command(top, verb)
     if isinstance(made, click.Group) and words[:1] != ["--help"]:

@@ -44,7 +44,7 @@ def test_the_version_stands_in_one_place():
 # -- help ----------------------------------------------------------------------------------------------------------
 
 
-TOP = click.Context(cli, info_name="sherkit")
+TOP = click.Context(cli, info_name="sherkit", **cli.context_settings)
 
 
 @pytest.mark.parametrize("verb", cli.list_commands(TOP))

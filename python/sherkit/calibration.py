@@ -20,7 +20,7 @@ from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .diagnosis.selection import setting_for
 from .errors import EffectError, FitError, SherkitWarning
 from .evidence.thresholds import SURE, refuse_absurd
-from .fit.constant_columns import unread
+from .fit.constant_columns import outside_limits, unread
 from .fit.hold_out import hold_out
 from .fit.identify import identify
 from .fit.known_stand import known_stand
@@ -107,7 +107,11 @@ def calibrate(
     def run(data: Measurements, name: str) -> CalibrationRun:
         model = model_of(robot, free)
         data = model.as_declared(data)
-        for said in (*unread(data), *(doubt for doubt in doubts(data) if not doubt.poses)):
+        for said in (
+            *unread(data),
+            *outside_limits(model, data),
+            *(doubt for doubt in doubts(data) if not doubt.poses),
+        ):
             warnings.warn(f"{data.source}: {said}", SherkitWarning, stacklevel=2)
         if data.set_ups:
             warnings.warn(

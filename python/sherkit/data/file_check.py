@@ -141,6 +141,9 @@ class _Checking:
         self._nothing_read()
         self._marks()
         layout, columns = self._meanings()
+        if self._counts_rows(columns):
+            # as the number of a pose each of its repeats would be another
+            del columns[POSE]
         numbers = [name for name in self.cells if name not in self.words]
         meant = {theirs: ours for ours, theirs in columns.items()}
         known = {*layout.known, *layout.velocities, *layout.apart, *layout.loads, TEMPERATURE}
@@ -166,6 +169,12 @@ class _Checking:
             {name: what for name, what in unused.items() if name in self.words or what}, data, refused,
             {ours: name for ours, name in columns.items() if ours != name and ours not in self.given},
         )  # fmt: skip
+
+    def _counts_rows(self, columns: Columns) -> bool:
+        """Whether what looks like the number of a pose, and is not called so, is another in each row."""
+        called = columns.get(POSE, POSE)
+        cells = [] if called == POSE or POSE in self.given else self.cells[called]
+        return len(cells) > 1 and len({*cells}) == len(cells)
 
     def _foreign(self, names: set[str]) -> str:
         """That these columns are no run of the robot, and which of its own are missing; empty where they may be one."""

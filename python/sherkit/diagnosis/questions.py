@@ -17,7 +17,7 @@ from ..errors import EffectError, FitError
 from ..evidence.base import chance_of
 from ..evidence.fitted_run import FittedRun, enough_of
 from ..evidence.thresholds import implausible
-from ..fit.constant_columns import held, unread
+from ..fit.constant_columns import held, outside_limits, unread
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
 from ..fit.identify import Fit, identify
@@ -173,7 +173,7 @@ def _diagnosed(
     notes[of_outliers:of_outliers] = sentences(of_all.fit, outliers, side=side, accidents=accidents)
     notes += [*found.notes, *waves_in_words(final.fit)]
     notes += [f"{one.sentence}. {one.remedy}" for one in known(final.fit).values()]
-    notes += [doubt.sentence for doubt in by_number(final.fit.data)]
+    notes += [*outside_limits(final.model, final.data), *(doubt.sentence for doubt in by_number(final.data))]
 
     step("fitting all rows")
     # what is left of a mistake of the set-up tells nothing of noise

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..base import linalg
-from ..base.figures import listed
+from ..base.figures import in_people_units, listed
 from ..base.types import Floats, Ints
 from ..data import Measurements
+from ..data.columns import unit_in
 from ..errors import SherkitError
 from ..model.base import ModelWithEffects
 from .plausible import plausible_sizes
@@ -20,6 +21,8 @@ _MOVES = 0.05
 #: design.
 _BY_DESIGN = 10.0
 _FEWEST = 5
+#: A joint stands beyond its limits by more than this part of what they allow.
+_SLACK = 0.1
 
 
 def constant(data: Measurements) -> Ints:
@@ -53,6 +56,22 @@ def unread(data: Measurements) -> tuple[str, ...]:
         return ()
     names = listed([name for name, one in zip(data.layout.coordinates, read, strict=True) if not one])
     return (f"{names}: not read in any row, so that nothing is said of what moves the robot there alone",)
+
+
+def outside_limits(model: ModelWithEffects, data: Measurements) -> Iterator[str]:
+    """Joints that stood beyond the limits that the robot's file names, a sentence each."""
+    for name, (low, high) in model.joint_ranges().items():
+        joints = data.joints[~data.outlier, data.layout.joints.index(name)]
+        outside = (joints < low - _SLACK * (high - low)) | (joints > high + _SLACK * (high - low))
+        if outside.any():
+            unit, factor = in_people_units(unit_in(name))
+            (least, most), own = (f"{factor * v:.4g}" for v in (joints.min(), joints.max())), unit_in(name)
+            allowed = f"{factor * low:.4g} to {factor * high:.4g} {unit}"
+            yield (
+                f"{name}: {np.count_nonzero(outside)} of {len(joints)} rows stand outside its limits in the robot's file "
+                f"({allowed}), at {least} to {most} {unit}: is one of them not in {own}? What is identified, and where it "
+                "may be sent, goes by the limits"
+            )
 
 
 def frozen(data: Measurements) -> str:

@@ -173,6 +173,8 @@ def _idle(robot: Serial) -> Mapping[str, Collection[str]]:
 
 #: Poses by which the drawing tells what can be identified.
 _POSES = 200
+#: How far beside its axis a target is held that was drawn on it, mm.
+_BESIDE_MM = 50.0
 #: A parameter that moves the target by less than this part of its own beyond what others do is one of theirs: axes that
 #: are drawn parallel are so to fewer digits than numbers have.
 _BEYOND = 1e-3
@@ -229,6 +231,11 @@ class SerialModel(ChainModel):
     def layouts(self) -> tuple[Layout, ...]:  # type: ignore[override]
         """The runs of this arm."""
         return (self.robot.layout,)
+
+    def joint_ranges(self) -> dict[str, tuple[float, float]]:
+        """Of joints whose limits the file says."""
+        named = zip(self.robot.layout.joints, self.robot.joints, strict=True)
+        return {name: joint.range for name, joint in named if joint.limits}
 
     @cached_property
     def targets_anywhere(self) -> tuple[str, ...]:
@@ -411,6 +418,9 @@ def _every_reading(robot: Serial, joints: Floats) -> Measurements:
 @lru_cache(maxsize=32)
 def _told_apart(robot: Serial) -> tuple[str, ...]:
     """The parameters of the default, see :attr:`SerialModel.default`."""
+    if not np.any(np.array(robot.targets_mm)[:, :2]) and not any(joint.slides for joint in robot.joints[-1:]):
+        # drawn on the last axis, as of a flange, no target is: what only one beside it tells apart would be missing
+        robot = replace(robot, target_mm=(_BESIDE_MM, _BESIDE_MM, robot.target_mm[2]))
     every = SerialModel(robot, free=("tool_x",))
     low, high = robot.ranges
     rows = _every_reading(robot, np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))

@@ -52,7 +52,12 @@ def import_urdf_command(urdf: Path, base: str | None, tip: str | None, destinati
 @output.columns_option
 @_ROBOT_FILE
 def import_dh_command(table: Path, convention: str, destination: Path) -> None:
-    """An arm: a CSV table of Denavit-Hartenberg or Hayati parameters (d_mm, a_mm, alpha_deg …), as a robot.toml."""
+    """An arm: a CSV table of Denavit-Hartenberg or Hayati parameters, as a robot.toml.
+
+    A row for each joint: d_mm, a_mm, alpha_deg, and where they are not the same for all theta_deg, beta_deg, name, type
+    (revolute, prismatic, fixed), follows, and the limits low and high, degrees (mm of what slides). A joint that counts
+    the other way has its axis turned round in the robot.toml: axis = [0.0, 0.0, -1.0].
+    """
     _write_arm(import_dh(table, convention), destination)
 
 
