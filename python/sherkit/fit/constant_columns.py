@@ -68,9 +68,9 @@ def outside_limits(model: ModelWithEffects, data: Measurements) -> Iterator[str]
             (least, most), own = (f"{factor * v:.4g}" for v in (joints.min(), joints.max())), unit_in(name)
             allowed = f"{factor * low:.4g} to {factor * high:.4g} {unit}"
             yield (
-                f"{name}: {np.count_nonzero(outside)} of {len(joints)} rows stand outside its limits in the robot's file "
-                f"({allowed}), at {least} to {most} {unit}: is one of them not in {own}? What is identified, and where it "
-                "may be sent, goes by the limits"
+                f"{name}: {np.count_nonzero(outside)} of {len(joints)} rows stand outside its limits in the robot's "
+                f"file ({allowed}), at {least} to {most} {unit}: is one of them not in {own}? What is identified, and "
+                "where it may be sent, goes by the limits"
             )
 
 
