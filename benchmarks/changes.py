@@ -79,8 +79,9 @@ def compared(make: Callable[[int], Any], changed: tuple[str, ...], kind: str, se
     began = time.process_time()
     found = world.compare()
     seconds = time.process_time() - began
-    # numbers within one effect that are alike are no tie of effects
-    tied = next((tie for tie in found.indistinguishable if not any("." in name for name in tie)), ())
+    # numbers within one effect or one tool that are alike are no tie of effects
+    tied = next((t for t in found.indistinguishable if not any("." in n or n.startswith("tool_") for n in t)), ())
+    changed = tuple("tool" if name.startswith("tool_") else name for name in changed)
     alone = set(found.changed) if not tied else set()
     if kind == "nothing":
         right = found.verdict == "unchanged"

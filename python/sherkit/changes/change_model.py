@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -67,9 +67,11 @@ class About:
     columns: Floats
     free: Floats
     residual: Floats
+    #: Numbers of where targets sit, which another tool puts anywhere.
+    targets_anywhere: tuple[str, ...]
 
-    #: Of where the sensor stands, and of where targets sit, nothing is among them.
-    free_of_pose = targets_anywhere = ()
+    #: Of where the sensor stands nothing is among them.
+    free_of_pose = ()
     #: Nor does any change go with another.
     catalogue: ClassVar[tuple[Effect, ...]] = ()
 
@@ -212,7 +214,7 @@ class ChangeRows(ABC):
         # what has moved are these changes, as large as they were
         before = [values / [p.size for p in e.parameters] for (e, _), values in self.moved]
         moved = np.concatenate(before) if before else np.zeros(mine.shape[1])
-        about = About(tuple(changes), mine, free, run.residual + mine @ moved)
+        about = About(tuple(changes), mine, free, run.residual + mine @ moved, self.model.targets_anywhere)
         return about, replace(run, of=about)
 
     def zeros(self, effect: Effect) -> list[Effect]:
@@ -241,8 +243,13 @@ class ChangeRows(ABC):
                 values[p.name] = values.get(p.name, 0.0) + factors[number] * by
         return model, np.array([values.get(p.name, 0.0) for p in model.parameters])
 
+    def holding(self) -> ChangeRows:
+        """The same with what the model holds at the drawing among the candidates."""
+        return self
+
     def swaps(self, about: About) -> list[tuple[str, str]]:
-        """Numbers that moved in changes, each with another of the same effect that explains as much in its place."""
+        """Numbers that moved in changes, each with another of the same effect that explains as much in its place; those
+        of another tool with what is held of the robot, as the zero of the joint that it turns with."""
         whole, _ = self.about([(self.candidate(effect.name), factors) for effect, factors in about.changes])
         moved = {one.name for some in about.told for one, _, _ in some}
         kept = [k for k, p in enumerate(whole.parameters) if p.name in moved]
@@ -256,6 +263,20 @@ class ChangeRows(ABC):
             for one, other in product((k for k in kept if k in own), (k for k in own if k not in kept)):
                 if left([other if k == one else k for k in kept]) < most:
                     out.append((whole.parameters[one].name, whole.parameters[other].name))
+        return [*out, *self._held_swaps(whole, moved, most)]
+
+    def _held_swaps(self, whole: About, moved: Collection[str], most: float) -> list[tuple[str, str]]:
+        """The same of another tool, where less than ``most`` (a square over the noise) is left."""
+        out, rows = [], None
+        for effect, factors in whole.changes:
+            mine = [p.name for p in effect.qualified() if p.name in moved and p.name in self.model.targets_anywhere]
+            if not mine:
+                continue
+            rows = rows or self.holding()
+            others = [one for one in whole.changes if one[0] is not effect]
+            for held in rows.candidates[len(self.candidates) :]:
+                if rows.about([*others, (held, factors)])[0].left ** 2 < most:
+                    out += [(name, held.parameters[0].name) for name in mine]
         return out
 
 

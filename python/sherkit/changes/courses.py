@@ -19,7 +19,7 @@ from ..evidence.base import Base, log_bayes, total
 from ..evidence.blocks import Block, ColumnPart, Columns
 from ..evidence.family import Family, everything
 from ..evidence.sets import ONE_MORE, EffectSet, Sets, ShapeDescription
-from ..evidence.thresholds import ALARM, TIED, is_plausible
+from ..evidence.thresholds import ALARM, SCALES, TIED, is_plausible
 from .change_model import ChangeRows
 from .pooled_fit import Joined
 
@@ -29,6 +29,8 @@ _MOST_LASTING, _MOST_BESIDE = 8, 3
 _QUIET = np.log(20.0)
 #: A change of one unit of the noise must be seen with readings of so many beyond what is free.
 _FEWEST = 12
+#: Noises by which something that was exchanged may change a reading.
+_LARGE = np.array([60.0, 600.0, 6000.0])
 #: Steps of a fit in full.
 _REFITS = 3
 
@@ -268,8 +270,9 @@ class ChangeSets(Sets):
             if best is None or base.rss < best[0]:
                 rank = np.array([max(base.basis.shape[1] - self.base.basis.shape[1], 1)])
                 part = np.array([1.0 - base.rss / self.base.rss])
-                # all against what says most without a change
-                bf = float(log_bayes(part, rank, self.base.free, len(base.residual))[0]) - self._still
+                # all against what says most without a change; another tool may be many times what effects are
+                said = [log_bayes(part, rank, self.base.free, len(base.residual), s)[0] for s in (SCALES, _LARGE)]
+                bf = float(max(said)) - self._still
                 value = bf + weight + ONE_MORE * (len(blocks) - 1)
                 plausible = all(is_plausible(about, effect) for effect, _ in changes)  # type: ignore[arg-type]
                 best = base.rss, EffectSet(blocks, run, base, bf, value, plausible)

@@ -21,20 +21,25 @@ from ..diagnosis.outliers import gross_errors
 from ..errors import FitError, SherkitError, SherkitWarning
 from ..evidence.fitted_run import enough_of
 from ..evidence.thresholds import ALARM
+from ..evidence.whitening import orthonormal
 from ..fit.constant_columns import unread
 from ..fit.error import axes_of
 from ..fit.identify import identify
 from ..model.effect import Effect
 from ..model.kinds import Robot, model_of, required_um
 from ..model.robot_file import run_for
+from ..model.sensor_pose import POSE
 from .courses import lacking
 from .pooled_fit import Joined
+from .runs import held_of
 from .vouching import Gate, error_in_another, held_in, stuck
 
 #: How a copy is told.
 _COPY = "holds the same rows as"
 #: Rows of all runs together that are weighed, and of one at least.
 _ROWS, _ROWS_OF_A_RUN = 4000, 200
+#: Part of a column that is left at most where the instrument's stand does the same.
+_AS_STAND = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,10 +157,29 @@ def unchanged_advice(before: float, needed: float | None, unit: str, joined: Joi
             f"{number(off)} {unit}, which follows it; have that in the model ({names})"
         )
     if needed is None or before <= needed:
-        return "nothing needs to be done: the calibration still describes the robot"
+        return f"nothing needs to be done: the calibration still describes the robot{_but_for_its_stand(joined)}"
     return (
         f"nothing has changed, but the model of the first run is off by {number(before)} {unit}, noise included, where "
         f"the target is {number(needed)}: diagnose that run"
+    )
+
+
+def _but_for_its_stand(joined: Joined) -> str:
+    """What these runs cannot tell from where the instrument stands, behind the praise; empty where it is held."""
+    run, number = joined.runs[-1], len(joined.runs) - 1
+    stand = run.stand.columns[run.rows].reshape(-1, run.stand.columns.shape[2])
+    if not set(POSE) <= {f"sensor_{name.rpartition('_')[0]}" for name in run.stand.moved}:
+        return ""
+    basis = orthonormal(stand)
+    same = ["its base"] if joined.model.targets_anywhere else ["its base", "a tool that shifts all places alike"]
+    for effect in held_of(joined.model):
+        columns = joined.held(number)[effect.name][run.rows].reshape(len(stand), -1)
+        left = columns - basis @ (basis.T @ columns)
+        if np.linalg.norm(left) < _AS_STAND * np.linalg.norm(columns):
+            same += [p.name for p in effect.parameters]
+    return (
+        f". Where it stands as a whole no run tells from where the instrument does ({listed(same)}): programs in the "
+        "frame of the base need a target on the base, or a place that is touched, to tell that"
     )
 
 

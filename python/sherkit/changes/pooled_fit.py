@@ -10,7 +10,8 @@ error for all places of a run where the first run never was.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -25,7 +26,7 @@ from ..evidence.whitening import InCommon, Whitening, orthonormal
 from ..fit.identify import Fit
 from ..model.effect import WITHIN, Effect
 from .change_model import About, Change, ChangeRows
-from .runs import OWN_NOISE, RunData, change_candidates, growth_of, seen, zeros_of
+from .runs import OWN_NOISE, RunData, change_candidates, change_columns, growth_of, held_of, seen, zeros_of
 
 #: Deviations by which the model must miss more than repeats scatter.
 _MISSES = 3.0
@@ -259,6 +260,19 @@ class Joined(ChangeRows):
         return self.model.place(run.data, self.model.predict(run.data, self.fit.values), self.fit.values)
 
     # -- changes -----------------------------------------------------------------------------------------
+
+    def holding(self) -> Joined:
+        """As of any rows."""
+        made, held = copy(self), held_of(self.model)
+        made.candidates = [*self.candidates, *held]
+        made.runs = [replace(run, columns={**run.columns, **self.held(k)}) for k, run in enumerate(self.runs)]
+        return made
+
+    def held(self, number: int) -> dict[str, Floats]:
+        """Columns (n, m, k) of what the model holds at the drawing, of a run by its number."""
+        run, model = self.runs[number], self.now(number)[0]
+        found = change_columns(model, run.stand.values, run.data, self.axes, held_of(self.model))
+        return {name: run.stand.in_model(one) for name, one in found.items()}
 
     def columns_of(self, effect: Effect, factors: Floats) -> Floats:
         """As of any rows."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from ..data.noise import MAD
 from ..errors import FitError, SherkitError
 from ..evidence.whitening import correlation_in_time, orthonormal
 from ..model.base import ModelWithEffects
-from ..model.effect import Effect
+from ..model.effect import Effect, freeing
 from ..model.sensor_pose import POSE, rotation_matrix
 from ..model.set_ups import SETUP_PREFIX
 
@@ -292,13 +293,16 @@ def noise_of_repeats(data: Measurements, axes: Sequence[int]) -> float:
 
 
 def change_candidates(model: ModelWithEffects, runs: Sequence[Measurements]) -> list[Effect]:
-    """Every parameter that does not say where the sensor stands, as an effect that frees it, and every effect that does
-    not live in time."""
+    """Every parameter that does not say where the sensor stands, as an effect that frees it, those of a target together
+    (another tool), and every effect that does not live in time."""
     inside = {e.name: model.owns(e) for e in model.effects}
-    out = [
-        Effect(p.name, "structure", (p,), frees=True) for k, p in enumerate(model.parameters)
+    mine = [
+        p for k, p in enumerate(model.parameters)
         if not p.name.startswith(_OF_STAND) and not any(at.start <= k < at.stop for at in inside.values())
     ]  # fmt: skip
+    out = [Effect(p.name, "structure", (p,), frees=True) for p in mine if p.name not in model.targets_anywhere]
+    targets = groupby((p for p in mine if p.name in model.targets_anywhere), lambda p: p.name.rpartition("_")[0])
+    out += [Effect(name, "structure", tuple(those), frees=True) for name, those in targets]
     for effect in (*model.effects, *model.known_effects.values(), *model.held.values()):
         if any(one.name == effect.name for one in out):
             continue
@@ -310,6 +314,11 @@ def change_candidates(model: ModelWithEffects, runs: Sequence[Measurements]) -> 
         if effect.name in inside or _possible(model, effect, runs):
             out.append(effect)
     return out
+
+
+def held_of(model: ModelWithEffects) -> list[Effect]:
+    """What the model holds at its drawing, but for where the sensor stands, each as an effect that frees it."""
+    return [freeing(p) for p in model.fixed if p.name not in POSE]
 
 
 def zeros_of(candidates: Sequence[Effect], columns: Mapping[str, Floats], joints: Floats) -> dict[str, list[Effect]]:

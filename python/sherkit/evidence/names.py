@@ -23,6 +23,8 @@ _FAR = 20.0
 _REPEATS = 1.5
 #: Beginnings of a description that takes the place of an effect.
 _STARTS = 3
+#: Numbers of three effects or more up to which they imitate nothing by being many.
+_FEW = 6
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,8 @@ def _judged(sets: Sets, lead: EffectSet, found: list[EffectSet], alone: ShapeDes
     # errors of their own
     own = lead.base.own_errors()
     off = own is not None and own.evidence > ALARM and own.part > COUNTS
-    partly = not lead.explains or judged.shapes_say_more or len(lead.blocks) > 2 or off
+    many = len(lead.blocks) > 2 and sum(len(b.effect.parameters) for b in lead.blocks if b.effect) > _FEW
+    partly = not lead.explains or judged.shapes_say_more or many or off
     told: dict[str, Told] = {}
     refused: dict[str, str] = {}
     kept: EffectSet | None = lead

@@ -162,13 +162,13 @@ class Effect(Shown):
     @property
     def parts(self) -> dict[str, list[int]]:
         """The numbers of its parameters by what each is of alone: a limb or a joint by its number or its name, one of
-        what an instrument reads wrong, or of how one joint moves another, by its own name. None where it has not
-        several, or a number of all."""
+        what an instrument reads wrong, of how one joint moves another, or of what was held, by its own name. None where
+        it has not several, or a number of all."""
         out: dict[str, list[int]] = {}
         for k, p in enumerate(self.parameters):
             part = p.name.rpartition("_")[2]
             if not part.isdigit():
-                by_itself = self.link == "sensor" or "_by_" in p.name
+                by_itself = self.link == "sensor" or self.frees or "_by_" in p.name
                 # a wave of one joint is what any bend of it looks like
                 of_joint = self.link == "joints" and self.function is None and not self.is_periodic
                 part = p.name if by_itself else p.name.partition("_")[2] if of_joint else ""
