@@ -392,6 +392,7 @@ def test_a_pose_of_other_numbers_is_refused(given: dict[str, Any], words: str) -
         sk.SensorPose(**given)
 
 
+@pytest.mark.filterwarnings("default")  # it stands elsewhere than its file says
 def test_a_file_says_where_the_instrument_stood(tmp_path: Path) -> None:
     """Catches a calibration that is read by a machine whose instrument is said to stand otherwise by now."""
     machine = gantry_with(sk.SensorPose((1.0, 2.0, 3.0), (0.0, 0.0, 103.0), shift_sd_mm=2.0, turn_sd_deg=1.0))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from .fit.known_stand import known_stand
 from .model.base import missing_columns
 from .model.effect import Effect, named_effects
 from .model.kinds import model_of
-from .model.robot_file import RobotLike, robot_of, run_for
+from .model.robot_file import RobotLike, columns_of, robot_of, run_for
 from .model.thermometers import catalogue_for, further, grows, nearer_by, with_temperature_of
 from .robots.calibrated import Calibration, calibration_class
 from .robots.calibration_run import CalibrationRun
@@ -93,6 +94,7 @@ def calibrate(
     if correction not in CORRECTIONS:
         raise FitError(f"correction: '{correction}' is not known; choose {', '.join(CORRECTIONS)}")
     whole, local = run_for(robot, whole), None if local is None else run_for(robot, local)
+    columns = columns_of(robot) if isinstance(robot, str | PathLike) else {}
     robot = robot_of(robot)
     # what these parameters leave held can be freed by the name that a diagnosis gives it
     added = named_effects(catalogue_for(model_of(robot, free), whole), effects)
@@ -157,7 +159,7 @@ def calibrate(
 
     first = run(whole, "whole")
     second = run(local, "local") if local is not None else None
-    return Result(first, second, made.from_runs(first, second))
+    return Result(first, second, replace(made.from_runs(first, second), columns=columns))
 
 
 def to_json(result: Result) -> dict[str, Any]:

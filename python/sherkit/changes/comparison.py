@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from ..evidence.names import judged_names
 from ..evidence.sets import EffectSet
 from ..evidence.thresholds import ALARM
 from ..model.effect import Effect
-from ..model.robot_file import RobotLike, load_robot
+from ..model.robot_file import RobotLike, robot_of
 from .change_model import ParameterChange
 from .courses import Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
@@ -160,8 +159,7 @@ def compare(robot: RobotLike, runs: Sequence[RunLike], *, effects: Sequence[str 
     """
     if len(runs) < 2:
         raise FitError(f"compare: expected two runs or more, the first of them before; got {len(runs)}")
-    made = load_robot(robot) if isinstance(robot, str | PathLike) else robot
-    return concluded(Pool.of(made, read_runs(made, runs), effects))
+    return concluded(Pool.of(robot_of(robot), read_runs(robot, runs), effects))
 
 
 def concluded(pool: Pool) -> Comparison:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime, timedelta
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from ..evidence.blocks import Block
 from ..evidence.sets import ONE_MORE, described, likeliest
 from ..evidence.thresholds import ALARM, SURE, TIED
 from ..model.effect import Effect
-from ..model.robot_file import RobotLike, load_robot
+from ..model.robot_file import RobotLike, robot_of
 from .change_model import About
 from .courses import Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, unchanged_advice
@@ -193,8 +192,7 @@ def history(
         raise FitError(f"history: expected two runs or more, got {len(runs)}")
     if dates and len(dates) != len(runs):
         raise MeasurementError(f"dates: expected one for each of {len(runs)} runs, got {len(dates)}")
-    made = load_robot(robot) if isinstance(robot, str | PathLike) else robot
-    data = read_runs(made, runs)
+    made, data = robot_of(robot), read_runs(robot, runs)
     at_s, told = _dates(data, dates)
     order = [int(k) for k in np.argsort(at_s, kind="stable")]
     given = [data[k] for k in order]

@@ -15,6 +15,7 @@ from ..base.answer import FILES
 from ..base.figures import listed, number
 from ..base.types import Floats
 from ..data import Measurements
+from ..data.called import Columns
 from ..data.reader import RunLike
 from ..diagnosis import diagnose
 from ..diagnosis.outliers import gross_errors
@@ -27,7 +28,7 @@ from ..fit.error import axes_of
 from ..fit.identify import identify
 from ..model.effect import Effect
 from ..model.kinds import Robot, model_of, required_um
-from ..model.robot_file import run_for
+from ..model.robot_file import RobotLike, robot_of, run_for
 from ..model.sensor_pose import POSE
 from .courses import lacking
 from .pooled_fit import Joined
@@ -208,15 +209,15 @@ def sees_of(smallest: float | None, unit: str) -> str:
     return f"a change of {number(smallest)} {unit} RMS where the robot works would have been seen in 95 of 100 cases"
 
 
-def read_runs(robot: Robot, runs: Sequence[RunLike]) -> list[Measurements]:
-    """The rows of each run of a robot."""
-    model = model_of(robot)
+def read_runs(robot: RobotLike, runs: Sequence[RunLike]) -> list[Measurements]:
+    """The rows of each run of a robot, under the names that its file gives."""
+    model = model_of(robot_of(robot))
     return [rows_of(robot, model, run) for run in runs]
 
 
-def rows_of(robot: Robot, model: Any, run: RunLike) -> Measurements:
+def rows_of(robot: RobotLike, model: Any, run: RunLike, columns: Columns | None = None) -> Measurements:
     """The rows of a run of a robot and its model; what none of them reads is said."""
-    data = model.as_declared(run_for(robot, run))
+    data = model.as_declared(run_for(robot, run, columns))
     for said in unread(data):
         warnings.warn(f"{data.source}: {said}", SherkitWarning, stacklevel=2)
     return data

@@ -187,7 +187,9 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     """
     made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
     known = Known.of(made)
-    data = rows_of(made.robot, known.model, run)
+    # as of a robot's file, its names are those of files
+    columns = made.columns if isinstance(run, str | PathLike) else {}
+    data = rows_of(made.robot, known.model, run, columns or None)
     data = data.select(np.argsort(data.order, kind="stable"))
     axes = axes_of(data)
     if not axes:

@@ -103,7 +103,7 @@ def calibrate(
         names = [name.strip() for name in free.split(",") if name.strip()]
         chosen = effects_by_name(catalogue_of(nominal), added, [*own, *thermometers_of(model_of(nominal), data)])
         result = run_calibration(
-            nominal,
+            for_runs,
             data,
             inner,
             free=names,

@@ -6,7 +6,7 @@ import glob
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import click
 from rich.markup import escape
@@ -22,7 +22,6 @@ from ..data.tables import names_given
 from ..errors import SherkitError
 from ..fleets import FEWEST, Fleet, fleet
 from ..model.effect import load_effects
-from ..model.kinds import Robot
 from ..robots.machine import robot_at
 from . import output
 from .file_kinds import PAGE
@@ -57,11 +56,11 @@ def compare(
     _tell(found, _say, (robot, before, *after), as_json, report)
 
 
-def _machine(robot: Path, report: Path | None) -> Robot:
-    """The robot; a report that cannot be drawn is refused before anything is computed."""
+def _machine(robot: Path, report: Path | None) -> Any:
+    """The robot as its runs are read by; a report that cannot be drawn is refused before anything is computed."""
     if report is not None:
         output.require_view()
-    return robot_at(robot)[0]
+    return robot_at(robot)[1]
 
 
 def _tell(

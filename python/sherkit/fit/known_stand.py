@@ -41,7 +41,10 @@ class KnownStand:
 
     def __str__(self) -> str:
         each = ((self.shift_mm, self.shift_sd_mm, " mm"), (self.turn_deg, self.turn_sd_deg, "°"))
-        told = [(f"{off:.2g}{unit}", f"± {sd:.2g}{unit}") for off, sd, unit in each if sd > 0]
+        told = [
+            (f"{off:.0f}{unit}" if off >= 100.0 else f"{off:.2g}{unit}", f"± {sd:.2g}{unit}")
+            for off, sd, unit in each if sd > 0
+        ]  # fmt: skip
         off, known = zip(*told, strict=True)
         return f"{' and '.join(off)} from where the robot's file has it, known within {' and '.join(known)}"
 

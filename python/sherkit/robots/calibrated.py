@@ -22,6 +22,7 @@ from ..base.arguments import validate_arguments
 from ..base.figures import listed
 from ..base.notebook import Shown
 from ..base.types import Bools
+from ..data.called import Columns
 from ..data.files import write_whole
 from ..data.toml import Table, read_toml
 from ..errors import CalibrationError, FitError, SherkitError
@@ -115,6 +116,8 @@ class Calibration(Shown, Accurate):
 
     #: How its parts are read from files, and which there may be; the first one must be.
     part: ClassVar[type[IdentifiedModel]] = IdentifiedModel
+    #: The names of columns of its runs by ours, as the robot's file gave them.
+    columns: Columns = field(default_factory=dict, kw_only=True)
     parts: ClassVar[tuple[str, ...]] = ("whole",)
 
     @property
@@ -250,6 +253,7 @@ class Calibration(Shown, Accurate):
         parts = {name: getattr(self, name) for name in self.parts}
         made_by = {"format": FORMAT, "made_by": f"sherkit {_core.__version__}", "frame": self.frame}
         tables = {"calibration": made_by | self._settings(), "robot": self.robot.to_tables()}
+        tables |= {"columns": dict(self.columns)} if self.columns else {}
         tables |= {name: p.to_table(self.robot, self.coordinates) for name, p in parts.items() if p is not None}
         write_whole(Path(path), tomli_w.dumps(tables))
 
@@ -287,7 +291,9 @@ class Calibration(Shown, Accurate):
                 settings = cls._settings_from(c)
             with table.table("robot") as r:
                 nominal = robot_from_table(r)
-            parts = {}
+            with table.table("columns", optional=True) as named:
+                settings |= {"columns": {name: named.words(name) for name in named.names()}}
+            parts: dict[str, Any] = {}
             for name in cls.parts:
                 if name == cls.parts[0] or table.has(name):
                     with table.table(name) as one:
