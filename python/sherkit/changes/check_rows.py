@@ -15,6 +15,7 @@ from ..data import Measurements
 from ..evidence.base import Base
 from ..evidence.family import Family, everything
 from ..evidence.run import Run
+from ..evidence.thresholds import LOUDER
 from ..evidence.whitening import MOST_IN_COMMON, InCommon, Whitening
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
@@ -26,8 +27,6 @@ from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, 
 
 #: Degrees of freedom of a noise that a calibration knows.
 OF_CALIBRATION = 200
-#: Readings that are off by no more times what they were on the day of the calibration are off as they were.
-_AS_THEN = 1.15
 #: Nothing has changed at the calibration, all of it since.
 SINCE = np.array([0.0, 1.0])
 
@@ -84,7 +83,7 @@ class CheckRows(ChangeRows):
         model = known.model.for_run(data)
         made = cls(known, data, axes, part, 1.0, model, known.values, change_candidates(model, [data]))
         left = float(np.sqrt(np.square(made.stand.residual[made.rows]).mean()))
-        if left <= _AS_THEN * scattered_then(known, axes):
+        if left <= LOUDER * scattered_then(known, axes):
             # lost motion that visits of a pose scattered by on that day is none since
             made = replace(made, candidates=[one for one in made.candidates if "direction" not in one.needs])
         columns = {name: one[made.rows] for name, one in made._columns[1].items()}

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from ..adaptive.gate import Silent, power_of, silence, still
-from ..adaptive.task import Region, planned
+from ..adaptive.task import CANDIDATES, Region, planned
 from ..base import linalg
 from ..base.answer import AFTER, TARGET, Answer, Bar, ToDo
 from ..base.arguments import Count, Seed, validate_arguments
@@ -31,7 +31,7 @@ from ..errors import FitError, SherkitError
 from ..evidence.base import Base
 from ..evidence.design import showing
 from ..evidence.names import judged_names
-from ..evidence.thresholds import ALARM, NEEDED
+from ..evidence.thresholds import ACCIDENT, ALARM, NEARLY_ALWAYS, NEEDED, WRONG
 from ..evidence.whitening import InCommon, orthonormal
 from ..fit.error import axes_of
 from ..model.kinds import kind_of, required_um
@@ -43,20 +43,18 @@ from .pool import predicted, rows_of, told_ties
 from .runs import change_candidates, change_columns, moved_in_words, stand_of
 from .vouching import broken, errors_at_work, mistaken, shows, sights_of, smooth_fields, stand_columns, unable
 
-#: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
-_REFUSED, _CHANGED = 0.005, 0.015
-_SHARE, _POWER = 0.95, 0.9
+#: How often a valid calibration may be refused for what change is seen; for how much is, by accident
+#: (benchmarks/changes.py).
+_CHANGED = 0.015
 #: What a model lacks has about so many shapes among the poses of a check.
 _SHAPES = 6
 #: A run tells what its model leaves no better than this part of its noise.
 _BY_CHANCE = 0.5
-#: The promise is mostly what the model lacks from this part of its square on.
-_LACKED = 0.5
-#: A row is wild that is off by so many times the median of all; no more than this part of them.
-_WILD, _WILD_PART = 12.0, 0.1
+#: A row is wild that is off by so many times the median of all.
+_WILD = 12.0
 #: An error, in promises, of which it is said whether a check finds it.
 _SURE = 1.5
-_CANDIDATES, _RIDGE = 240, 1e-3
+_RIDGE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -126,7 +124,7 @@ class Verification(Shown):
         if self.set_aside:
             told.insert(0, f"Set aside, far off from all others: {listed(self.set_aside)}; read it once more")
         if self.unit == "µm" and (promised := self.error["promised"]) is not None:
-            within = promised * float(np.sqrt(scipy.stats.chi2.ppf(_SHARE, 3) / 3))
+            within = promised * float(np.sqrt(scipy.stats.chi2.ppf(NEARLY_ALWAYS, 3) / 3))
             # what could hide between the poses of the calibration no check by a few other poses can be held to
             told.append(
                 "The promise is what the run of the calibration shows of its accuracy at these places: within "
@@ -231,7 +229,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         if found.chance <= _CHANGED:
             # repeats may have what has changed in them, and then pass it off as noise
             seen = max(seen, unit * _of_lead(base, flat))
-        allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(_REFUSED, freedom, noise_freedom))
+        allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(ACCIDENT, freedom, noise_freedom))
         valid = bool(square <= allowed and (found.chance > _CHANGED or seen <= promised))
         if valid:
             power = power_of(sights, _required(rows, promised), base.free, ALARM)
@@ -252,7 +250,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     held = [name for name, same in zip(data.layout.joints, still(data.joints), strict=True) if same]
     # all of its numbers at their plausible sizes, with either sign
     size = {name: np.sqrt([np.trace(one.there)]) for name, one in sights.items()}
-    shown = [name for name, one in sights.items() if one.chances(size[name], base.free, ALARM)[0] >= _POWER]
+    shown = [name for name, one in sights.items() if one.chances(size[name], base.free, ALARM)[0] >= NEARLY_ALWAYS]
     return Verification(
         valid=valid,
         error={
@@ -289,7 +287,7 @@ def _wild(known: Known, data: Measurements, axes: tuple[int, ...]) -> Ints:
     visits = np.bincount(data.groups)
     far &= ~((visits > 1) & (np.bincount(data.groups, far) == visits))[data.groups]
     rows = np.flatnonzero(far)
-    return rows if len(rows) <= _WILD_PART * len(data) else rows[:0]
+    return rows if len(rows) <= WRONG * len(data) else rows[:0]
 
 
 def _unsaid(known: Known, data: Measurements, why: Silent) -> Verification:
@@ -330,13 +328,13 @@ def _promised(known: Known, data: Measurements, axes: tuple[int, ...]) -> tuple[
     # what the model lacked, beyond what a run tells of that by chance, was as large on average; at these places, a few
     # shapes of it, it may be larger
     left = np.sqrt(np.maximum(left**2 - (_BY_CHANCE * noise) ** 2, 0.0)) if noise > 0 else np.zeros(len(left))
-    more = float(scipy.stats.f.isf(_REFUSED, _SHAPES, OF_CALIBRATION)) - 1.0
+    more = float(scipy.stats.f.isf(ACCIDENT, _SHAPES, OF_CALIBRATION)) - 1.0
     left, radius = left[np.isfinite(radius)], radius[np.isfinite(radius)]
     if not len(radius):
         return None, False
-    lacked = bool(np.mean(left**2) > _LACKED * np.mean(radius**2))
+    lacked = bool(np.mean(left**2) > 0.5 * np.mean(radius**2))
     radius = np.sqrt(radius**2 + more * np.minimum(left, radius) ** 2)
-    per_axis = float(np.sqrt(np.mean(radius**2) / scipy.stats.chi2.ppf(_SHARE, 3)))
+    per_axis = float(np.sqrt(np.mean(radius**2) / scipy.stats.chi2.ppf(NEARLY_ALWAYS, 3)))
     if data.layout.unit == "µm":
         return per_axis, lacked
     # where readings are no lengths, by how far a joint moves either
@@ -391,7 +389,7 @@ def verifying_poses(
     known = Known.of(made)
     layout = kind_of(made.robot).layout
     region = Region.of(known.model, layout)
-    places = region.spread(_CANDIDATES, seed)
+    places = region.spread(CANDIDATES, seed)
     rng = np.random.default_rng(seed)
     ways = {f"direction_{k + 1}": rng.choice([-1.0, 1.0], len(places)) for k in range(places.joints.shape[1])}
     rows = planned(places.joints, layout, ways)

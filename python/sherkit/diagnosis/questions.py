@@ -16,7 +16,8 @@ from ..data.reader import RunLike
 from ..errors import EffectError, FitError
 from ..evidence.base import chance_of
 from ..evidence.fitted_run import FittedRun, enough_of
-from ..evidence.thresholds import implausible
+from ..evidence.plausible import implausible
+from ..evidence.thresholds import LEVEL
 from ..fit.constant_columns import held, unread
 from ..fit.error import repeated_folds_of
 from ..fit.forms import known
@@ -39,8 +40,6 @@ from .selection import NamedEffects, not_needed, searched
 from .sensor_pose import taken_by_pose
 from .signature import bends_in_words, signature_of, waves_in_words
 from .where import confounded_with, neighbour_correlation, slow_drift_of, smallest_found, where
-
-LEVEL = 0.01
 
 
 @validate_arguments

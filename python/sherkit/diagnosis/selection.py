@@ -19,15 +19,14 @@ from ..evidence.names import Names, judged_names
 from ..evidence.noise import base_of
 from ..evidence.periods import Period, period_of
 from ..evidence.run import Run, weighed_run
-from ..evidence.sets import MOST, EffectSet, Sets, ShapeDescription
+from ..evidence.sets import EffectSet, Sets, ShapeDescription
 from ..evidence.settings import refined, unit_columns
+from ..evidence.thresholds import MOST, SURE_SIGMA
 from ..fit.identify import Fit
 from ..model.effect import Effect, Setting
 from .held_out import HeldOutGain, error_held_out, held_out_gain, strongest
 from .result import StepReport
 
-#: Deviations from which on a value is certainly not zero.
-_SURE_OF = 3.0
 TOO_MANY = "all that is fitted takes more numbers than these poses leave to judge it by"
 
 
@@ -203,7 +202,7 @@ def _going_with(run: FittedRun) -> list[Effect]:
     """Effects that can be asked for now that another is in the model: of what that one's fit is sure of."""
     sure = {
         p.name for p, value, std in zip(run.fit.parameters, run.fit.values, run.fit.std, strict=True)
-        if abs(value) > _SURE_OF * std
+        if abs(value) > SURE_SIGMA * std
     }  # fmt: skip
     those = [e for e in run.catalogue if any(f"{e.goes_with}.{p.name}" in sure for p in e.parameters)]
     return run.model.is_testable(those, run.data)[0] if those else []
