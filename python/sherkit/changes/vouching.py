@@ -26,7 +26,7 @@ from ..evidence.thresholds import NEARLY_ALWAYS
 from ..evidence.whitening import orthonormal
 from ..fit.folds import blocks
 from ..fit.set_up import set_up_mistakes
-from .change_model import SEEN, ChangeRows
+from .change_model import SEEN, ChangeRows, estimated
 from .pooled_fit import Joined
 from .runs import RunData, stand_of
 
@@ -150,6 +150,16 @@ def _ways(base: Base, stand: Floats, promised: float, fields: Sequence[Floats]) 
 def shows(columns: Floats, basis: Floats) -> Floats:
     """The root mean square (v,) that the stand of the sensor leaves of columns (n, v) of readings."""
     return np.asarray(np.sqrt(np.square(columns - basis @ (basis.T @ columns)).mean(axis=0)))
+
+
+def error_of_lead(base: Base, stand: Floats) -> float:
+    """The error that the likeliest change makes at these places (root mean square of a reading, in noises)."""
+    family = base.family
+    if not len(family):
+        return 0.0
+    columns = family.run.flat(family.columns.raw(family.blocks[int(np.argmax(base.each))].at))
+    value, _, _ = estimated(columns, base.basis, base.residual)
+    return float(shows((columns @ value)[: len(stand), None], orthonormal(stand))[0])
 
 
 def _ratio(squares: Floats, share: Floats, answers: Floats, left: Floats, free: int) -> Floats:
