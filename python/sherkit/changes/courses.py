@@ -20,12 +20,12 @@ from ..evidence.blocks import Block, ColumnPart, Columns
 from ..evidence.family import Family, everything
 from ..evidence.plausible import is_plausible
 from ..evidence.sets import ONE_MORE, EffectSet, Sets, ShapeDescription
-from ..evidence.thresholds import ALARM, LEFT, TIED
+from ..evidence.thresholds import ALARM, LEFT, MOST, TIED
 from .change_model import ChangeRows
 from .pooled_fit import Joined
 
-#: Shapes and effects that all runs may lack alike, changes beside which they are looked for.
-_MOST_LASTING, _MOST_BESIDE = 8, 3
+#: Changes beside which it is looked for what all runs lack alike.
+_MOST_BESIDE = 3
 #: A change of one unit of the noise must be seen with readings of so many beyond what is free.
 _FEWEST = 12
 #: Steps of a fit in full.
@@ -196,7 +196,7 @@ def lacking(joined: Joined) -> Joined:
     base, columns = made.base, made.family.columns
     lasting: list[Ints] = []
     beside = 0
-    while len(lasting) < _MOST_LASTING:
+    while len(lasting) < MOST:
         block = base.lasting()
         if block is not None:
             lasting.append(block.at[len(block.at) // 2 :])

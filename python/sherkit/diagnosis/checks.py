@@ -14,7 +14,7 @@ from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
 from ..evidence.plausible import farthest_parameter, times_plausible
-from ..evidence.thresholds import COUNTS, LOUDER, PLAUSIBLE
+from ..evidence.thresholds import LOUDER, PLAUSIBLE
 from ..fit.constant_columns import frozen
 from ..fit.identify import ABSURD
 from ..fit.set_up import Mistake
@@ -69,7 +69,7 @@ def checks_of(
     out += [_as_drawn(final, used), *wrong]
     p = chance_of(found.missing)
     own = _own_errors(found.base)
-    off = own is not None and chance_of(own.evidence) <= level and own.part > COUNTS
+    off = own is not None and chance_of(own.evidence) <= level
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
         "by the weighted mean of the Bayes factors of all effects and shapes",

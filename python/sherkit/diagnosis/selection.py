@@ -130,16 +130,8 @@ def searched(
     if kept is None:
         return replace(nothing, names_judged=names, left=names.alone, notes=notes)
     step("held-out errors")
-    # visits of a pose share what is its own: rows held out by whole poses know, also which of several ties it is
+    # visits of a pose share what is its own: rows held out by whole poses know
     judged = _judged(run, added, sigma, repeated_folds, first)
-    for tie in () if refused else sorted(names.ties, key=lambda one: len(one.blocks)):
-        if judged.holding == len(kept.blocks):
-            break
-        other = _judged(run, tie.blocks, sigma, repeated_folds, first)
-        if other.holding > judged.holding:
-            kept, judged = tie, other
-    if kept is not lead and not refused:
-        names = replace(names, lead=kept, beside=sets.described(kept.base, MOST, 1))
     told = judged.told
     if worse := {g.effect: "rows held out are not clearly nearer with it" for g in judged.gains if not g.holds}:
         names = replace(names, refused=refused | worse)
@@ -191,11 +183,6 @@ class _Judged:
         more = StepReport(effect.name, error_held_out(final, sigma, repeated_folds))
         added = [*self.added, Block("effect", effect=effect)]
         return _Judged(final, added, [*self.gains, gain], (*self.steps, more), self.told)
-
-    @property
-    def holding(self) -> int:
-        """How many of them rows held out are nearer with."""
-        return sum(one.holds for one in self.gains)
 
 
 def _going_with(run: FittedRun) -> list[Effect]:

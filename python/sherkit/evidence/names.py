@@ -14,7 +14,7 @@ from .base import Base, log_bayes
 from .blocks import Block
 from .plausible import is_plausible, times_plausible
 from .sets import EffectSet, Sets, ShapeDescription
-from .thresholds import ALARM, COUNTS, MOST, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED
+from .thresholds import ALARM, MOST, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
@@ -116,7 +116,7 @@ def _judged(sets: Sets, lead: EffectSet, found: list[EffectSet], alone: ShapeDes
     # three or more with many numbers imitate anything; what no shape follows is left, too, where poses are off by
     # errors of their own
     own = lead.base.own_errors()
-    off = own is not None and own.evidence > ALARM and own.part > COUNTS
+    off = own is not None and own.evidence > ALARM
     partly = not lead.explains or judged.shapes_say_more or len(lead.blocks) > 2 or off
     told: dict[str, Told] = {}
     refused: dict[str, str] = {}

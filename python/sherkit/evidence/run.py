@@ -17,7 +17,7 @@ from ..errors import FitError
 from ..model.effect import Effect
 from .fitted_run import FittedRun
 from .linearised import Linearised
-from .thresholds import COUNTS, PLAUSIBLE
+from .thresholds import PLAUSIBLE, UNEVEN
 from .whitening import MOST_IN_COMMON, InCommon, Whitening, independent
 
 #: Fewest rows of which anything can be said.
@@ -113,7 +113,7 @@ class Run:
     def weighed(self, loud: Floats, effects: Sequence[Effect]) -> Run:
         """The same rows with axes that are louder (m,) than the others by much weighing less, fitted anew."""
         loud = np.clip(loud, 1e-6, 1e6)
-        if (np.abs(np.log(loud / loud.mean())) < COUNTS).all():
+        if (np.abs(np.log(loud / loud.mean())) < UNEVEN).all():
             return self
         sigma = self.sigma.copy()
         sigma[list(self.of.axes)] *= loud

@@ -268,7 +268,7 @@ class Sets:
             assert step.effect is not None, "it is one"
             other = self.fitted([*others, refined(beside, step)]) if block.effect.link != step.effect.link else None
             equivalent_models = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
-            if other is not None and other.base.rss < equivalent_models and (other.explains or not lead.explains):
+            if other is not None and other.base.rss < equivalent_models:
                 # it stands in the other's place: its numbers more are those of where it was put
                 other = replace(other, value=max(other.value, lead.value))
                 self._fitted[_key(other.blocks)] = other

@@ -35,9 +35,8 @@ TWIN = 0.97
 #: Part of poses to rows from which on a run is looked at row by row.
 FEW_VISITS = 0.8
 
-#: An error of the poses' own counts from this part of the noise on: below it the whole error grows by less than 5 %.
-#: Axes are weighed anew where one is louder than the mean by so much, as a logarithm.
-COUNTS = 0.3
+#: Logarithm of how much louder one axis is than the mean, from which on axes are weighed anew.
+UNEVEN = 0.3
 
 #: Plausible sizes up to which people are told that a parameter is plausible; and up to which a search takes it for as
 #: good as any.
