@@ -19,7 +19,7 @@ import worlds
 from running import slow
 from sherkit import Measurements, from_frame, identify
 from sherkit.diagnosis import gross_errors
-from sherkit.evidence.thresholds import times_plausible
+from sherkit.evidence.plausible import times_plausible
 from sherkit.robots.delta import grid
 from sherkit.robots.delta.model import DeltaModel
 from strategies import EXAMPLE

@@ -27,8 +27,8 @@ from second_simulator.unnamed import (
     telegraph,
 )
 from sherkit.diagnosis import indistinguishable, sentence
-from sherkit.diagnosis.held_out import PRAISE
 from sherkit.evidence.made import distinguishable_waves
+from sherkit.evidence.thresholds import LOUDER
 from worlds import Answer, World
 
 Make = Callable[[Kind, float, Any, int], Unnamed]
@@ -61,7 +61,7 @@ class Count:
             self.lies.append(f"{where}: {answer.short()}")
             return
         praised = d.verdict in ("adequate", "explained")
-        honest = d.steps[-1].error.rms / np.sqrt(d.error.axes) <= PRAISE * world.noise
+        honest = d.steps[-1].error.rms / np.sqrt(d.error.axes) <= LOUDER * world.noise
         if praised and not honest:
             self.lies.append(f"{where}: {answer.short()}")
         guilty = TRUE_NAMES.get(kind, set())

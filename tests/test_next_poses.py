@@ -16,7 +16,8 @@ import test_discovery as delta
 import test_spherical_discovery as spherical
 from sherkit.data.toml import Table
 from sherkit.diagnosis import next_poses
-from sherkit.diagnosis.next_poses import SEPARATION, TELLS_SIGMA, times_as_often
+from sherkit.diagnosis.next_poses import SEPARATION, times_as_often
+from sherkit.evidence.thresholds import SURE_SIGMA
 from sherkit.lab.experiment.file import coordinates_of_plan
 from sherkit.model.kinds import kind_of, model_of
 
@@ -87,7 +88,7 @@ def test_the_poses_of_a_tie_are_a_plan(tmp_path: Path) -> None:
     assert d.indistinguishable
     assert not d.advice
     assert list(d.next_poses[0]) == ["q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm", "separation_sigma"]
-    assert d.next_poses[-1]["separation_sigma"] >= TELLS_SIGMA
+    assert d.next_poses[-1]["separation_sigma"] >= SURE_SIGMA
     (tmp_path / "found.json").write_text(json.dumps(d.to_json()))
     plan = Table({"poses": "diagnosis", "file": "found.json"}, "plan")
     targets = coordinates_of_plan(plan, tmp_path, delta.DELTA)

@@ -17,8 +17,9 @@ from sherkit import identify
 from sherkit.cli.demo import EXAMPLE
 from sherkit.data import Measurements
 from sherkit.errors import EffectError, ExperimentError, FitError
+from sherkit.evidence.thresholds import POWER
 from sherkit.model.sensor_pose import HELD, SensorPose
-from sherkit.planning.effect_power import POWER, planning_of
+from sherkit.planning.effect_power import planning_of
 from sherkit.planning.power import EffectSize, study_power
 from sherkit.robots.delta import grid
 from sherkit.robots.delta.model import DeltaModel

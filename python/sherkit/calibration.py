@@ -20,7 +20,8 @@ from .data.reader import RunLike
 from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .diagnosis.selection import setting_for
 from .errors import EffectError, FitError, SherkitWarning
-from .evidence.thresholds import SURE, refuse_absurd
+from .evidence.plausible import refuse_absurd
+from .evidence.thresholds import SURE
 from .fit.constant_columns import outside_limits, unread
 from .fit.hold_out import hold_out
 from .fit.identify import identify

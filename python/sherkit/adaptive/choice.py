@@ -24,20 +24,18 @@ from ..evidence.blocks import Block
 from ..evidence.design import showing
 from ..evidence.family import Family
 from ..evidence.sets import EffectSet
-from ..evidence.thresholds import TIED
+from ..evidence.thresholds import A_FEW, ROUNDING, TIED
 from .known import run_at
 from .look import InterimAnalysis, called
+from .noise import FEWEST
 from .rule import RuleState
-from .task import PosesToDrive, Task
+from .task import CANDIDATES, PosesToDrive, Task
 
 # -- Places ------------------------------------------------------------------------------------------------------------
 
 #: Candidates for each batch, the share of places that are anywhere, and what a coefficient is expected to be, and may
 #: be, squared.
-_CANDIDATES, _ANYWHERE, _EXPECTED, _AT_MOST = 240, 0.2, 4.0, 36.0
-#: At most so many rivals.
-_MOST_RIVALS = 6
-_RIDGE = 1e-9
+_ANYWHERE, _EXPECTED, _AT_MOST = 0.2, 4.0, 36.0
 
 
 #: What would explain the readings: effects, or shapes of what is in no catalogue.
@@ -53,7 +51,7 @@ def rivals(found: InterimAnalysis) -> list[Rival]:
     # the leader and something besides is no rival of it: what it leaves tells of that
     near = [one.blocks for one in found.sets if one.value > best - TIED and not set(lead.names) <= set(one.names)]
     beside = [shapes.shapes] if shapes.shapes and shapes.evidence > best - TIED else []
-    return [lead.blocks, *near[: _MOST_RIVALS - 1], *beside]
+    return [lead.blocks, *near[: A_FEW - 1], *beside]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ class _There:
     def of(cls, found: InterimAnalysis, after_s: float, rng: np.random.Generator, *, shapes: bool) -> _There:
         """Some places anywhere that what was fitted can reach."""
         known, fit = found.known, found.fit
-        places = known.region.anywhere(_CANDIDATES, rng)
+        places = known.region.anywhere(CANDIDATES, rng)
         rows = known.later(found.data, places, after_s, rng)
         reached = np.isfinite(fit.model.predict(rows, fit.values)[:, known.axes]).all(axis=1)[-len(places) :]
         if not reached.all():
@@ -115,7 +113,7 @@ def _now(found: InterimAnalysis, blocks: Sequence[Block], most: float) -> tuple[
     own = run.flat(run.view.fitted(run.view.whole))
     more = found.raw(*blocks)
     columns = np.concatenate([own, more], axis=1)
-    info = _information(columns, _RIDGE)
+    info = _information(columns, ROUNDING)
     k = own.shape[1]
     info[k:, k:] += np.eye(more.shape[1]) / most
     return columns, info
@@ -163,7 +161,7 @@ def are_beyond(found: InterimAnalysis, tied: Sequence[EffectSet], budget: int, l
     if budget <= found.readings:
         return False
     rng = np.random.default_rng(found.readings)
-    others = tied[1:_MOST_RIVALS]
+    others = tied[1:A_FEW]
     ahead = np.array([tied[0].value - other.value for other in others])
     far = np.zeros(len(others))
     for after_s in (0.0, late_s):
@@ -183,7 +181,7 @@ def _information(columns: Floats, ridge: float) -> Floats:
 # What is asked for next: the first poses, poses that tell most, poses once more, and when.
 
 #: Readings over which the rest of the span is spread where nothing shows, and from which on.
-_SPREAD_TO, _SPREAD_FROM = 60, 24
+_SPREAD_TO = 60
 #: The share of readings that are poses read once more.
 _ONCE_MORE = 0.125
 #: Moments over the span that are driven to where rivals live in time.
@@ -270,7 +268,7 @@ class Batches:
             lives = any(block.name in found.known.in_time for one in rivals(found)[:3] for block in one)
             pace = max(span_s, 1800.0) / _MOMENTS
             return (pace, True) if lives and pace > own else (own, False)
-        if found.readings >= _SPREAD_FROM and driven < span_s:
+        if found.readings >= FEWEST and driven < span_s:
             pace = (span_s - driven) / max(_SPREAD_TO - self.task.batch - found.readings, self.task.batch)
             return (pace, True) if pace > own else (own, False)
         return own, False

@@ -15,18 +15,17 @@ from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..diagnosis.result import Check
 from ..errors import FitError
-from ..evidence.thresholds import SURE, TIED
+from ..evidence.thresholds import A_FEW, SURE, TIED
 from ..fit.identify import identify
 from ..model.base import asked_for
 from . import rule, told
 from .choice import are_beyond
 from .held import BatchLooks, accuracy_um
 from .look import InterimAnalysis
+from .noise import FEWEST
 from .told import mistaken
 from .vouching import louder_than_told, set_aside, structure_of, told_of
 
-#: Sets that are still a tie; more are no answer.
-_MOST_TIED = 6
 #: What a verdict is where more is left than noise.
 _LOUDER = {"adequate": "unexplained", "explained": "partly explained"}
 #: Part of the budget after which it is asked whether the rest would tell more.
@@ -179,7 +178,7 @@ def _at_the_end(
     if found.log_evidence < -np.log(loop.level):
         if loop.against:
             return "undecided", (), (), f"{why}; {loop.against[0]}"
-        if found.readings >= rule.FEWEST and rule.effects_excluded(rule.outlook(found, loop.level)):
+        if found.readings >= FEWEST and rule.effects_excluded(rule.outlook(found, loop.level)):
             return "adequate", (), (), f"{why}; nothing is missing that these rows would have shown"
         return "undecided", (), (), why
     lead = found.lead
@@ -193,7 +192,7 @@ def _at_the_end(
         why = f"{why}; {' & '.join(lead.names)} would say much of it, and what is in no catalogue nearly as much"
         return ("partly explained" if certain else "undecided"), certain, (), why
     names = tuple(" & ".join(one.names) for one in found.ties)
-    if len(names) > _MOST_TIED:
+    if len(names) > A_FEW:
         return "undecided", (), (), f"{why}; {len(names)} effects or pairs explain as well: {listed(names)}"
     return ("explained" if settled else "partly explained"), lead.names, (names,) if len(names) > 1 else (), why
 

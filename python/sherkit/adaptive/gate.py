@@ -18,16 +18,15 @@ from ..base import linalg
 from ..base.figures import listed
 from ..base.types import Bools, Floats
 from ..data import Measurements
-from ..evidence.thresholds import SCALES
+from ..evidence.thresholds import NEARLY_ALWAYS, ROUNDING, SAME_PLACE, SCALES
 
-#: An error of so many times what is required must have been seen, and how often.
-TIMES, POWER = 3.0, 0.95
+#: An error of so many times what is required must have been seen.
+TIMES = 3.0
 #: Errors, in what is required, of which it is asked from which on they would have been seen.
 _ERRORS = np.array([0.25, 0.35, 0.5, 0.7, 1.0, 1.5, 2.0, TIMES, 4.0, 6.0, 10.0, 20.0, 50.0, 100.0])
 _DRAWS = 256
-#: Joints or readings that differ by less than this part of their size stand still; places that differ by less than
-#: this part of the run's own range are one; a reading that should move by more than this part of the others.
-_STILL, _SAME, _MOVES = 1e-9, 1e-4, 1e-2
+#: A reading should move where it would by more than this part of the others.
+_MOVES = 1e-2
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ def silence(data: Measurements, axes: Sequence[int], unknown: int, predicted: Fl
         verb = "does" if len(stuck) == 1 else "do"
         why = f"its {listed(stuck)} {verb} not change while the joints move"
         return Silent(why, "look at the sensor, and measure again")
-    grid = _SAME * np.maximum(np.ptp(joints, axis=0), 1e-300)
+    grid = SAME_PLACE * np.maximum(np.ptp(joints, axis=0), 1e-300)
     places = len(np.unique(np.round((joints - joints.min(axis=0)) / grid), axis=0)) if moves else len(joints)
     if places * len(axes) <= unknown:
         return Silent(
@@ -72,7 +71,7 @@ def silence(data: Measurements, axes: Sequence[int], unknown: int, predicted: Fl
 
 def still(values: Floats) -> Bools:
     """Which columns (k,) of values (n, k) are the same in all rows."""
-    return np.asarray(np.ptp(values, axis=0) <= _STILL * np.maximum(np.abs(values).max(axis=0), 1.0))
+    return np.asarray(np.ptp(values, axis=0) <= ROUNDING * np.maximum(np.abs(values).max(axis=0), 1.0))
 
 
 def _stuck(data: Measurements, axes: Sequence[int], used: Bools, predicted: Floats | None) -> list[str]:
@@ -127,7 +126,7 @@ class Sight:
 @dataclass(frozen=True)
 class Power:
     """How often an error of :data:`TIMES` what is ``required`` would have been seen: of each candidate (``chances``)
-    and over all of them alike (``chance``), and the ``smallest`` error that would be in :data:`POWER` of cases, over
+    and over all of them alike (``chance``), and the ``smallest`` error that would be in 95 of 100 of cases, over
     all of them (infinite where none)."""
 
     required: float
@@ -138,7 +137,7 @@ class Power:
     @property
     def speaks(self) -> bool:
         """Whether silence of these rows says something."""
-        return self.chance >= POWER
+        return self.chance >= NEARLY_ALWAYS
 
 
 def power_of(sights: Mapping[str, Sight], required: float, free: int, alarm: float) -> Power:
@@ -147,6 +146,6 @@ def power_of(sights: Mapping[str, Sight], required: float, free: int, alarm: flo
         return Power(required, {}, 0.0, float("inf"))
     chances = {name: one.chances(required * _ERRORS, free, alarm) for name, one in sights.items()}
     mean = np.mean(list(chances.values()), axis=0)
-    at, enough = int(np.argmin(np.abs(_ERRORS - TIMES))), mean >= POWER
+    at, enough = int(np.argmin(np.abs(_ERRORS - TIMES))), mean >= NEARLY_ALWAYS
     smallest = float(required * _ERRORS[np.argmax(enough)]) if enough.any() else float("inf")
     return Power(required, {name: float(one[at]) for name, one in chances.items()}, float(mean[at]), smallest)

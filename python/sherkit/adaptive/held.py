@@ -21,14 +21,15 @@ from . import rule, told
 from .kept import Kept
 from .known import PLACES, FixedBefore
 from .look import InterimAnalysis, look
+from .noise import BEYOND
 from .task import Task
 from .told import mistaken, unread_cells
 from .vouching import against
 
 # -- What a loop holds -------------------------------------------------------------------------------------------------
 
-#: Readings to begin with at least, and those beyond the parameters.
-_START, _BEYOND = 12, 8
+#: Readings to begin with at least.
+_START = 12
 
 
 class BatchLooks(Kept):
@@ -50,7 +51,7 @@ class BatchLooks(Kept):
     def start(self) -> int:
         """Readings before the first look: as many as tell the parameters, and a few more."""
         axes = max(len(self.layout.coordinates), 1)
-        return min(max(_START, -(-(len(self.model.parameters) + _BEYOND) // axes)), self.budget)
+        return min(max(_START, -(-(len(self.model.parameters) + BEYOND) // axes)), self.budget)
 
     @property
     def readings(self) -> int:

@@ -16,6 +16,7 @@ from ..evidence.base import reference_of
 from ..evidence.blocks import ReferenceRows
 from ..evidence.fitted_run import FittedRun
 from ..evidence.run import Run
+from ..evidence.thresholds import NEARLY_ALWAYS, ROUNDING
 from ..evidence.whitening import Whitening
 from ..fit.identify import Fit, identify
 from ..model.base import ModelWithEffects
@@ -25,10 +26,10 @@ from .task import PosesToDrive, Region, planned
 #: Rows of the reference, and those from which on something may let go: what one or two rows before it say may be their
 #: own.
 _ROWS, _CUTS = 160, np.unique(np.geomspace(4.0, 150.0, 36).astype(np.int64))
-#: Places at which the accuracy is asked, and the share of cases that it holds for.
-PLACES, _SHARE = 60, 0.95
+#: Places at which the accuracy is asked.
+PLACES = 60
 #: By how much a covariate swings, unless its name is known: this part of its value, or of what the first rows show.
-_SWINGS, _TIMES, _LEAST, _WIDTHS = 0.1, 4.0, 1e-9, {TEMPERATURE: 1.0}
+_SWINGS, _TIMES, _WIDTHS = 0.1, 4.0, {TEMPERATURE: 1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +96,7 @@ class FixedBefore:
         by = fit.model.derivatives(rows, fit.values)[-len(places) :, axes]
         each = np.einsum("nmp,pq,nkq->nmk", by, fit.covariance + fit.unobserved_covariance, by)
         largest = float(linalg.eigvalsh(each)[:, -1].max())
-        return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(_SHARE, len(axes)) * max(largest, 0.0)))
+        return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(NEARLY_ALWAYS, len(axes)) * max(largest, 0.0)))
 
 
 def run_at(fit: Fit, sigma: Floats) -> Run:
@@ -123,7 +124,7 @@ def _reference(region: Region, data: Measurements, span_s: float) -> Measurement
         else:
             # first rows last a minute: a room that swings by a tenth of its humidity in an hour has hardly begun to
             begins, spread = float(values[0]), float(np.ptp(values))
-            swing = _WIDTHS.get(name, max(_SWINGS * abs(begins), _TIMES * spread, _LEAST))
+            swing = _WIDTHS.get(name, max(_SWINGS * abs(begins), _TIMES * spread, ROUNDING))
             # each in a course of its own: what swings alike could not be told apart
             columns[name] = begins + swing * np.sin(2.0 * np.pi * (1.0 + 0.37 * number) * part + number)
     for k in range(places.joints.shape[1]):

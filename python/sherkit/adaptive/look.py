@@ -20,16 +20,12 @@ from ..evidence.family import Family
 from ..evidence.names import Names, judged_names
 from ..evidence.run import Run
 from ..evidence.sets import EffectSet, Sets
-from ..evidence.thresholds import SURE, TIED
+from ..evidence.thresholds import SURE, TIED, TWIN
 from ..fit.identify import Fit
 from .known import FixedBefore
 from .noise import ROUGH, LoopNoise, expected, left_by, rough_of, run_of_rows
 
 _ROUNDS = 3
-#: The part of what a leader takes that a shape must hold to be that once more, in a wider form.
-_HOLDS = 0.98
-#: What may be left beside one that leaves nothing, and by how much a name must grow to be confirmed (a logarithm).
-LEFT = float(np.log(20.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +106,7 @@ class InterimAnalysis:
         told = self.base.residual - lead.base.residual
         for wider in alone.shapes[:1]:
             basis = self.base.beside(wider).basis[:, self.base.basis.shape[1] :]
-            of_shapes -= SURE if float(np.square(basis.T @ told).sum()) > _HOLDS * float(told @ told) else 0.0
+            of_shapes -= SURE if float(np.square(basis.T @ told).sum()) > TWIN * float(told @ told) else 0.0
         return lead.value + self.names.of_one_part + self.names.beside.evidence - of_shapes
 
     @cached_property

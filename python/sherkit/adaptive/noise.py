@@ -16,7 +16,7 @@ from ..errors import SherkitError
 from ..evidence.base import Base, total
 from ..evidence.fitted_run import FittedRun
 from ..evidence.run import Run, in_time, one_after_another
-from ..evidence.thresholds import SCALES
+from ..evidence.thresholds import A_FEW, FAR_SIGMA, SCALES
 from ..evidence.whitening import Whitening, correlation_in_time, orthonormal
 from ..fit.identify import Fit, identify
 from .known import FixedBefore
@@ -82,16 +82,16 @@ def rough_of(base: Base) -> float:
 
 # -- Noise -------------------------------------------------------------------------------------------------------------
 
-#: A row farther off than so many robust deviations, beside the best explanation, is set aside.
-GROSS = 7.0
 #: Readings beyond the parameters from which rows can be told to be wrong; noise that is the same.
-_BEYOND, _SAME = 6, 0.1
-#: Rows of a beginning or an end at least, and the part of them that is far off, that are no accidents.
-_NEWS, _NEARLY_ALL = 6, 0.8
+BEYOND, _SAME = 8, 0.1
+#: Part of the rows of a beginning or an end that is far off where they are no accidents.
+_NEARLY_ALL = 0.8
 #: Plausible sizes are knowledge where readings are fewer than so many times the parameters.
 _FEW = 3.0
-#: Readings from which the course of the noise is looked at, and how many stand for "all axes alike".
-_ENOUGH, _ALIKE = 24, 20.0
+#: Readings from which on there may be a verdict, and the course of the noise is looked at.
+FEWEST = 24
+#: Readings that stand for "all axes alike".
+_ALIKE = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,10 +136,10 @@ def left_by(run: Run, now: LoopNoise, unsure: Ints) -> LoopNoise:
     left = run.view.residual / np.sqrt((1.0 - lever).clip(0.02))
     # rows that stand apart from all others, be they set aside already or not
     wrong, spread = np.zeros(0, dtype=np.int64), MAD * float(np.median(np.abs(left)))
-    if left.size > len(run.of.fit.values) + _BEYOND and spread > 0:
+    if left.size > len(run.of.fit.values) + BEYOND and spread > 0:
         off = np.nan_to_num(run.of.fit.residuals[:, list(run.of.axes)]) / now.sigma
         off[run.rows] = left
-        wrong = np.flatnonzero(accidents((np.abs(off) > GROSS * spread).any(axis=1)))
+        wrong = np.flatnonzero(accidents((np.abs(off) > FAR_SIGMA * spread).any(axis=1)))
         # what most rows do is no accident of a few: a channel that sticks, one that is read a row late
         wrong = wrong if 2 * len(wrong) <= len(off) else wrong[:0]
     wrong = np.union1d(wrong, unsure)
@@ -149,7 +149,7 @@ def left_by(run: Run, now: LoopNoise, unsure: Ints) -> LoopNoise:
         return LoopNoise(wrong, now.sigma, 0.0)
     free, pooled = max(len(left) - basis.shape[1] / m, 1.0), float(each.mean())
     drawn = np.exp((free * np.log(np.maximum(each, 1e-12 * pooled)) + _ALIKE * np.log(pooled)) / (free + _ALIKE))
-    told = run.view.time is not None and len(left) >= _ENOUGH
+    told = run.view.time is not None and len(left) >= FEWEST
     rho = correlation_in_time(run.view.residual, basis, run.white.back) if told else 0.0
     return LoopNoise(wrong, np.sqrt(drawn / np.exp(np.mean(np.log(drawn)))), rho)
 
@@ -158,7 +158,7 @@ def accidents(far: Bools) -> Bools:
     """Those of rows in the order of time that are ``far`` off (n,) that are no beginning and no end of the run: what
     nearly all rows do from a moment on is news."""
     out = far.copy()
-    for rows in off_at_an_end(far, _NEWS, _NEARLY_ALL):
+    for rows in off_at_an_end(far, A_FEW, _NEARLY_ALL):
         out[rows] = False
     return out
 

@@ -18,14 +18,12 @@ import numpy as np
 import scipy
 
 from ..base.figures import listed
-from ..evidence.thresholds import PLAUSIBLE, SCALES, SURE, TIED
-from .look import LEFT, InterimAnalysis
-from .noise import ROUGH, ROUGH_WEIGHT, agreement_of
+from ..evidence.thresholds import LEFT, LOUDER, NEARLY_ALWAYS, PLAUSIBLE, SCALES, SURE, TIED
+from .look import InterimAnalysis
+from .noise import FEWEST, ROUGH, ROUGH_WEIGHT, agreement_of
 
 # -- silence: which effects would have been seen by now, and from which size the others would -------------------------
 
-#: The power with which an effect must have been seen.
-POWER = 0.95
 _DIRECTIONS = 16
 
 
@@ -70,11 +68,10 @@ def _outlook(found: InterimAnalysis, name: str, noise: float, level: float) -> U
     sizes = np.geomspace(0.1, 1e3, 31)
     powers = scipy.stats.ncx2.sf(least, len(squares), np.square(sizes)[:, None] * shown.clip(1e-12)).mean(axis=1)
     at_noise = float(np.interp(0.0, np.log(sizes), powers))
-    enough = powers >= POWER
+    enough = powers >= NEARLY_ALWAYS
     first = int(np.argmax(enough))
-    times = float(
-        np.exp(np.interp(POWER, powers[max(first - 1, 0) : first + 1], np.log(sizes[max(first - 1, 0) : first + 1])))
-    )
+    about = slice(max(first - 1, 0), first + 1)
+    times = float(np.exp(np.interp(NEARLY_ALWAYS, powers[about], np.log(sizes[about]))))
     return Unseen(name, at_noise, times * noise if enough.any() else float("inf"), in_time, most >= noise, most)
 
 
@@ -88,20 +85,20 @@ def _outlook_rough(found: InterimAnalysis, noise: float, level: float) -> Unseen
         return float(np.mean([replace(now, between=between, within=float(q)).log_bf >= needed for q in quantiles]))
 
     sizes = np.geomspace(0.5, 100.0, 24)
-    first = next((size for size in sizes if power(float(size)) >= POWER), float("inf"))
+    first = next((size for size in sizes if power(float(size)) >= NEARLY_ALWAYS), float("inf"))
     return Unseen(ROUGH, power(1.0), float(first) * noise, False, False, 0.0)
 
 
 def effects_excluded(seen: tuple[Unseen, ...]) -> bool:
     """Whether everything that places can show would have been seen at the size of the noise; where the noise is more
     than anything plausible would do, silence says nothing."""
-    shown = [one.power >= POWER for one in seen if one.visible and not one.in_time]
+    shown = [one.power >= NEARLY_ALWAYS for one in seen if one.visible and not one.in_time]
     return bool(shown) and all(shown)
 
 
 def sentences(seen: tuple[Unseen, ...], unit: str, per_unit: float, untestable: Mapping[str, str]) -> list[str]:
     """What could not be seen, and from which size on it would have been."""
-    unseen = [one for one in seen if one.power < POWER]
+    unseen = [one for one in seen if one.power < NEARLY_ALWAYS]
     sizes = [f"{one.name} {one.from_rms * per_unit:.2g}" for one in unseen if np.isfinite(one.from_rms)]
     never = [one.name for one in unseen if not np.isfinite(one.from_rms)]
     out = [f"from this size on it would have been seen, {unit} RMS: {listed(sizes, 20)}"] if sizes else []
@@ -111,10 +108,8 @@ def sentences(seen: tuple[Unseen, ...], unit: str, per_unit: float, untestable: 
 
 # -- the rule ---------------------------------------------------------------------------------------------------------
 
-#: Readings before a verdict, readings after naming that confirm, and by how much the leader's Bayes factor must grow.
-FEWEST, AFTER, _GROWN = 24, 12, LEFT
-#: Where the noise has grown by so much since, something has happened that still passes for noise.
-_LOUDER = 1.5
+#: Readings after naming that confirm.
+AFTER = 12
 #: Looks running at which much is left beside the leader, or is told far better by shapes: then it is unknown.
 _LOOKS = 2
 
@@ -143,7 +138,7 @@ def after(state: RuleState, found: InterimAnalysis, *, spanned: bool, vouched: b
     whether nothing speaks against its rows as witnesses, one over the ``level`` the evidence that is an alarm."""
     lead, n, noise = found.lead, found.readings, float(found.best_fit.scale)
     now: dict[str, Any] = {"noise": noise, "vouched": vouched}
-    new = 0.0 < _LOUDER * state.noise < noise or (state.vouched and not vouched)
+    new = 0.0 < LOUDER * state.noise < noise or (state.vouched and not vouched)
     alarm = found.log_evidence >= -np.log(level)
     if not alarm:
         quiet = found.log_evidence < min(LEFT, -np.log(level)) and n >= FEWEST and spanned and vouched and not new
@@ -159,7 +154,7 @@ def after(state: RuleState, found: InterimAnalysis, *, spanned: bool, vouched: b
         return RuleState(unknown=unknown, alarmed=True, **now)
     if lead.names != state.named or new:
         return RuleState(named=lead.names, at=n, then=lead.log_bf, alarmed=True, **now)
-    grown = lead.log_bf - state.then >= _GROWN and n - state.at >= AFTER and n >= FEWEST
+    grown = lead.log_bf - state.then >= LEFT and n - state.at >= AFTER and n >= FEWEST
     # what else lives in time shows only when it has passed
     known = grown and spanned
     why = "named, and confirmed on readings that were taken after" if known else ""

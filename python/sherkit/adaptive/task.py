@@ -240,6 +240,8 @@ def _digits(name: str) -> int:
 
 #: Readings in a batch and in all, unless it is said.
 BATCH, BUDGET = 4, 400
+#: Places of which some are chosen.
+CANDIDATES = 240
 
 
 class Task:

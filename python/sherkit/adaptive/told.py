@@ -18,19 +18,18 @@ from ..data import Measurements, from_frame, read_measurements
 from ..data.columns import OUTLIER, POSE, REASON, REPEAT, TIME, Layout
 from ..data.frames import to_polars
 from ..data.in_time import directions
-from ..diagnosis.gathered import WRONG
 from ..errors import FitError, MeasurementError, SherkitError
+from ..evidence.thresholds import MOVES, SAME_PLACE, WRONG
 from ..fit.set_up import set_up_mistakes
 from ..model.base import ModelWithEffects
 from ..model.chain import ChainModel
 from ..model.robot_file import run_for
+from .known import PLACES
 from .task import Region, planned
 
 # -- Rows as one table -------------------------------------------------------------------------------------------------
 
 _WHERE = "the rows told"
-#: Rows that are nearer than this part of the range of the joints are of one pose.
-_SAME_PLACE = 1e-4
 
 
 def frame_of_rows(rows: Any) -> pl.DataFrame:
@@ -126,7 +125,7 @@ def _elsewhere(frame: pl.DataFrame, layout: Layout) -> pl.DataFrame:
     poses = frame[POSE].to_list()
     if any(type(pose) is not int for pose in poses):
         return frame
-    near = _SAME_PLACE * np.ptp(joints, axis=0)
+    near = SAME_PLACE * np.ptp(joints, axis=0)
     first: dict[int, Any] = {}
     free, out = max(poses), []
     for pose, place in zip(poses, joints, strict=True):
@@ -148,9 +147,7 @@ def in_order_of_time(frame: pl.DataFrame, robot: Any, model: ModelWithEffects, l
 
 #: So many readings running that are the same to the last bit are none, where the robot moved between them by this part
 #: of all that it can.
-_RUNNING, _MOVES = 3, 0.05
-#: Places of the region at which it is looked how far it can move.
-_PLACES = 64
+_RUNNING = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +173,10 @@ def unread_cells(model: ModelWithEffects, region: Region, data: Measurements) ->
     width, none = data.coordinates, np.zeros(len(model.parameters))
     try:
         drawn = model.predict(data, none)[:, :width]
-        all_over = model.predict(planned(region.spread(_PLACES, 0).joints, data.layout), none)[:, :width]
+        all_over = model.predict(planned(region.spread(PLACES, 0).joints, data.layout), none)[:, :width]
     except SherkitError:
         return Unread(cells, ())
-    way = _MOVES * np.ptp(all_over[np.isfinite(all_over).all(axis=1)], axis=0)
+    way = MOVES * np.ptp(all_over[np.isfinite(all_over).all(axis=1)], axis=0)
     for k, name in enumerate(data.layout.readings[:width]):
         rows = np.flatnonzero(data.taken[:, k] & np.isfinite(drawn[:, k]))
         stuck = rows[_standing(data.readings[rows, k], drawn[rows, k : k + 1], way[k : k + 1])]

@@ -17,20 +17,13 @@ from ..base.types import Floats, Ints
 from ..data.doubts import doubts
 from ..data.doubts.repeats import copied
 from ..data.noise import noise_of
-from ..diagnosis.gathered import WRONG, gathered, said
-from ..evidence.thresholds import PLAUSIBLE, farthest_parameter, times_plausible
+from ..diagnosis.gathered import gathered, said
+from ..evidence.plausible import farthest_parameter, times_plausible
+from ..evidence.thresholds import FAR_SIGMA, LOUDER, MOVES, NEARLY_ALWAYS, PLAUSIBLE, SAME_PLACE, WRONG
+from .gate import TIMES
 from .look import InterimAnalysis, moved
-from .noise import GROSS
-from .rule import POWER, Unseen, outlook
-
-#: An error of so many times what is required must have been seen.
-TIMES = 3.0
-#: Readings beyond the parameters, at places that differ: joints by more than this part of half their range.
-_BEYOND, _SAME_PLACE = 8, 1e-4
-#: What is left may be so many times the noise that is declared.
-_QUIET_ENOUGH = 1.3
-#: A joint moves where it goes over this part of its range.
-_MOVES = 0.05
+from .noise import BEYOND
+from .rule import Unseen, outlook
 
 
 def against(found: InterimAnalysis, required_um: float | None, level: float, seed: int) -> tuple[str, ...]:
@@ -54,15 +47,15 @@ def _few_places(found: InterimAnalysis) -> Iterator[str]:
     joints = data.joints[rows]
     still = [
         name for name, way, half in zip(data.layout.joints, np.ptp(joints, axis=0), region.joint_half, strict=True)
-        if half > 0 and way < _MOVES * 2.0 * half
+        if half > 0 and way < MOVES * 2.0 * half
     ]  # fmt: skip
     if still:
         yield (
             f"{listed(still)} {'hardly move' if len(still) > 1 else 'hardly moves'} in all {len(joints)} rows: "
             "nothing is said of what moves with it; look whether the encoders are read"
         )
-    places = len(np.unique(np.round(joints / (_SAME_PLACE * np.maximum(region.joint_half, 1e-300))), axis=0))
-    needed = len(found.fit.values) + _BEYOND
+    places = len(np.unique(np.round(joints / (SAME_PLACE * np.maximum(region.joint_half, 1e-300))), axis=0))
+    needed = len(found.fit.values) + BEYOND
     if places * len(found.known.axes) < needed:
         yield (
             f"{places} place{'s' if places > 1 else ''} in {len(joints)} rows for {len(found.fit.values)} parameters: "
@@ -85,7 +78,8 @@ def _unseen(
             size = f"from {number(hidden[worst])} µm RMS on" if np.isfinite(hidden[worst]) else "undetectable here"
             yield (
                 f"{_scattering(found)}: of {listed(sorted(hidden))} an error of {must:g} µm ({TIMES:g} × the "
-                f"target of {required_um:g}) would not have been seen in {POWER:.0%} of such runs, {worst} {size}"
+                f"target of {required_um:g}) would not have been seen in {NEARLY_ALWAYS:.0%} of such runs, "
+                f"{worst} {size}"
             )
     if accuracy_um is not None and accuracy_um > must:
         yield (
@@ -158,7 +152,7 @@ def _wrong_again(found: InterimAnalysis, rows: Ints) -> list[int]:
     for pose in np.unique(of_pose[rows]).tolist():
         here, every = rows[of_pose[rows] == pose], np.flatnonzero(of_pose == pose)
         apart = np.ptp(off[here], axis=0) if len(here) > 1 else np.full(off.shape[1], np.inf)
-        if len(here) == len(every) and (apart <= GROSS * noise).all():
+        if len(here) == len(every) and (apart <= FAR_SIGMA * noise).all():
             out.append(int(pose))
     return out
 
@@ -178,7 +172,7 @@ def louder_than_told(found: InterimAnalysis, verdict: str) -> str:
     said = float(np.exp(np.mean(np.log(each))))
     left = float((found.best_fit if verdict == "explained" else found.fit).scale)
     layout = found.data.layout
-    if left <= _QUIET_ENOUGH * said:
+    if left <= LOUDER * said:
         return ""
     return (
         f"{layout.per_unit * left:.3g} {layout.unit} are left of each reading where its column declares "

@@ -16,16 +16,14 @@ from ..base.figures import stated
 from ..base.types import Floats
 from ..data import Measurements
 from ..evidence.run import Run
-from ..evidence.thresholds import PLAUSIBLE, TIED
+from ..evidence.thresholds import PLAUSIBLE, SEEN_SIGMA, TIED
 from ..evidence.whitening import orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter
 from .runs import change_columns
 
 #: Part of a column that must be left of it to be seen.
-_SEEN = 1e-5
-#: Deviations from zero of a number that moved.
-_MOVES = 2.0
+SEEN = 1e-5
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ class About:
         while len(some):
             value[:], std[:] = 0.0, 0.0
             value[some], std[some], _ = estimated(self.columns[:, some], self.free, self.residual)
-            far = np.abs(value[some]) - _MOVES * std[some]
+            far = np.abs(value[some]) - SEEN_SIGMA * std[some]
             if (far > 0).all() or len(some) == 1:
                 break
             some = np.delete(some, np.argmin(far / std[some].clip(1e-300)))
@@ -286,10 +284,10 @@ def estimated(columns: Floats, free: Floats, residual: Floats) -> tuple[Floats, 
     base = orthonormal(free)
     rest, left = (values - base @ (base.T @ values) for values in (columns, residual))
     length = np.linalg.norm(rest, axis=0)
-    there = length > _SEEN * np.linalg.norm(columns, axis=0)
+    there = length > SEEN * np.linalg.norm(columns, axis=0)
     over = np.where(there, 1.0 / np.where(there, length, 1.0), 0.0)
     square, turn = linalg.eigh((rest * over).T @ (rest * over))
-    inverse = (turn * np.where(square > _SEEN**2, 1.0 / square.clip(_SEEN**2), 0.0)) @ turn.T * np.outer(over, over)
+    inverse = (turn * np.where(square > SEEN**2, 1.0 / square.clip(SEEN**2), 0.0)) @ turn.T * np.outer(over, over)
     value = inverse @ (rest.T @ left)
     off = left - rest @ value
     scale = float(off @ off) / max(len(left) - base.shape[1] - int(there.sum()), 1)

@@ -8,26 +8,35 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..base import linalg
-from ..base.types import Bools, Floats
+from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
+from ..errors import SherkitError
 from ..evidence.base import Base
 from ..evidence.family import Family, everything
 from ..evidence.run import Run
+from ..evidence.thresholds import ACCIDENT, LOUDER, NEARLY_ALWAYS, WRONG
 from ..evidence.whitening import MOST_IN_COMMON, InCommon, Whitening
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
+from ..model.kinds import required_um
 from ..robots.calibrated import Calibration
+from ..robots.deployed import SENSOR
 from .change_model import About, Change, ChangeRows
 from .courses import ChangeSets, in_parts, zeros_at
 from .pooled_fit import rows_as_run
 from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, stand_of, zeros_of
 
+#: What a model lacks has about so many shapes among the poses of a check.
+_SHAPES = 6
+#: A run tells what its model leaves no better than this part of its noise.
+_BY_CHANCE = 0.5
+#: A row is wild that is off by so many times the median of all.
+_WILD = 12.0
 #: Degrees of freedom of a noise that a calibration knows.
-OF_CALIBRATION = 200
-#: Readings that are off by no more times what they were on the day of the calibration are off as they were.
-_AS_THEN = 1.15
+_OF_CALIBRATION = 200
 #: Nothing has changed at the calibration, all of it since.
 SINCE = np.array([0.0, 1.0])
 
@@ -61,6 +70,54 @@ class Known:
         by = self.calibration.corrects(data.joints)
         return by if by is None or by.shape[1] == len(axes) else None
 
+    def wild(self, data: Measurements, axes: tuple[int, ...]) -> Ints:
+        """Rows (k,) that are accidents: so far off from where nearly all others are that no change of a robot is that
+        of one place, and, where their pose was read again, off from what was read then."""
+        used = data.used[:, list(axes)]
+        try:
+            stand = stand_of(self.model, data, self.values, axes, used, self.corrected(data, axes))
+        except SherkitError:
+            return np.zeros(0, dtype=np.int64)
+        off = np.linalg.norm(np.where(used, stand.residual, 0.0), axis=1)
+        far = off > _WILD * np.median(off[used.any(axis=1)])
+        # a pose that is off whenever it is read is no accident
+        visits = np.bincount(data.groups)
+        far &= ~((visits > 1) & (np.bincount(data.groups, far) == visits))[data.groups]
+        rows = np.flatnonzero(far)
+        return rows if len(rows) <= WRONG * len(data) else rows[:0]
+
+    def promised(self, data: Measurements, axes: tuple[int, ...]) -> tuple[float | None, bool]:
+        """What the calibration promises of a reading at the places of these rows (root mean square, in its unit), as
+        its sensor saw them: what nobody knows of the base no reading shows. And whether most of that is what its model
+        lacked on the day of its run."""
+        made = self.calibration
+        frame = SENSOR if SENSOR in made.frames else None
+        there = made.forward_batch(data.joints, frame=frame)
+        if not there.reached.any():
+            return None, False
+        places = there.values[there.reached]
+        radius = made.predicted_accuracies(places, frame=frame).radius_mm
+        left, noise = made.left_of(made.parts_made[0], places)
+        # what the model lacked, beyond what a run tells of that by chance, was as large on average; at these places, a
+        # few shapes of it, it may be larger
+        left = np.sqrt(np.maximum(left**2 - (_BY_CHANCE * noise) ** 2, 0.0)) if noise > 0 else np.zeros(len(left))
+        more = float(scipy.stats.f.isf(ACCIDENT, _SHAPES, _OF_CALIBRATION)) - 1.0
+        left, radius = left[np.isfinite(radius)], radius[np.isfinite(radius)]
+        if not len(radius):
+            return None, False
+        lacked = bool(np.mean(left**2) > 0.5 * np.mean(radius**2))
+        radius = np.sqrt(radius**2 + more * np.minimum(left, radius) ** 2)
+        per_axis = float(np.sqrt(np.mean(radius**2) / scipy.stats.chi2.ppf(NEARLY_ALWAYS, 3)))
+        if data.layout.unit == "µm":
+            return per_axis, lacked
+        # where readings are no lengths, by how far a joint moves either
+        inputs = self.model.linearised(data, self.values).inputs
+        if inputs is None:
+            return None, lacked
+        read = float(np.sqrt(np.mean(np.square(inputs[:, list(axes)]).sum(axis=(1, 2)))))
+        lever = float(getattr(self.calibration, "reach_mm", 1.0))
+        return per_axis * read / max(lever * np.sqrt(inputs.shape[2]), 1e-300), lacked
+
 
 @dataclass(frozen=True, eq=False)
 class CheckRows(ChangeRows):
@@ -84,7 +141,7 @@ class CheckRows(ChangeRows):
         model = known.model.for_run(data)
         made = cls(known, data, axes, part, 1.0, model, known.values, change_candidates(model, [data]))
         left = float(np.sqrt(np.square(made.stand.residual[made.rows]).mean()))
-        if left <= _AS_THEN * scattered_then(known, axes):
+        if left <= LOUDER * scattered_then(known, axes):
             # lost motion that visits of a pose scattered by on that day is none since
             made = replace(made, candidates=[one for one in made.candidates if "direction" not in one.needs])
         columns = {name: one[made.rows] for name, one in made._columns[1].items()}
@@ -164,6 +221,18 @@ class CheckRows(ChangeRows):
         """Sets of changes."""
         return ChangeSets(self, SINCE[None], self.base)
 
+    def required(self, promised: float) -> float:
+        """What an error where the robot works must not be more than: what is needed, and what is promised."""
+        known, data, axes = self.known, self.data, self.axes
+        needed = required_um(known.calibration.robot) if data.layout.unit == "µm" else None
+        if needed is None:
+            # as where runs are compared: what was left of the run that it was calibrated with
+            part: Any = known.calibration.parts_made[0]
+            left = part.residual_covariance + (part.scatter if part.scatter.size else 0.0)
+            same = len(left) == len(axes) and part.readings == data.layout.coordinates
+            needed = float(np.sqrt(np.trace(left))) * data.layout.per_unit if same else 0.0
+        return max(needed, promised * float(np.sqrt(len(axes))) * data.layout.per_unit)
+
 
 def scattered_then(known: Known, axes: tuple[int, ...]) -> float:
     """By how much a reading of its own run was off the calibration, visits of a pose and all; 0 where nobody knows."""
@@ -187,4 +256,4 @@ def noise_of(known: Known, data: Measurements, axes: tuple[int, ...]) -> tuple[f
     if not scatter.any():
         scatter = np.diag(part.residual_covariance)
     same = len(scatter) == len(axes) and part.readings == data.layout.coordinates
-    return float(np.sqrt(scatter.mean())) if same else 0.0, OF_CALIBRATION, 0.0
+    return float(np.sqrt(scatter.mean())) if same else 0.0, _OF_CALIBRATION, 0.0

@@ -20,7 +20,7 @@ from ..errors import FitError
 from ..evidence.base import Base
 from ..evidence.names import judged_names
 from ..evidence.sets import EffectSet
-from ..evidence.thresholds import ALARM
+from ..evidence.thresholds import ALARM, ROUNDING
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, robot_of
 from .change_model import ParameterChange
@@ -35,8 +35,8 @@ _FEW = 2
 _POSES, _CANDIDATES = 8, 200
 
 
-#: Medians by which a zero surely moved, and how constant a column is that is one.
-_SURELY, _CONSTANT = 10.0, 1e-9
+#: Medians by which a zero surely moved.
+_SURELY = 10.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -231,7 +231,7 @@ def _zeros_moved(joined: Joined) -> list[str]:
                 continue
             most = np.abs(columns[:, a]).max(axis=0)
             elsewhere = np.abs(np.delete(columns, a, axis=1)).max(axis=(0, 1), initial=0.0)
-            alike = (most > 0) & (np.maximum(np.ptp(columns[:, a], axis=0), elsewhere) <= _CONSTANT * most)
+            alike = (most > 0) & (np.maximum(np.ptp(columns[:, a], axis=0), elsewhere) <= ROUNDING * most)
             names = [p.name for p, one in zip(joined.fit.parameters, alike, strict=True) if one]
             if names:
                 out.append(

@@ -18,15 +18,14 @@ from ..errors import SherkitError
 from ..evidence.base import Base, log_bayes, total
 from ..evidence.blocks import Block, ColumnPart, Columns
 from ..evidence.family import Family, everything
+from ..evidence.plausible import is_plausible
 from ..evidence.sets import ONE_MORE, EffectSet, Sets, ShapeDescription
-from ..evidence.thresholds import ALARM, SCALES, TIED, is_plausible
+from ..evidence.thresholds import ALARM, LEFT, MOST, SCALES, TIED
 from .change_model import ChangeRows
 from .pooled_fit import Joined
 
-#: Shapes and effects that all runs may lack alike, changes beside which they are looked for.
-_MOST_LASTING, _MOST_BESIDE = 8, 3
-#: Evidence (a logarithm) up to which nothing has changed.
-_QUIET = np.log(20.0)
+#: Changes beside which it is looked for what all runs lack alike.
+_MOST_BESIDE = 3
 #: A change of one unit of the noise must be seen with readings of so many beyond what is free.
 _FEWEST = 12
 #: Noises by which something that was exchanged may change a reading.
@@ -75,7 +74,7 @@ class Courses:
             return ""
         readings = sum(run.used.sum() - run.stand.columns.shape[2] for run in self.joined.runs[1:])
         enough = min(readings, self.base.free) >= _FEWEST
-        return "unchanged" if self.evidence < _QUIET and enough else "undecided"
+        return "unchanged" if self.evidence < LEFT and enough else "undecided"
 
     def sets(self) -> ChangeSets:
         """Sets of changes."""
@@ -199,7 +198,7 @@ def lacking(joined: Joined) -> Joined:
     base, columns = made.base, made.family.columns
     lasting: list[Ints] = []
     beside = 0
-    while len(lasting) < _MOST_LASTING:
+    while len(lasting) < MOST:
         block = base.lasting()
         if block is not None:
             lasting.append(block.at[len(block.at) // 2 :])

@@ -26,8 +26,8 @@ from ..data.reader import RunLike
 from ..errors import FitError, MeasurementError
 from ..evidence.base import Base
 from ..evidence.blocks import Block
-from ..evidence.sets import ONE_MORE, described, likeliest
-from ..evidence.thresholds import ALARM, SURE, TIED
+from ..evidence.sets import FIRSTS, ONE_MORE, described, likeliest
+from ..evidence.thresholds import A_FEW, ALARM, SURE, TIED
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, robot_of
 from .change_model import About
@@ -38,12 +38,8 @@ from .vouching import errors_of
 
 STEP, ONCE, RAMP, SEASON = "step", "once", "ramp", "season"
 _MOST = 4
-#: Effects with which a course may begin.
-_STARTS = 14
 #: Runs with which wear may have begun.
 _ONSETS = 10
-#: What cannot be told from a change is named, as far as so many.
-_MOST_TIED = 4
 _MONTH_S = 30.4375 * 86400.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 #: A clock that shows more counts from 1970 (one that was set to zero would have run for three years).
@@ -276,7 +272,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     for k, block in enumerate(found):
         called = {(one.name, courses[one.since][0]): None for one in _instead(base, found, k)}
         called.pop((block.name, courses[block.since][0]), None)
-        tied.append(tuple(_called(*one) for one in called)[:_MOST_TIED])
+        tied.append(tuple(_called(*one) for one in called)[:A_FEW])
     changes = []
     about = joined.about([(b.effect, courses[b.since][2]) for b in found if b.effect])[0]
     swaps = joined.swaps(about)
@@ -286,7 +282,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
             block.name, kind, pool.numbers[since] if since else None, dates[since] if since else "",
             tuple((p.name, value, std, p.unit) for p, value, std in told),
             _exceeds(about, number, months - months[since], needed, joined) if kind == RAMP else "",
-            (*(b for a, b in swaps if a in [p.name for p, _, _ in told]), *other)[:_MOST_TIED],
+            (*(b for a, b in swaps if a in [p.name for p, _, _ in told]), *other)[:A_FEW],
         ))  # fmt: skip
     # of each change the number that moved most is followed through all runs
     values = _by_run(
@@ -327,7 +323,7 @@ def _found(base: Base, slow: Sequence[int]) -> tuple[list[Block], Base]:
     few of runs alone, so that ``slow`` courses are among them. Of those that explain all, and no worse than shapes do,
     the likeliest; else each as long as it says clearly more than a shape.
     """
-    first = likeliest(base.family, base.each, _STARTS)
+    first = likeliest(base.family, base.each, FIRSTS)
     every = [_added(base, block) for block in first]
     if min((len(one[1]) for one in every if one[2].evidence < ALARM), default=_MOST) > 2:
         every += [_added(base, b) for b in base.family.blocks if b.name == first[0].name and b.since in slow]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..adaptive.gate import POWER, TIMES, Power, Silent, silence
+from ..adaptive.gate import TIMES, Power, Silent, silence
 from ..base.answer import FILES
 from ..base.figures import listed, number
 from ..base.types import Floats
@@ -21,7 +21,7 @@ from ..diagnosis import diagnose
 from ..diagnosis.outliers import gross_errors
 from ..errors import FitError, SherkitError, SherkitWarning
 from ..evidence.fitted_run import enough_of
-from ..evidence.thresholds import ALARM
+from ..evidence.thresholds import ALARM, NEARLY_ALWAYS
 from ..evidence.whitening import orthonormal
 from ..fit.constant_columns import unread
 from ..fit.error import axes_of
@@ -126,7 +126,7 @@ class Pool:
         for one in self.powers if self.joined else ():
             for name, chance in one.chances.items():
                 worst[name] = min(chance, worst.get(name, 1.0))
-        return tuple((name, chance) for name, chance in worst.items() if chance < POWER)
+        return tuple((name, chance) for name, chance in worst.items() if chance < NEARLY_ALWAYS)
 
     def speaking(self) -> Pool:
         """Where nothing is seen: the runs that would have shown it. These, if all would."""

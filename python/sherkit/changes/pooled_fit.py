@@ -22,18 +22,15 @@ from ..data import Measurements
 from ..errors import FitError
 from ..evidence.linearised import Linearised
 from ..evidence.run import Run
+from ..evidence.thresholds import SAME_PLACE, SURE_SIGMA, WRONG
 from ..evidence.whitening import InCommon, Whitening, orthonormal
 from ..fit.identify import Fit
 from ..model.effect import WITHIN, Effect
 from .change_model import About, Change, ChangeRows
 from .runs import OWN_NOISE, RunData, change_candidates, change_columns, growth_of, held_of, seen, zeros_of
 
-#: Deviations by which the model must miss more than repeats scatter.
-_MISSES = 3.0
 #: Part of a joint's range up to which poses are one, and by which another run may go beyond it.
-_SAME, _BEYOND = 1e-3, 0.1
-#: Part of its rows from which on a run stands at other places than the first.
-_ELSEWHERE = 0.2
+_BEYOND = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +178,7 @@ class Joined(ChangeRows):
         left = left - basis @ (basis.T @ left)
         free = len(np.unique(first.data.standing[first.rows])) * len(self.axes) - basis.shape[1]
         more = float(left @ left) / max(len(left) - basis.shape[1], 1) - noise**2
-        return float(np.sqrt(more)) if free >= OWN_NOISE and more > _MISSES * noise**2 * np.sqrt(2.0 / free) else 0.0
+        return float(np.sqrt(more)) if free >= OWN_NOISE and more > SURE_SIGMA * noise**2 * np.sqrt(2.0 / free) else 0.0
 
     @cached_property
     def elsewhere(self) -> tuple[float, ...]:
@@ -193,7 +190,7 @@ class Joined(ChangeRows):
 
     def is_apart(self, number: int) -> bool:
         """Whether a run stands at other places than the first, and what the model lacks differs there."""
-        return bool(self.missed > 0 and self.elsewhere[number] > _ELSEWHERE)
+        return bool(self.missed > 0 and self.elsewhere[number] > WRONG)
 
     @cached_property
     def white(self) -> Whitening:
@@ -201,7 +198,7 @@ class Joined(ChangeRows):
         if self._before is not None:
             return self._before.white
         joints = np.concatenate([run.data.joints[run.rows] for run in self.runs])
-        reach = _SAME * np.maximum(np.ptp(joints, axis=0), 1e-300)
+        reach = SAME_PLACE * np.maximum(np.ptp(joints, axis=0), 1e-300)
         pose = np.unique(np.round(joints / reach), axis=0, return_inverse=True)[1].ravel()
         pose = np.concatenate([pose, pose.max() + 1 + np.arange(self._more)])
         poses = [len(np.unique(run.data.standing[run.rows])) for run in self.runs]

@@ -19,6 +19,7 @@ from ..data import Measurements
 from ..data.columns import TEMPERATURE, bare, unit_in
 from ..data.noise import MAD
 from ..errors import FitError, SherkitError
+from ..evidence.thresholds import FAR_SIGMA, ROUNDS
 from ..evidence.whitening import correlation_in_time, orthonormal
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, freeing
@@ -32,8 +33,8 @@ from ..model.set_ups import SETUP_PREFIX
 # turn of one cloud of points onto the other (Kabsch, 1976). A camera that was moved is found by its pose. Of other
 # readings the zero is free.
 
-#: Rounds in which rows that are wrong are left out of the turn, and from which multiple of the median.
-_ROUNDS, _FAR = 4, 5.0
+#: Multiple of the median from which on rows are left out of the turn.
+_FAR = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +127,7 @@ def _rigid(
         predicted = model.predict(data, values)[:, axes] + corrected @ ways.T
         seen = np.where(used, data.readings[:, axes], predicted)
         near = whole
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             middle, there = seen[near].mean(axis=0), predicted[near].mean(axis=0)
             u, _, v = linalg.svd((seen[near] - middle).T @ (predicted[near] - there))
             turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
@@ -182,8 +183,6 @@ def _camera(
 
 # -- Runs and their rows -----------------------------------------------------------------------------------------------
 
-#: A row farther off than so many robust deviations is left out; rounds in which such rows are looked for.
-_GROSS, _SETTING_ASIDE = 7.0, 8
 #: Readings beyond what is free from which a run tells its own noise, and that it follows itself.
 OWN_NOISE, _OWN_COURSE = 10, 40
 #: Readings of a row that tell a direction; the part up to which columns are alike; rows that show it.
@@ -252,7 +251,7 @@ def seen(
     if before is not None:
         return RunData(data, used, stand, own, inputs, columns, before.sigma, before.repeats, before.rho, before.aside)
     aside, sigma, rho = np.zeros(0, dtype=np.int64), 0.0, 0.0
-    for _ in range(_SETTING_ASIDE):
+    for _ in range(ROUNDS):
         free = orthonormal(np.where(used[:, :, None], np.concatenate([every, stand.columns], axis=2), 0.0))
         flat = np.where(used, stand.residual, 0.0).reshape(-1)
         left = (flat - free @ (free.T @ flat)).reshape(used.shape)
@@ -265,7 +264,7 @@ def seen(
         lever = np.square(free).sum(axis=1).reshape(used.shape)
         each = np.where(used, np.abs(left) / np.sqrt((1.0 - lever).clip(0.05)), 0.0)
         # the worst first: what they did to the fit makes others look wrong
-        limit = max(_GROSS * MAD * float(np.median(each[used])), 0.5 * float(each.max(initial=0.0)))
+        limit = max(FAR_SIGMA * MAD * float(np.median(each[used])), 0.5 * float(each.max(initial=0.0)))
         wrong = np.flatnonzero((each > limit).any(axis=1))
         if not len(wrong):
             break

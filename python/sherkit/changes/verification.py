@@ -6,174 +6,41 @@ is held against what was promised, and every change that a machine can have agai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy
 
 from ..adaptive.gate import Silent, power_of, silence, still
-from ..adaptive.task import Region, planned
 from ..base import linalg
-from ..base.answer import AFTER, TARGET, Answer, Bar, ToDo
-from ..base.arguments import Count, Seed, validate_arguments
-from ..base.figures import finite, listed, number
-from ..base.notebook import Shown
-from ..base.types import Floats, Ints
-from ..data import Measurements
-from ..data.columns import unit_in
+from ..base.arguments import validate_arguments
 from ..data.doubts import copied
 from ..data.reader import RunLike
-from ..errors import FitError, SherkitError
-from ..evidence.base import Base
-from ..evidence.design import showing
+from ..errors import FitError
 from ..evidence.names import judged_names
-from ..evidence.thresholds import ALARM, NEEDED
+from ..evidence.thresholds import ACCIDENT, ALARM, NEARLY_ALWAYS, NEEDED
 from ..evidence.whitening import InCommon, orthonormal
 from ..fit.error import axes_of
-from ..model.kinds import kind_of, required_um
+from ..model.kinds import required_um
 from ..robots.calibrated import Calibration, load_calibration
-from ..robots.deployed import SENSOR
-from .change_model import ParameterChange, estimated
-from .check_rows import OF_CALIBRATION, SINCE, CheckRows, Known, noise_of
-from .pool import predicted, rows_of, told_ties
-from .runs import change_candidates, change_columns, moved_in_words, stand_of
-from .vouching import broken, errors_at_work, mistaken, shows, sights_of, smooth_fields, stand_columns, unable
+from .check_rows import SINCE, CheckRows, Known, noise_of
+from .pool import predicted, rows_of
+from .runs import change_candidates
+from .verified import Verification, advice_of
+from .vouching import (
+    broken,
+    error_of_lead,
+    errors_at_work,
+    mistaken,
+    sights_of,
+    smooth_fields,
+    unable,
+)
 
-#: How often a valid calibration may be refused: for how much is seen, and for what change (benchmarks/changes.py).
-_REFUSED, _CHANGED = 0.005, 0.015
-_SHARE, _POWER = 0.95, 0.9
-#: What a model lacks has about so many shapes among the poses of a check.
-_SHAPES = 6
-#: A run tells what its model leaves no better than this part of its noise.
-_BY_CHANCE = 0.5
-#: The promise is mostly what the model lacks from this part of its square on.
-_LACKED = 0.5
-#: A row is wild that is off by so many times the median of all; no more than this part of them.
-_WILD, _WILD_PART = 12.0, 0.1
-#: An error, in promises, of which it is said whether a check finds it.
-_SURE = 1.5
-_CANDIDATES, _RIDGE = 240, 1e-3
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Verification(Shown):
-    """``valid`` is whether the error that was promised still holds (None: this run cannot say, and ``silent`` why),
-    ``error`` what was ``seen`` beyond noise, what was ``promised``, and the ``smallest_found``, an error that would
-    have been called not valid in 95 of 100 checks (root mean squares of rows), in ``unit``. ``changed`` names what has
-    moved, with ``parameters``; ``would_show`` and ``would_not`` are the changes of plausible size that these poses
-    would have shown and would not."""
-
-    valid: bool | None
-    error: dict[str, float | None]
-    unit: str
-    changed: tuple[str, ...]
-    indistinguishable: tuple[tuple[str, ...], ...]
-    parameters: tuple[ParameterChange, ...]
-    evidence: float
-    stand: dict[str, float]
-    would_show: tuple[str, ...]
-    would_not: tuple[str, ...]
-    advice: str
-    silent: str = ""
-    #: The accuracy that the robot is for, in 95 of 100 cases, µm, where its file says so.
-    required_um: float | None = None
-    #: Readings far off from all others, by their lines, which count for nothing.
-    set_aside: tuple[str, ...] = ()
-
-    @property
-    def verdict(self) -> str:
-        """``valid``, ``not valid`` or ``undecided``."""
-        return "undecided" if self.valid is None else "valid" if self.valid else "not valid"
-
-    @property
-    def headline(self) -> str:
-        """The verdict in one line."""
-        seen, promised = self.error["seen"], self.error["promised"]
-        told = "" if seen is None or promised is None else f": {seen:.3g} {self.unit} RMS seen, {promised:.3g} promised"
-        moved = "; ".join(map(str, self.parameters))
-        return f"{self.verdict}{told}{f'; {moved}' if moved else ''}{f'; {self.silent}' if self.silent else ''}"
-
-    @property
-    def sees(self) -> list[str]:
-        """What a check by these rows finds and what it cannot, in words; a refusal needs none."""
-        least, promised = self.error["smallest_found"], self.error["promised"]
-        if self.silent or promised is None or (least is None and self.valid is False):
-            return []
-        if least is None:
-            return [f"these rows cannot tell an error of {_SURE:g} × the promise, nor one of any size"]
-        found = f"an error of {number(least)} {self.unit} would have been found in 95 of 100 such checks"
-        if least <= _SURE * promised * (1.0 + 1e-9):
-            return [found]
-        return [f"these rows cannot tell an error of {_SURE:g} × the promise: {found}, {number(least / promised)} × it"]
-
-    @property
-    def _elsewhere(self) -> str:
-        """How far the robot stands elsewhere, seen from the instrument, where that is more than what was promised."""
-        by = {name: value for name, value in self.stand.items() if unit_in(name) == "mm"}
-        far = 1e3 * float(np.linalg.norm(list(by.values()))) if by else 0.0
-        if self.unit != "µm" or far <= (self.error["promised"] or np.inf):
-            return ""
-        return moved_in_words(self.stand)
-
-    @property
-    def answer(self) -> Answer:
-        """What it says for whoever reads nothing else."""
-        told = [*self.sees, *told_ties(self.indistinguishable)]
-        if self.set_aside:
-            told.insert(0, f"Set aside, far off from all others: {listed(self.set_aside)}; read it once more")
-        if self.unit == "µm" and (promised := self.error["promised"]) is not None:
-            within = promised * float(np.sqrt(scipy.stats.chi2.ppf(_SHARE, 3) / 3))
-            # what could hide between the poses of the calibration no check by a few other poses can be held to
-            told.append(
-                "The promise is what the run of the calibration shows of its accuracy at these places: within "
-                f"{number(within)} µm in 95 of 100 cases; the accuracy that calibrate prints also counts what that run "
-                "could not show"
-            )
-            if self.required_um is not None and within > self.required_um:
-                told.append(
-                    f"That is more than the {number(self.required_um)} µm that the robot is for: a calibration that "
-                    "holds what it promises is not good enough by that"
-                )
-        if off := self._elsewhere:
-            told.append(
-                "Seen from the instrument the robot stands elsewhere than in the run of the calibration: "
-                f"{off}. These rows do not tell which of the two moved, and it counts for nothing above; places in the "
-                "frame of the sensor are off by it where the instrument was not set up anew"
-            )
-        told.append(f"These poses would have shown, at its plausible size: {listed(self.would_show, 12) or 'nothing'}")
-        if self.would_not:
-            told.append(f"And would not have shown: {listed(self.would_not, 12)}")
-        bars = ((AFTER, "seen", self.error["seen"]), (TARGET, "promised", self.error["promised"]))
-        return Answer(
-            self.headline, "", tuple(told), (ToDo(self.advice),),
-            tuple(Bar(what, name, value) for what, name, value in bars if value is not None), self.unit,
-        )  # fmt: skip
-
-    def __repr__(self) -> str:
-        return str(self.answer)
-
-    def to_json(self) -> dict[str, Any]:
-        """For programs."""
-        return {
-            "verdict": self.verdict,
-            "error": {name: None if value is None else finite(value) for name, value in self.error.items()},
-            "unit": self.unit,
-            "changed": list(self.changed),
-            "indistinguishable": [list(tie) for tie in self.indistinguishable],
-            "parameters": [one.to_json() for one in self.parameters],
-            "evidence": finite(self.evidence),
-            "stand": self.stand,
-            "required_um": self.required_um,
-            "set_aside": list(self.set_aside),
-            "would_show": list(self.would_show),
-            "would_not": list(self.would_not),
-            "silent": self.silent,
-            "advice": self.advice,
-        }
+#: How often a valid calibration may be refused for what change is seen; for how much is, by accident
+#: (benchmarks/changes.py).
+_CHANGED = 0.015
 
 
 @validate_arguments
@@ -188,8 +55,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
     known = Known.of(made)
     # as of a robot's file, its names are those of files
-    columns = made.columns if isinstance(run, str | PathLike) else {}
-    data = rows_of(made.robot, known.model, run, columns or None)
+    names = made.columns if isinstance(run, str | PathLike) else {}
+    data = rows_of(made.robot, known.model, run, names or None)
     data = data.select(np.argsort(data.order, kind="stable"))
     axes = axes_of(data)
     if not axes:
@@ -200,8 +67,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     if data.digest in {part.digest for part in made.parts_made}:
         mute = Silent("these are the rows that it was calibrated from: nothing was measured since", "measure once more")
     if mute is not None:
-        return _unsaid(known, data, mute)
-    wild = _wild(known, data, axes)
+        return Verification.unsaid(data, change_candidates(known.model, [data]), mute)
+    wild = known.wild(data, axes)
     data = data.mark_outliers(wild) if len(wild) else data
     noise, noise_freedom, part = noise_of(known, data, axes)
     rows = CheckRows.of(known, data, axes, noise, part)
@@ -219,8 +86,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     square = float(left @ left) / freedom
     seen = float(np.sqrt(max(square - noise**2, 0.0)))
     if (wrong := mistaken(model, data, axes, seen * per_row)) is not None:
-        return _unsaid(known, data, wrong)
-    promised, lacked = _promised(known, data, axes)
+        return Verification.unsaid(data, change_candidates(known.model, [data]), wrong)
+    promised, lacked = known.promised(data, axes)
     base, unit = rows.base, rows.unit
     flat = stand.columns[rows.rows].reshape(-1, stand.columns.shape[2])
     off = max(1.0 if noise else 0.0, float(np.sqrt(base.rss / max(base.free, 1))))
@@ -232,11 +99,11 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         least = promised * found.least
         if found.chance <= _CHANGED:
             # repeats may have what has changed in them, and then pass it off as noise
-            seen = max(seen, unit * _of_lead(base, flat))
-        allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(_REFUSED, freedom, noise_freedom))
+            seen = max(seen, unit * error_of_lead(base, flat))
+        allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(ACCIDENT, freedom, noise_freedom))
         valid = bool(square <= allowed and (found.chance > _CHANGED or seen <= promised))
         if valid:
-            power = power_of(sights, _required(rows, promised), base.free, ALARM)
+            power = power_of(sights, rows.required(promised), base.free, ALARM)
             if not power.speaks:
                 mute = unable(power, (noise or off * unit) * per_row, data.layout.unit, data, axes)
             elif not np.isfinite(least):
@@ -254,7 +121,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     held = [name for name, same in zip(data.layout.joints, still(data.joints), strict=True) if same]
     # all of its numbers at their plausible sizes, with either sign
     size = {name: np.sqrt([np.trace(one.there)]) for name, one in sights.items()}
-    shown = [name for name, one in sights.items() if one.chances(size[name], base.free, ALARM)[0] >= _POWER]
+    shown = [name for name, one in sights.items() if one.chances(size[name], base.free, ALARM)[0] >= NEARLY_ALWAYS]
     return Verification(
         valid=valid,
         error={
@@ -270,148 +137,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         stand=stand.moved,
         would_show=tuple(shown),
         would_not=tuple(one.name for one in rows.candidates if one.name not in shown),
-        advice=mute.measure if mute is not None else _advice(valid, names, ties, evidence, held),
+        advice=mute.measure if mute is not None else advice_of(valid, names, ties, evidence, held),
         silent="" if mute is None else f"{data.source}: {mute}",
         required_um=required_um(made.robot),
         set_aside=tuple(f"{data.counted} {data.line[row]}" for row in wild),
     )
-
-
-def _wild(known: Known, data: Measurements, axes: tuple[int, ...]) -> Ints:
-    """Rows (k,) that are accidents: so far off from where nearly all others are that no change of a robot is that of
-    one place, and, where their pose was read again, off from what was read then."""
-    used = data.used[:, list(axes)]
-    try:
-        stand = stand_of(known.model, data, known.values, axes, used, known.corrected(data, axes))
-    except SherkitError:
-        return np.zeros(0, dtype=np.int64)
-    off = np.linalg.norm(np.where(used, stand.residual, 0.0), axis=1)
-    far = off > _WILD * np.median(off[used.any(axis=1)])
-    # a pose that is off whenever it is read is no accident
-    visits = np.bincount(data.groups)
-    far &= ~((visits > 1) & (np.bincount(data.groups, far) == visits))[data.groups]
-    rows = np.flatnonzero(far)
-    return rows if len(rows) <= _WILD_PART * len(data) else rows[:0]
-
-
-def _unsaid(known: Known, data: Measurements, why: Silent) -> Verification:
-    """Of a run that says nothing by its rows alone."""
-    candidates = change_candidates(known.model, [data])
-    return Verification(
-        valid=None, error={"seen": None, "promised": None, "smallest_found": None}, unit=data.layout.unit, changed=(),
-        indistinguishable=(), parameters=(), evidence=0.0, stand={}, would_show=(),
-        would_not=tuple(one.name for one in candidates), advice=why.measure, silent=f"{data.source}: {why}",
-    )  # fmt: skip
-
-
-def _required(rows: CheckRows, promised: float) -> float:
-    """What an error where the robot works must not be more than: what is needed, and what is promised."""
-    known, data, axes = rows.known, rows.data, rows.axes
-    needed = required_um(known.calibration.robot) if data.layout.unit == "µm" else None
-    if needed is None:
-        # as where runs are compared: what was left of the run that it was calibrated with
-        part: Any = known.calibration.parts_made[0]
-        left = part.residual_covariance + (part.scatter if part.scatter.size else 0.0)
-        same = len(left) == len(axes) and part.readings == data.layout.coordinates
-        needed = float(np.sqrt(np.trace(left))) * data.layout.per_unit if same else 0.0
-    return max(needed, promised * float(np.sqrt(len(axes))) * data.layout.per_unit)
-
-
-def _promised(known: Known, data: Measurements, axes: tuple[int, ...]) -> tuple[float | None, bool]:
-    """What the calibration promises of a reading at the places of these rows (root mean square, in its unit), as its
-    sensor saw them: what nobody knows of the base no reading shows. And whether most of that is what its model lacked
-    on the day of its run."""
-    made = known.calibration
-    frame = SENSOR if SENSOR in made.frames else None
-    there = made.forward_batch(data.joints, frame=frame)
-    if not there.reached.any():
-        return None, False
-    places = there.values[there.reached]
-    radius = made.predicted_accuracies(places, frame=frame).radius_mm
-    left, noise = made.left_of(made.parts_made[0], places)
-    # what the model lacked, beyond what a run tells of that by chance, was as large on average; at these places, a few
-    # shapes of it, it may be larger
-    left = np.sqrt(np.maximum(left**2 - (_BY_CHANCE * noise) ** 2, 0.0)) if noise > 0 else np.zeros(len(left))
-    more = float(scipy.stats.f.isf(_REFUSED, _SHAPES, OF_CALIBRATION)) - 1.0
-    left, radius = left[np.isfinite(radius)], radius[np.isfinite(radius)]
-    if not len(radius):
-        return None, False
-    lacked = bool(np.mean(left**2) > _LACKED * np.mean(radius**2))
-    radius = np.sqrt(radius**2 + more * np.minimum(left, radius) ** 2)
-    per_axis = float(np.sqrt(np.mean(radius**2) / scipy.stats.chi2.ppf(_SHARE, 3)))
-    if data.layout.unit == "µm":
-        return per_axis, lacked
-    # where readings are no lengths, by how far a joint moves either
-    inputs = known.model.linearised(data, known.values).inputs
-    if inputs is None:
-        return None, lacked
-    read = float(np.sqrt(np.mean(np.square(inputs[:, list(axes)]).sum(axis=(1, 2)))))
-    lever = float(getattr(known.calibration, "reach_mm", 1.0))
-    return per_axis * read / max(lever * np.sqrt(inputs.shape[2]), 1e-300), lacked
-
-
-def _of_lead(base: Base, stand: Floats) -> float:
-    """The error that the likeliest change makes at these places (root mean square of a reading, in noises)."""
-    family = base.family
-    if not len(family):
-        return 0.0
-    columns = family.run.flat(family.columns.raw(family.blocks[int(np.argmax(base.each))].at))
-    value, _, _ = estimated(columns, base.basis, base.residual)
-    return float(shows((columns @ value)[: len(stand), None], orthonormal(stand))[0])
-
-
-def _advice(
-    valid: bool | None, names: tuple[str, ...], ties: tuple[tuple[str, ...], ...], evidence: float, held: Sequence[str]
-) -> str:  # fmt: skip
-    if valid is None:
-        return "the calibration promises nothing at these places: calibrate again"
-    if valid and not names and evidence < ALARM:
-        return "nothing needs to be done"
-    if valid:
-        what = " or ".join(ties[0]) if ties else ", ".join(names) or "what, is not known"
-        return f"something has changed ({what}), and is within what was promised"
-    if held and not valid:
-        verb = "does" if len(held) == 1 else "do"
-        return (
-            f"look first whether {listed(held)}, which {verb} not move in this run, {verb} move; else calibrate again"
-        )
-    if names:
-        which = " or ".join(ties[0][:4]) if ties else names[0]
-        return f"calibrate again: {which} has moved"
-    return "calibrate again; these poses are too few to say what has moved"
-
-
-@validate_arguments
-@linalg.one_thread()
-def verifying_poses(
-    calibration: Calibration | str | PathLike[str], count: Count = 12, *, seed: Seed = 0
-) -> list[dict[str, float]]:
-    """The poses that would see most: chosen one after another so that all changes of plausible size show beside the
-    stand of the sensor; in a random order. Raises :class:`~sherkit.errors.ExperimentError` for a robot whose file does
-    not say how far it may go."""
-    made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
-    known = Known.of(made)
-    layout = kind_of(made.robot).layout
-    region = Region.of(known.model, layout)
-    places = region.spread(_CANDIDATES, seed)
-    rng = np.random.default_rng(seed)
-    ways = {f"direction_{k + 1}": rng.choice([-1.0, 1.0], len(places)) for k in range(places.joints.shape[1])}
-    rows = planned(places.joints, layout, ways)
-    axes = axes_of(rows)
-    candidates = change_candidates(known.model, [rows])
-    columns = change_columns(known.model, known.values, rows, axes, candidates)
-    stand = stand_columns(known.model, rows, known.values, axes)
-    part: Any = made.parts_made[0]
-    noise = float(np.sqrt(np.diag(part.residual_covariance + part.scatter).mean())) or 1.0
-    sized = [columns[one.name] / noise for one in candidates]
-    scale = np.linalg.norm(stand.reshape(-1, stand.shape[2]), axis=0) / np.sqrt(len(stand))
-    x = stand / np.where(scale > 0, scale, 1.0)
-    # of where the sensor stands next to nothing is known, of a change that it is of plausible size
-    infos = [np.diag([_RIDGE] * x.shape[2] + [1.0 + _RIDGE] * z.shape[2]) for z in sized]
-    parts = [(info, np.concatenate([x, z], axis=2)) for info, z in zip(infos, sized, strict=True)]
-    order = rng.permutation(showing(x, _RIDGE * np.eye(x.shape[2]), parts, int(count), first=x.shape[2]))
-    names = dict(zip(layout.joints, places.joints.T, strict=True))
-    names |= dict(zip(region.targets, places.targets.T, strict=True))
-    return [
-        {"pose": k + 1, **{name: float(values[row]) for name, values in names.items()}} for k, row in enumerate(order)
-    ]

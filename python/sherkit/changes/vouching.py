@@ -22,10 +22,11 @@ from ..errors import SherkitError
 from ..evidence.base import Base
 from ..evidence.linearised import step_gains, within
 from ..evidence.run import Run, unit
+from ..evidence.thresholds import NEARLY_ALWAYS
 from ..evidence.whitening import orthonormal
 from ..fit.folds import blocks
 from ..fit.set_up import set_up_mistakes
-from .change_model import ChangeRows
+from .change_model import SEEN, ChangeRows, estimated
 from .pooled_fit import Joined
 from .runs import RunData, stand_of
 
@@ -44,10 +45,8 @@ _SIZES = (1.2, 1.5, 2.0, 3.0, 6.0)
 _WAYS, _DRAWS = 24, 800
 #: The weight of all smooth fields beside that of all candidates.
 _FIELDS = 0.5
-#: A part of a column that is rounding.
-_ROUNDING = 1e-5
-#: Errors, in promises, of which it is told whether they would have been found, and how often they must be.
-_TOLD, _FOUND = (1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0), 0.95
+#: Errors, in promises, of which it is told whether they would have been found.
+_TOLD = (1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ def broken(base: Base, stand: Floats, promised: float, level: float, fields: Seq
     # what would have been found is asked of the noise alone, as large as these rows allow it to be: of checks whose
     # noise happens to look small, too many would claim to have found it
     told = float((np.square(seen) / squares[:, 0]).max())
-    scale = np.sqrt(max(whole - told, 1e-12 * whole) / scipy.stats.chi2.ppf(1.0 - _FOUND, free - 1))
+    scale = np.sqrt(max(whole - told, 1e-12 * whole) / scipy.stats.chi2.ppf(1.0 - NEARLY_ALWAYS, free - 1))
     answers, left = scale * answers, scale**2 * left
     limit = float(np.quantile(_ratio(squares, share, answers, left, free), 1.0 - level))
     which = rng.choice(len(share), _DRAWS, p=share / share.sum())
@@ -99,8 +98,8 @@ def broken(base: Base, stand: Floats, promised: float, level: float, fields: Seq
         moved = left + 2.0 * size * signs * own + size**2 * squares[which, 0]
         found = _ratio(squares, share, answers + size * signs * gram[:, which], moved, free)
         share_found = float(np.mean(found > limit))
-        if share_found >= _FOUND:
-            return Broken(chance, before + (size - before) * (_FOUND - less) / (share_found - less))
+        if share_found >= NEARLY_ALWAYS:
+            return Broken(chance, before + (size - before) * (NEARLY_ALWAYS - less) / (share_found - less))
         before, less = size, share_found
     return Broken(chance, np.inf)
 
@@ -138,7 +137,7 @@ def _ways(base: Base, stand: Floats, promised: float, fields: Sequence[Floats]) 
         mine = np.ones((1, 1)) if raw.shape[1] == 1 else rng.normal(size=(raw.shape[1], _WAYS))
         size, whole = shows(raw[:count] @ mine, basis), np.sqrt(np.square(raw @ mine).mean(axis=0))
         # what this stand or the calibration's own doubts take up is no error that could be seen
-        known = (size > _ROUNDING * whole) & (np.square(left[:, at] @ mine).sum(axis=0) > _ROUNDING**2 * whole**2)
+        known = (size > SEEN * whole) & (np.square(left[:, at] @ mine).sum(axis=0) > SEEN**2 * whole**2)
         some = np.zeros((every.shape[1], int(known.sum())))
         some[at] = mine[:, known] * (promised / size[known])
         ways.append(some)
@@ -151,6 +150,16 @@ def _ways(base: Base, stand: Floats, promised: float, fields: Sequence[Floats]) 
 def shows(columns: Floats, basis: Floats) -> Floats:
     """The root mean square (v,) that the stand of the sensor leaves of columns (n, v) of readings."""
     return np.asarray(np.sqrt(np.square(columns - basis @ (basis.T @ columns)).mean(axis=0)))
+
+
+def error_of_lead(base: Base, stand: Floats) -> float:
+    """The error that the likeliest change makes at these places (root mean square of a reading, in noises)."""
+    family = base.family
+    if not len(family):
+        return 0.0
+    columns = family.run.flat(family.columns.raw(family.blocks[int(np.argmax(base.each))].at))
+    value, _, _ = estimated(columns, base.basis, base.residual)
+    return float(shows((columns @ value)[: len(stand), None], orthonormal(stand))[0])
 
 
 def _ratio(squares: Floats, share: Floats, answers: Floats, left: Floats, free: int) -> Floats:
@@ -196,7 +205,7 @@ def _errors(rows: ChangeRows, every: Measurements) -> dict[str, Floats]:
     for name, each in rows.columns_at(there).items():
         flat = each.reshape(-1, each.shape[2])
         left = flat - basis @ (basis.T @ flat)
-        if np.square(left).sum() > _ROUNDING**2 * np.square(flat).sum() > 0:
+        if np.square(left).sum() > SEEN**2 * np.square(flat).sum() > 0:
             out[name] = left.T @ left / len(there) * there.layout.per_unit**2
     return out
 

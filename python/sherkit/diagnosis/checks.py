@@ -13,12 +13,13 @@ from ..data.columns import TIME, bare
 from ..data.doubts import DataWarning
 from ..evidence.base import Base, OwnErrors, chance_of
 from ..evidence.fitted_run import FittedRun
-from ..evidence.thresholds import COUNTS, PLAUSIBLE, farthest_parameter, times_plausible
+from ..evidence.plausible import farthest_parameter, times_plausible
+from ..evidence.thresholds import LOUDER, PLAUSIBLE
 from ..fit.constant_columns import frozen
 from ..fit.identify import ABSURD
 from ..fit.known_stand import known_stand
 from ..fit.set_up import Mistake
-from .held_out import PRAISE, Elimination, HeldOutGain
+from .held_out import Elimination, HeldOutGain
 from .repeats import CONTRADICTS, Repeats, Rounded, rounded
 from .result import (  # fmt: skip
     AS_DRAWN,
@@ -69,7 +70,7 @@ def checks_of(
     out += [_as_drawn(final, used), *wrong]
     p = chance_of(found.missing)
     own = _own_errors(found.base)
-    off = own is not None and chance_of(own.evidence) <= level and own.part > COUNTS
+    off = own is not None and chance_of(own.evidence) <= level
     left = Check(
         "nothing_left", "no effect and no shape takes anything from what is left", used,
         "by the weighted mean of the Bayes factors of all effects and shapes",
@@ -304,7 +305,7 @@ def _small(final: FittedRun, error: float, sigma: Floats, origin: str, by_noise:
     noise = _noise(final, sigma)
     if origin == "unknown":
         return Check(SMALL, tested, _HELD, f"{number(error)} {final.unit}; the noise is unknown", holds=None)
-    most, told = PRAISE * noise, f"{number(error)} {final.unit} at a noise of {number(noise)} ({origin})"
+    most, told = LOUDER * noise, f"{number(error)} {final.unit} at a noise of {number(noise)} ({origin})"
     if error > most and (bound := by_noise() * noise) > most:
         told += f", which alone leaves up to {number(bound)} on rows held out of these poses"
         most = bound
@@ -329,7 +330,7 @@ def _loosely(
     )  # fmt: skip
     if poses * len(final.axes) <= fit.rank:
         told += "a fit goes through all of them, and nothing tells whether it holds elsewhere"
-    elif small.holds is not False and not final.is_exact and error > PRAISE * noise:
+    elif small.holds is not False and not final.is_exact and error > LOUDER * noise:
         told += f"rows held out are off by {error:.3g} {final.unit} where "
         told += f"the noise is {noise:.3g}" if known else f"what the fit leaves is no more than noise of {noise:.3g}"
     else:

@@ -13,6 +13,7 @@ from ..model.base import asked_for
 from ..model.effect import Effect
 from ..model.kinds import required_um
 from ..model.sensor_pose import SLIP
+from .held_out import LOWERS
 from .next_poses import times_as_often
 from .outliers import sentences
 from .result import (  # fmt: skip
@@ -35,8 +36,6 @@ from .result import (  # fmt: skip
 from .sensor_pose import motion_of, pose_in_words
 from .template import course, indistinguishable, sentence, settles
 
-#: An effect of one's own is worth another look where it leaves no more than this part of the error.
-_LOWERS = 0.9
 _AGAIN = f"sherkit diagnose {FILES} MORE"
 _TEMPLATE = f"sherkit diagnose {FILES} --template my_effects.py"
 _ORIGIN = {
@@ -373,7 +372,7 @@ def _own_that_helps(d: Diagnosis) -> str | None:
     known = {*d.base.model.known_effects, *d.base.model.held, *(e.name for e in d.fit.model.effects)}
     own = [one for one in d.candidates if one.effect not in known]
     best = min(own, key=lambda one: one.held_out_rms, default=None)
-    return best.effect if best is not None and best.held_out_rms < _LOWERS * d.error.rms else None
+    return best.effect if best is not None and best.held_out_rms < (1.0 - LOWERS) * d.error.rms else None
 
 
 def _failing(d: Diagnosis) -> Iterator[tuple[str, str]]:

@@ -20,14 +20,9 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.columns import bare, unit_in
 from ..evidence.fitted_run import FittedRun
+from ..evidence.thresholds import ACCIDENT, SURE_SIGMA, WRONG
 from .result import FEW, SINGLY, Check
 
-#: Part of the rows that may be listed as wrong before the rest is no run any more.
-WRONG = 0.2
-#: Chance that accidents are taken for a structure, over all variables of a run.
-LEVEL = 0.005
-#: A row still stands apart from this many deviations of the others on.
-_APART = 4.0
 #: So many wrong poses, or visits, lie together at least.
 _FEWEST = 3
 #: A stretch is no longer than this part of all, and at most so many sizes of it are tried.
@@ -59,7 +54,7 @@ class Gathered:
 
 
 def gathered(
-    data: Measurements, outliers: Ints, places: Mapping[str, Floats], *, level: float = LEVEL
+    data: Measurements, outliers: Ints, places: Mapping[str, Floats], *, level: float = ACCIDENT
 ) -> Gathered | None:
     """The stretch in which rows that stand apart (k,) lie together; None where they lie as accidents do.
 
@@ -150,7 +145,7 @@ def _still_off(run: FittedRun, rows: Ints) -> Bools:
     """Which of the rows (k,) stand apart from the others with what was found in the model, too: those that an effect
     explains were wrong beside a model that lacked it, and are no structure of their own."""
     # a reading that was not taken is NaN, and none
-    return np.asarray((np.abs(run.residuals[rows]) > _APART * run.scatter)[:, list(run.axes)].any(axis=1))
+    return np.asarray((np.abs(run.residuals[rows]) > SURE_SIGMA * run.scatter)[:, list(run.axes)].any(axis=1))
 
 
 def said(found: Gathered, data: Measurements) -> str:

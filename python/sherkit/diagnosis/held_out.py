@@ -19,9 +19,10 @@ from ..evidence.base import Base, chance_of, total
 from ..evidence.blocks import Block
 from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
+from ..evidence.plausible import is_plausible
 from ..evidence.run import in_time
 from ..evidence.settings import columns_at
-from ..evidence.thresholds import TOLD, is_plausible
+from ..evidence.thresholds import DIFFERENCES, LEVEL, TOLD
 from ..fit.error import ErrorSize, held_out_error, known_deviations
 from ..fit.folds import Beside, Folds, roots_of
 from ..model.effect import Effect
@@ -29,8 +30,6 @@ from .result import CandidateReport
 
 # -- The error held out ------------------------------------------------------------------------------------------------
 
-#: Held-out error over noise up to which what is left is as small as the noise.
-PRAISE = 1.25
 #: Readings for each parameter from which on what noise does to the parameters is next to nothing in any block.
 _ENOUGH = 200
 #: Noises that are drawn to know what they leave on rows held out.
@@ -108,9 +107,6 @@ def _square_root(grams: Floats) -> Floats:
 
 # -- Whether an effect of a model earns its place -------------------------------------------------------------------
 
-#: Level of the test on rows held out.
-LEVEL = 0.01
-
 
 @dataclass(frozen=True)
 class HeldOutGain:
@@ -173,8 +169,6 @@ def _by_chance(gain: Floats, pose: Ints) -> float:
 
 # -- Which parameters are enough: on few poses most may bring next to nothing on rows held out ---------------------
 
-#: A set is enough where rows held out are off by no more than this many times the least of all sets.
-_AS_GOOD = 1.05
 #: Part of the parameters above which that is not worth a word.
 _WORTH = 0.7
 
@@ -227,7 +221,7 @@ def backward_elimination(run: FittedRun, sigma: Floats, repeated_folds: Sequence
     if not steps:
         return None
     least = min(error for error, _ in steps)
-    error, few = next(step for step in reversed(steps) if step[0] <= _AS_GOOD * least)
+    error, few = next(step for step in reversed(steps) if step[0] <= (1.0 + LOWERS) * least)
     if len(few) > _WORTH * len(off):
         return None
     names = tuple(run.fit.parameters[k].name for k in few)
@@ -243,9 +237,7 @@ def _rms(folds: Folds, scale: Floats, run: FittedRun) -> float:
 # Every effect as an addition to a fit: what it would bring on rows held out, its parameters, how plausible it is.
 
 #: Part of the error held out by which an effect must lower it for a sentence of its own.
-_LOWERS = 0.05
-#: Part of a column's square below which what is left of it is rounding.
-_ROUNDING = 1e-14
+LOWERS = 0.05
 
 
 def strongest(base: Base, given: Sequence[Block] = ()) -> dict[str, Block]:
@@ -299,7 +291,7 @@ def unnamed(
     nothing is said yet, ``spoken_of`` aside."""
     out = []
     for one in reports:
-        lowers = one.held_out_rms < (1.0 - _LOWERS) * error.rms and one.p_value < level
+        lowers = one.held_out_rms < (1.0 - LOWERS) * error.rms and one.p_value < level
         if one.effect in spoken_of or not lowers:
             continue
         why = (
@@ -324,7 +316,7 @@ def _parameters(base: Base, block: Block, columns: Floats, fit: FittedRun | None
     over = flat - base.basis @ (base.basis.T @ flat)
     gram = over.T @ over
     # of a column that the fit holds rounding is left: whatever that says of its size, the deviation is larger
-    squares = np.maximum(np.diag(gram), np.maximum(_ROUNDING * np.square(flat).sum(axis=0), 1e-300))
+    squares = np.maximum(np.diag(gram), np.maximum(DIFFERENCES**2 * np.square(flat).sum(axis=0), 1e-300))
     np.fill_diagonal(gram, squares)
     length = np.sqrt(squares)
     value, vector = linalg.eigh(gram / np.outer(length, length))

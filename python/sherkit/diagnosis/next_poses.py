@@ -18,13 +18,11 @@ from ..data import Measurements
 from ..data.columns import bare
 from ..errors import SherkitError
 from ..evidence.design import Rival, telling
-from ..evidence.thresholds import TIED
+from ..evidence.thresholds import SURE_SIGMA, TIED
 from ..fit.identify import Fit
 from ..model.base import Reachable
 
 MOST = 12
-#: Separation from which poses are worth measuring, in standard deviations.
-TELLS_SIGMA = 3.0
 #: That with which four of five ties are lifted: what it says in nats, half its square, scatters by itself.
 _LIFTS_SIGMA = 0.84 + float(np.sqrt(0.84**2 + 2.0 * TIED))
 SEPARATION = "separation_sigma"
@@ -51,7 +49,7 @@ class Proposal:
 def next_poses(true: Fit, rivals: Sequence[Fit], sigma: Floats, most: int = MOST) -> Proposal:
     """Up to ``most`` reachable poses that tell ``true`` from its rivals; ``sigma`` (m,) is the noise of each reading.
 
-    A rival that no reachable poses tell by :data:`TELLS_SIGMA` is left out, and named in the advice with what else, as
+    A rival that no reachable poses tell by three deviations is left out, and named in the advice with what else, as
     fine as these readings, would tell it.
     """
     reachable = true.model.reachable(true.data, true.values)
@@ -77,7 +75,7 @@ def _chosen(trial: _Trial, rivals: Sequence[Fit]) -> tuple[list[tuple[int, float
     left, untold = {rival: trial.beside(rival) for rival in rivals}, dict[Fit, float]()
     while left:
         poses, reached = telling(list(left.values()), trial.most)
-        if poses and poses[-1][1] >= TELLS_SIGMA:
+        if poses and poses[-1][1] >= SURE_SIGMA:
             return poses, untold
         least, nearest = min(zip(reached, left, strict=True), key=lambda pair: pair[0])
         untold[nearest] = least

@@ -22,38 +22,39 @@ import scipy
 from ..base import linalg
 from ..base.types import Bools, Floats, Ints
 from ..data.noise import MAD
-from ..evidence.fitted_run import DIGITS
 from ..evidence.linearised import Linearised
 from ..evidence.shapes import Smooth, smooth_shapes
+from ..evidence.thresholds import (
+    A_FEW,
+    ACCIDENT,
+    HARDLY,
+    HELD_EFFECT,
+    HELD_SHAPE,
+    LEVEL,
+    LOUDER,
+    ROUNDING,
+    ROUNDS,
+    WRONG,
+)
 from ..evidence.whitening import orthonormal
 from ..fit.folds import BLOCK
-from .gathered import WRONG
-from .robust_start import CUT, ROUNDS, apart_from_pose, huber, median
+from .robust_start import CUT, apart_from_pose, huber, median
 
-#: Chance that a run without gross errors has anything listed; of several that are listed, the expected part of false
-#: ones. And chance that a column takes part in describing a run of pure noise.
-_LEVEL, _DESCRIBED = 0.005, 0.01
 #: Columns describe no more than this part of what is read.
 _MOST_COLUMNS = 0.15
-#: Directions that the rows tell less than this part of the best one are none; what is fitted is told by the means of
-#: the poses where so much of it is between them.
-_TOLD, _BY_MEANS = 1e-12, 0.5
+#: What is fitted is told by the means of the poses where so much of it is between them.
+_BY_MEANS = 0.5
 #: What is an outlier without a column, and alone tells so much of it with it, is no witness for it.
 _ALONE = 0.5
-#: A column of which the fitted ones leave less than this is one of theirs.
-_ABSORBED = 1e-3
-#: What is left counts as noise up to this many times the noise; beyond, it has tails as of so many degrees of freedom.
-_LIKE_NOISE, _TAILS = 1.5, 8.0
+#: What is more than noise has tails as of so many degrees of freedom.
+_TAILS = 8.0
 #: Chance of the other readings of a pose that is wrong in all of them; noise of heavy tails has one that is wild.
-_OTHERS_OFF = 0.05, 1e-3
+_OTHERS_OFF = 0.05, HARDLY
 #: Efficiency of a median absolute deviation.
 _MAD_EFFICIENCY = 0.37
 #: A prediction is never taken for better than this part of the reading's own variance.
 _LEAST_FREE = 0.1
-#: Rows of which a stretch of time, and what is before it, has at least so many; part of the run, at most, that
-#: something was bumped for before it was put back, and cuts at which it is looked for.
-_FEWEST_OF_AN_END = 6
-_MOST_BUMPED = 0.2
+#: Cuts at which a stretch of time is looked for.
 _CUTS = 48
 
 
@@ -70,9 +71,9 @@ class OutlierFit:
     def __init__(self, view: Linearised, *, declared: bool, bumped: Bools | None = None) -> None:
         self.view, self.declared = view, declared
         self.e = view.residual
-        self.floor = np.maximum(DIGITS * np.ptp(self.e, axis=0), 1e-12)
+        self.floor = np.maximum(ROUNDING * np.ptp(self.e, axis=0), 1e-12)
         self.bumped = bumped
-        self.within, apart = apart_from_pose(self.e, view.repeated, self.floor, _LEVEL)
+        self.within, apart = apart_from_pose(self.e, view.repeated, self.floor, ACCIDENT)
         if bumped is not None:
             apart = apart | bumped
         group = np.unique(view.repeated, return_inverse=True)[1].ravel()
@@ -98,7 +99,7 @@ class OutlierFit:
         every = sum((part.T @ part for part in map(self._flat_in, self.view.blocks)), np.zeros((flat.shape[1],) * 2))
         scale = np.sqrt(np.maximum(np.diag(every), 1e-300))
         value, vector = linalg.eigh(every / np.multiply.outer(scale, scale))
-        told = value > _TOLD * value.max(initial=0.0)
+        told = value > ROUNDING * value.max(initial=0.0)
         known = vector[:, told] / np.sqrt(value[told]) / scale[:, None]
         between, turn = linalg.eigh(known.T @ (flat.T @ flat) @ known)
         by_means = between >= _BY_MEANS
@@ -128,7 +129,7 @@ class OutlierFit:
         accidents = self.count[~plain].sum() <= WRONG * len(out)
         if accidents and simple < self._criterion(inliers, off):
             inliers, off, variance = plain, was_off, was
-        if np.square(off[inliers]).sum() > _LIKE_NOISE**2 * self.noise[inliers].sum():
+        if np.square(off[inliers]).sum() > LOUDER**2 * self.noise[inliers].sum():
             # a structure that no column describes has extremes, which look like outliers
             inliers = inliers | plain
         for k in np.flatnonzero(~inliers):
@@ -170,7 +171,7 @@ class OutlierFit:
         shapes = [one for one in smooth_shapes(self.view) for _ in range(m if one.joint is None else 1)]
         effects = self._summed(lambda rows: self.view.effects_in(rows)[:, :, :still], seen)
         tried = np.concatenate([*map(self._shape, dict.fromkeys(shapes), repeat(seen)), effects], axis=1)
-        free, least = tried - q @ (q.T @ tried), _ABSORBED**2 * np.square(tried).sum(axis=0)
+        free, least = tried - q @ (q.T @ tried), HELD_EFFECT * np.square(tried).sum(axis=0)
         chosen: list[int] = []
         moments: list[bool] = []
         steps, bumped = np.zeros((items * m, 0)), np.zeros(n, dtype=bool)
@@ -187,7 +188,7 @@ class OutlierFit:
             gain = np.where(now > least, np.square(tame @ free) / np.maximum(now, 1e-300), 0.0)
             chance = _chi2_log_tail(float(gain.max(initial=0.0)) / variance, 1) + math.log(max(len(gain), 1))
             stretch = self._stretch(left, seen, q, within, variance, moments)
-            if min(chance, stretch[0]) >= math.log(_DESCRIBED):
+            if min(chance, stretch[0]) >= math.log(LEVEL):
                 break
             if stretch[0] < chance:
                 inside = (np.arange(n) >= stretch[1]) & (np.arange(n) < stretch[2])
@@ -201,7 +202,7 @@ class OutlierFit:
                     steps = columns = self._summed(partial(self._later, still, inside, stride, some), np.arange(items))
                     of_items = (columns.reshape(items, m, -1) / self.root[:, :, None])[self.item[::stride]]
                     apart = (np.concatenate(some) - of_items).reshape(len(within), -1)
-                    told = np.square(apart).sum(axis=0) > _ABSORBED**2 * np.square(of_items).sum(axis=(0, 1))
+                    told = np.square(apart).sum(axis=0) > HELD_EFFECT * np.square(of_items).sum(axis=(0, 1))
                     within = orthonormal(apart[:, told])
                 new = columns.reshape(items, m, -1)[seen].reshape(len(q), -1)
             else:
@@ -284,15 +285,15 @@ class OutlierFit:
         starts = ends = np.linspace(0, last, min(_CUTS, last) + 1).astype(np.int64)
         while True:
             a, b = (v.ravel() for v in np.meshgrid(starts, ends, indexing="ij"))
-            keep = (np.minimum(a, b - a) >= _FEWEST_OF_AN_END) & ((b == last) | (b - a <= _MOST_BUMPED * last))
+            keep = (np.minimum(a, b - a) >= A_FEW) & ((b == last) | (b - a <= WRONG * last))
             a, b = (v[keep & ~np.isin(b < last, moments)] for v in (a, b))
             if not len(a):
                 return best
             inside = before[b] - before[a]
             size = inside[:, :, 1]
             free = size - stride * np.square(inside[:, :, 2:]).sum(axis=2)
-            gain = np.where(free > _ABSORBED * size, inside[:, :, 0] ** 2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
-            ways = np.log(np.where(b == last, n, _MOST_BUMPED * n * n))
+            gain = np.where(free > HELD_SHAPE * size, inside[:, :, 0] ** 2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
+            ways = np.log(np.where(b == last, n, WRONG * n * n))
             chance = [_chi2_log_tail(one, m) for one in (gain / variance).tolist()] + ways
             k = int(np.argmin(chance))
             best = min(best, (float(chance[k]), int(a[k]), int(b[k])))
@@ -370,7 +371,7 @@ class OutlierFit:
             usual = each[inliers].mean(axis=0)
             freedom = float((1.0 - hat[inliers]).sum(axis=0).clip(2.0).mean()) - 1.0
             noise = (self.noise[inliers] * (1.0 - hat[inliers])).sum(axis=0)
-            if (np.square(off[inliers]).sum(axis=0) > _LIKE_NOISE**2 * noise).any() and noise.any():
+            if (np.square(off[inliers]).sum(axis=0) > LOUDER**2 * noise).any() and noise.any():
                 # a structure that nothing describes has tails, of a shape that nobody knows
                 freedom = np.where(self.count > 1, min(freedom, _TAILS), freedom)
         variance = np.maximum(spread + each - usual, 0.5 * each)
@@ -381,7 +382,7 @@ class OutlierFit:
         for alone in (True, False):
             those = np.flatnonzero((self.count == 1) == alone)
             order = those[np.argsort(p[those])]
-            below = np.flatnonzero(p[order] <= _LEVEL * np.arange(1, len(order) + 1) / items)
+            below = np.flatnonzero(p[order] <= ACCIDENT * np.arange(1, len(order) + 1) / items)
             those = order[: int(below[-1]) + 1 if len(below) else 0]
             out[those[np.cumsum(self.weight[those]) <= 0.5 * self.weight.sum()]] = True
         return out, variance * free

@@ -24,6 +24,7 @@ from ..data.noise import MAD
 from ..errors import FitError, SherkitError, SherkitWarning
 from ..evidence.fitted_run import FittedRun
 from ..evidence.run import in_time
+from ..evidence.thresholds import HARDLY, LOUDER, NEVER, ROUNDS
 from ..fit.error import of_residuals
 from ..fit.identify import Fit
 from ..fit.set_up import set_up_mistakes
@@ -31,8 +32,6 @@ from ..model.effect import Effect
 from .outlier_fit import OutlierFit
 from .robust_start import robust_start
 
-#: Fits, each without what the one before it listed.
-_FITS = 8
 #: A pause between two visits, in usual steps of time; and what part of a visit, of how many rows at least, are outliers
 #: where it is taken for news.
 _PAUSE = 20.0
@@ -40,10 +39,6 @@ _OUTLYING_VISIT = 0.5
 _FEWEST_OF_A_VISIT = 4
 #: Wrong rows that hold one value where that is what is wrong with them: so many at least, and that part of them.
 _LASTS, _ONE_VALUE = 5, 0.4
-#: Chance of a first reading that is off, and of one that is not, from the right side.
-_OFF, _NEAR = 1e-6, 1e-3
-#: What gross errors may add to what a fit leaves before it is said that they decide it.
-_MATTERS = 1.1
 
 
 def without_outliers(
@@ -62,7 +57,7 @@ def without_outliers(
         return run.without(judged) if len(judged) else run, judged
     first, run = run, robust_start(run, rows)
     outliers = np.flatnonzero(run.data.outlier & ~first.data.outlier)
-    for _ in range(_FITS):
+    for _ in range(ROUNDS):
         again = np.setdiff1d(_outlying(run, effects, rows), keep)
         if np.array_equal(again, outliers):
             break
@@ -98,7 +93,7 @@ def warn_of_outliers(fit: Fit, effects: Sequence[Effect]) -> Ints:
     if not len(outliers):
         return outliers
     left = [of_residuals(one.data, one.residuals, held_out=False).rms for one in (fit, run.fit)]
-    if left[0] < _MATTERS * left[1]:
+    if left[0] < LOUDER * left[1]:
         return outliers
     many, data = len(outliers) > 1, fit.data
     warnings.warn(
@@ -156,7 +151,7 @@ def came_from_elsewhere(run: FittedRun, effects: Sequence[Effect], rows: Ints) -
     alike = replace(data.select(np.repeat(first, len(sides))), direction=sides)
     off = (alike.readings - with_it.model.predict(alike, with_it.fit.values))[:, axes]
     chance = scipy.special.chdtrc(len(axes), np.square(off / spread).sum(axis=1))
-    return bool(chance[0] < _OFF and chance.max() > _NEAR)
+    return bool(chance[0] < NEVER and chance.max() > HARDLY)
 
 
 def is_first_by_side(run: FittedRun, effects: Sequence[Effect], outliers: Ints) -> bool:

@@ -22,22 +22,19 @@ from ..evidence.base import Base
 from ..evidence.blocks import Block
 from ..evidence.fitted_run import FittedRun
 from ..evidence.sets import ShapeDescription
+from ..evidence.thresholds import HELD_EFFECT, LOUDER, NEVER
 from ..fit.identify import identify
 from .signature import numbers_of
 from .template import course
 
 # -- What repeats hold -------------------------------------------------------------------------------------------------
 
-#: Declared noise and what repeats show may differ by this factor; repeats may show more by this one, and by chance by
-#: what one run in so many does.
+#: Declared noise and what repeats show may differ by this factor.
 CONTRADICTS = 3.0
-_MORE, _BY_CHANCE = 1.15, 1e-6
 #: Visits beyond the first of each pose without which nothing is told of noise.
 _FEWEST = 5
 #: Part of the noise below which there is plainly less of it.
 _QUIETER = 0.5
-#: Part of a shape's square that must differ between visits of a pose.
-_DIFFERS = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +72,7 @@ def in_repeats(before: Base, left: ShapeDescription, every: FittedRun) -> Repeat
     for shape in left.shapes:
         then = now.beside(shape)
         columns = before.family.columns.of(shape.at)
-        if _DIFFERS * np.square(columns).sum() < sum(np.square(_apart(c, len(axes), pose)).sum() for c in columns.T):
+        if HELD_EFFECT * np.square(columns).sum() < sum(np.square(_apart(c, len(axes), pose)).sum() for c in columns.T):
             taken = _apart(now.residual - then.residual, len(axes), pose)
             held.append(_told(run.of, shape, undone * np.sqrt(np.square(taken).mean(axis=0)) * run.sigma[axes]))
         now = then
@@ -133,8 +130,8 @@ def contradicted(run: FittedRun, repeats: Repeats) -> Mapping[str, tuple[float, 
             continue
         said, shown = float(np.sqrt(np.mean(each**2))), float(repeats.noise[a])
         free = _freedom(run, a)
-        chance = np.sqrt(scipy.special.chdtri(free, _BY_CHANCE) / free) if free >= _FEWEST else np.inf
-        most = min(CONTRADICTS, max(_MORE, float(chance)))
+        chance = np.sqrt(scipy.special.chdtri(free, NEVER) / free) if free >= _FEWEST else np.inf
+        most = min(CONTRADICTS, max(LOUDER, float(chance)))
         if not 1.0 / CONTRADICTS <= shown / said <= most:
             out[bare(run.names[a])] = (run.per_unit * said, run.per_unit * shown)
     return out

@@ -10,12 +10,12 @@ import scipy
 from ..base.types import Bools, Floats, Ints
 from ..data.noise import MAD
 from ..errors import SherkitError
-from ..evidence.fitted_run import DIGITS, FittedRun
+from ..evidence.fitted_run import FittedRun
+from ..evidence.thresholds import ROUNDING, ROUNDS
 from ..fit.least_squares import LeastSquaresProblem
 
 #: Residuals are cut to this many spreads; what is further than so many stands apart.
 CUT, _APART = 1.5, 10.0
-ROUNDS = 20
 
 
 def robust_start(run: FittedRun, rows: Ints) -> FittedRun:
@@ -27,7 +27,7 @@ def robust_start(run: FittedRun, rows: Ints) -> FittedRun:
     axes = list(run.axes)
     data = run.data.select(rows)
     problem = LeastSquaresProblem(run.model, data)
-    floor = np.maximum(DIGITS * np.ptp(data.readings[:, axes], axis=0), 1e-12)
+    floor = np.maximum(ROUNDING * np.ptp(data.readings[:, axes], axis=0), 1e-12)
 
     def typical(values: Floats) -> float:
         return float(np.median(np.linalg.norm(problem.residuals(values)[:, axes] / run.noise[0][axes], axis=1)))

@@ -19,15 +19,14 @@ from ..evidence.names import Names, judged_names
 from ..evidence.noise import base_of
 from ..evidence.periods import Period, period_of
 from ..evidence.run import Run, weighed_run
-from ..evidence.sets import MOST, EffectSet, Sets, ShapeDescription
+from ..evidence.sets import EffectSet, Sets, ShapeDescription
 from ..evidence.settings import refined, unit_columns
+from ..evidence.thresholds import MOST, SURE_SIGMA
 from ..fit.identify import Fit
 from ..model.effect import Effect, Setting
 from .held_out import HeldOutGain, error_held_out, held_out_gain, strongest
 from .result import StepReport
 
-#: Deviations from which on a value is certainly not zero.
-_SURE_OF = 3.0
 TOO_MANY = "all that is fitted takes more numbers than these poses leave to judge it by"
 
 
@@ -131,16 +130,8 @@ def searched(
     if kept is None:
         return replace(nothing, names_judged=names, left=names.alone, notes=notes)
     step("held-out errors")
-    # visits of a pose share what is its own: rows held out by whole poses know, also which of several ties it is
+    # visits of a pose share what is its own: rows held out by whole poses know
     judged = _judged(run, added, sigma, repeated_folds, first)
-    for tie in () if refused else sorted(names.ties, key=lambda one: len(one.blocks)):
-        if judged.holding == len(kept.blocks):
-            break
-        other = _judged(run, tie.blocks, sigma, repeated_folds, first)
-        if other.holding > judged.holding:
-            kept, judged = tie, other
-    if kept is not lead and not refused:
-        names = replace(names, lead=kept, beside=sets.described(kept.base, MOST, 1))
     told = judged.told
     if worse := {g.effect: "rows held out are not clearly nearer with it" for g in judged.gains if not g.holds}:
         names = replace(names, refused=refused | worse)
@@ -193,17 +184,12 @@ class _Judged:
         added = [*self.added, Block("effect", effect=effect)]
         return _Judged(final, added, [*self.gains, gain], (*self.steps, more), self.told)
 
-    @property
-    def holding(self) -> int:
-        """How many of them rows held out are nearer with."""
-        return sum(one.holds for one in self.gains)
-
 
 def _going_with(run: FittedRun) -> list[Effect]:
     """Effects that can be asked for now that another is in the model: of what that one's fit is sure of."""
     sure = {
         p.name for p, value, std in zip(run.fit.parameters, run.fit.values, run.fit.std, strict=True)
-        if abs(value) > _SURE_OF * std
+        if abs(value) > SURE_SIGMA * std
     }  # fmt: skip
     those = [e for e in run.catalogue if any(f"{e.goes_with}.{p.name}" in sure for p in e.parameters)]
     return run.model.is_testable(those, run.data)[0] if those else []

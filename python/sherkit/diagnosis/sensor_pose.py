@@ -21,7 +21,8 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..errors import SherkitError
 from ..evidence.fitted_run import FittedRun
-from ..evidence.thresholds import is_plausible
+from ..evidence.plausible import is_plausible
+from ..evidence.thresholds import SEEN_SIGMA, TWIN
 from ..evidence.whitening import orthonormal
 from ..fit.identify import Fit
 from ..fit.known_stand import known_stand
@@ -34,8 +35,6 @@ from ..model.set_ups import SETUP_PREFIX
 
 # -- What a free pose takes up -----------------------------------------------------------------------------------------
 
-#: Part of a direction that is left at most where it is taken up.
-_TAKEN = 0.05
 #: Directions of an effect beside its strongest that count.
 _COUNTS = 1e-3
 
@@ -74,7 +73,7 @@ def taken_by_pose(
         if not root.shape[1]:
             continue
         left = linalg.eigvalsh(root.T @ (after.T @ after) @ root)
-        if taken := int(np.count_nonzero(left < _TAKEN**2)):
+        if taken := int(np.count_nonzero(left < (1.0 - TWIN) ** 2)):
             out[effect.name] = (taken, root.shape[1])
     return out
 
@@ -126,9 +125,6 @@ def stands_with(run: FittedRun) -> tuple[str, ...]:
 # What the instrument did in the course of a run: how far it moved, at which row. It is said of the instrument,
 # which is no part of the robot.
 
-#: Deviations from which on a motion is one.
-_SEEN = 2.0
-
 
 @dataclass(frozen=True)
 class Motion:
@@ -144,9 +140,9 @@ class Motion:
 
     def __str__(self) -> str:
         shift, turn = stated(*self.shift_mm, "mm"), stated(*self.turn_rad, "rad")
-        if self.turn_rad[0] < _SEEN * self.turn_rad[1]:
+        if self.turn_rad[0] < SEEN_SIGMA * self.turn_rad[1]:
             how = f"{shift}, without a turn ({turn})"
-        elif self.shift_mm[0] < _SEEN * self.shift_mm[1]:
+        elif self.shift_mm[0] < SEEN_SIGMA * self.shift_mm[1]:
             how = f"{turn}, without a shift ({shift})"
         else:
             how = f"{shift} and {turn}"

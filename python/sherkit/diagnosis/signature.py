@@ -15,6 +15,7 @@ from ..evidence.blocks import Block
 from ..evidence.names import Names
 from ..evidence.run import Run
 from ..evidence.settings import finer
+from ..evidence.thresholds import HARDLY, SURE_SIGMA
 from ..fit.identify import Fit
 from .template import course, what_parts
 
@@ -24,8 +25,6 @@ from .template import course, what_parts
 CLEARLY = 3.0
 #: Kinds of shapes, the simplest first.
 _SIMPLEST = ("alternating", "smooth", "step", "kink", "bump", "interaction", "hysteretic", "periodic")
-#: Level at which an axis takes part in a signature.
-_AXIS_LEVEL = 1e-3
 
 
 def signature_of(names: Names, named: Sequence[str]) -> dict[str, Any] | None:
@@ -98,16 +97,13 @@ def _range(values: Floats) -> tuple[float, float]:
 def _axes_of(base: Base, with_it: Base, noise: float, count: int, axes: list[str]) -> list[str]:
     """Axes on which a shape takes more than ``noise``, a variance, would."""
     taken = np.square(base.residual - with_it.residual).reshape(-1, len(axes)).sum(axis=0)
-    enough = noise * float(scipy.special.chdtri(max(count / len(axes), 1.0), _AXIS_LEVEL))
+    enough = noise * float(scipy.special.chdtri(max(count / len(axes), 1.0), HARDLY))
     some = [axis for axis, one in zip(axes, taken.tolist(), strict=True) if one > enough]
     return some or [axes[int(np.argmax(taken))]]
 
 
 # -- Waves in words ----------------------------------------------------------------------------------------------------
 # How large the waves of gears and encoders are, joint by joint, in words.
-
-#: Deviations below which the waves of a joint are none.
-_TOLD = 3.0
 
 
 def bends_in_words(judged: Names | None, names: Sequence[str], readings: Sequence[str]) -> str:
@@ -137,7 +133,7 @@ def waves_in_words(fit: Fit) -> Iterator[str]:
         for sine, cosine in zip(effect.qualified()[::2], effect.qualified()[1::2], strict=True):
             joint = sine.name.partition(".sine_")[2]
             size, std = _amplitude(fit, [names.index(sine.name), names.index(cosine.name)])
-            if size < _TOLD * std:
+            if size < SURE_SIGMA * std:
                 continue
             both = stated(size, std, sine.unit)
             ends = (f".sine_{joint}", f".cosine_{joint}")

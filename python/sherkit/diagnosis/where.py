@@ -18,7 +18,7 @@ from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
 from ..evidence.run import Run
 from ..evidence.settings import columns_at
-from ..evidence.thresholds import NOTHING
+from ..evidence.thresholds import A_FEW, HARDLY, POWER, ROUNDING, TWIN
 from ..evidence.whitening import orthonormal
 
 _BINS = 6
@@ -72,10 +72,8 @@ def neighbour_correlation(view: Linearised) -> float:
 
 # -- What hides: effects that other parameters take up almost entirely on these poses ------------------------------
 
-#: Part of its square that an effect hides, whatever its parameters are to each other, to be called hidden.
-_HIDDEN_FROM = 0.97
-#: Parameters that take up less than this part of what the first one does are not named, nor more than that many.
-_NAMED_FROM, _MOST_NAMED = 0.3, 6
+#: Parameters that take up less than this part of what the first one does are not named.
+_NAMED_FROM = 0.3
 
 
 def confounded_with(run: Run) -> dict[str, tuple[str, ...]]:
@@ -114,17 +112,14 @@ def _taken_up(whole: Floats, left: Floats, columns: Floats, fitted: Floats, name
     """
     value, vector = linalg.eigh(whole)
     root = vector[:, value > 1e-12 * value[-1]] / np.sqrt(value[value > 1e-12 * value[-1]])
-    if not root.shape[1] or linalg.eigvalsh(root.T @ left @ root)[-1] > 1.0 - _HIDDEN_FROM:
+    if not root.shape[1] or linalg.eigvalsh(root.T @ left @ root)[-1] > 1.0 - TWIN:
         return ()
     x = np.linalg.norm(linalg.lstsq(fitted, columns, rcond=1e-9)[0], axis=1)
-    top = np.argsort(-x)[:_MOST_NAMED]
+    top = np.argsort(-x)[:A_FEW]
     return tuple(str(names[k]) for k in top if x[k] >= _NAMED_FROM * x[top[0]])
 
 
 # -- What would have been found: silence without power is no answer ------------------------------------------------
-
-#: Power with which it would have been.
-_POWER = 0.8
 
 
 def smallest_found(base: Base, block: Block, level: float) -> tuple[float, float]:
@@ -141,10 +136,10 @@ def smallest_found(base: Base, block: Block, level: float) -> tuple[float, float
     rank, free, count = float(len(size)), base.free, len(base.residual)
     asked = -float(np.log(level) + family.log_weight[family.where(block)])
     gain = gain_asked(rank, free, count, asked)
-    if at_size <= NOTHING * whole or np.isinf(gain):
+    if at_size <= ROUNDING * whole or np.isinf(gain):
         return float("inf"), float("inf")
     needed = float(
-        scipy.optimize.brentq(lambda nc: 1.0 - _POWER - scipy.special.chndtr(gain, rank, nc), 0.0, 4.0 * gain + 200.0)
+        scipy.optimize.brentq(lambda nc: 1.0 - POWER - scipy.special.chndtr(gain, rank, nc), 0.0, 4.0 * gain + 200.0)
     )
     sigma = run.sigma[list(run.of.axes)]
     rms = float(np.sqrt(needed / count) * np.sqrt(np.mean(sigma**2)))
@@ -157,8 +152,6 @@ def smallest_found(base: Base, block: Block, level: float) -> tuple[float, float
 _ROWS, _FEWEST, _MOST = 30, 3, 30
 #: Rows below which slow and quick are not told apart.
 _LEAST = 60
-#: Chance that steady noise is said to wander.
-_LEVEL = 1e-3
 #: The most that an instrument's readings have in common from row to row; what has more wanders.
 _COMMON = 0.7
 
@@ -176,7 +169,7 @@ class SlowDrift:
     @property
     def counts(self) -> bool:
         """Whether it is no chance."""
-        return self.p <= _LEVEL
+        return self.p <= HARDLY
 
 
 def slow_drift_of(run: FittedRun) -> SlowDrift | None:
@@ -199,7 +192,7 @@ def slow_drift_of(run: FittedRun) -> SlowDrift | None:
     left = np.column_stack([np.bincount(at, run.residuals[rows, a]) / count for a in axes])
     p, size, beside = _slow(left - left.mean(axis=0))
     p = np.minimum(1.0, len(axes) * p)
-    worst = int(np.argmax(np.where(p <= _LEVEL, size, 0.0)) if (p <= _LEVEL).any() else np.argmin(p))
+    worst = int(np.argmax(np.where(p <= HARDLY, size, 0.0)) if (p <= HARDLY).any() else np.argmin(p))
     names = [bare(name) for name in run.names]
     return SlowDrift(
         names[axes[worst]], float(p[worst]), run.per_unit * float(size[worst]),

@@ -17,17 +17,11 @@ from ..base.types import Floats, Ints
 from .blocks import Block, ReferenceRows, Sort, sorts_of
 from .family import Family, log_weights
 from .run import Run
-from .thresholds import HELD_EFFECT, HELD_SHAPE, SCALES
+from .thresholds import HELD_EFFECT, HELD_SHAPE, ROUNDING, SCALES
 from .whitening import independent, orthonormal
 
 #: What an error of its own at each pose may be, in noises of a reading, and degrees of freedom that tell it.
 _OWN, _FREE = np.array([0.35, 0.7, 2.0, 6.0]), 10
-#: No chance is said to be less.
-_SMALLEST_P = 1e-300
-#: No more of a sum of squares is taken than all of it.
-_ALL = 1.0 - 1e-12
-#: Part of a column's square, over a reference, that is rounding.
-_ROUNDING = 1e-8
 
 
 def log_bayes(part: Floats, rank: Floats, free: float | Floats, count: int, scales: Floats = SCALES) -> Floats:
@@ -39,7 +33,7 @@ def log_bayes(part: Floats, rank: Floats, free: float | Floats, count: int, scal
     """
     part, k = np.atleast_1d(part), np.atleast_1d(np.asarray(rank, dtype=float))
     g = np.square(scales)[:, None] * count / np.maximum(k, 1.0)
-    each = -0.5 * k * np.log1p(g) - 0.5 * free * np.log1p(-np.clip(part, 0.0, _ALL) * g / (1.0 + g))
+    each = -0.5 * k * np.log1p(g) - 0.5 * free * np.log1p(-np.clip(part, 0.0, 1.0 - ROUNDING) * g / (1.0 + g))
     return np.where(k < 1, -np.inf, np.logaddexp.reduce(each, axis=0) - np.log(len(scales)))
 
 
@@ -61,7 +55,7 @@ def log_bayes_of(squares: Floats, right: Floats, rss: float, free: int, scales: 
     g = np.square(scales)[:, None] * value.clip(0.0)[..., None, :]
     along = np.square(np.einsum("...jk,...j->...k", turn, right))[..., None, :]
     taken = (along * np.square(scales)[:, None] / (1.0 + g)).sum(axis=-1) / rss
-    each = -0.5 * np.log1p(g).sum(axis=-1) - 0.5 * free * np.log1p(-np.clip(taken, 0.0, _ALL))
+    each = -0.5 * np.log1p(g).sum(axis=-1) - 0.5 * free * np.log1p(-np.clip(taken, 0.0, 1.0 - ROUNDING))
     return np.asarray(np.logaddexp.reduce(each, axis=-1) - np.log(len(scales)))
 
 
@@ -87,7 +81,7 @@ def chance_of(evidence: float) -> float:
     """How often chance gives as much evidence, in nats, at most: a Bayes factor is E or more in no more than one of E
     runs of nothing but noise (Ville, 1939)."""
     # a p of zero would claim too much
-    return max(float(np.exp(-max(evidence, 0.0))), _SMALLEST_P)
+    return max(float(np.exp(-max(evidence, 0.0))), 1e-300)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +160,7 @@ class Base:
         gain, rank = np.zeros(len(self.family)), np.zeros(len(self.family))
         for (which, at, _), gram in zip(self.family.groups, self.left, strict=True):
             gain[which], rank[which] = _core.blocks_taken(gram, self.right[at], self.family.least[which])
-        return np.minimum(gain, self.rss * _ALL), rank
+        return np.minimum(gain, self.rss * (1.0 - ROUNDING)), rank
 
     @cached_property
     def log_bf(self) -> Floats:
@@ -343,7 +337,7 @@ def reference_of(run: Run, cuts: Ints) -> ReferenceRows:
     for (which, _, _), grams, prior in zip(family.groups, base.left, family.priors, strict=True):
         inside = grams * prior[:, :, None] * prior[:, None, :]
         left[which], there[which] = np.einsum("bkk->b", grams), np.einsum("bkk->b", inside)
-        there[which] *= there[which] > _ROUNDING * np.square(prior).sum(axis=1)
+        there[which] *= there[which] > ROUNDING * np.square(prior).sum(axis=1)
         squares |= dict(zip(which.tolist(), inside, strict=True))
     family.without_twins(base.basis, left)
     kept = np.flatnonzero((there > 0) & np.isfinite(family.log_weight))

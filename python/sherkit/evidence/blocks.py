@@ -16,7 +16,7 @@ from ..base.types import Floats, Ints
 from ..model.effect import Effect, Setting
 from .linearised import Linearised
 from .run import Run
-from .thresholds import FEW_VISITS, NOTHING
+from .thresholds import FEW_VISITS, ROUNDING
 
 # -- Columns and blocks ------------------------------------------------------------------------------------------------
 
@@ -250,7 +250,7 @@ class Columns:
             squares, rows = np.empty(len(part)), len(self.run) * (1 if part.alone else part.axes)
             for few in np.array_split(np.arange(len(part)), max(-(-len(part) * rows // _TOGETHER), 1)):
                 squares[few] = np.square(self._white(part, part.values(few))).sum(axis=(0, 1))
-        return np.sqrt(np.where(squares > NOTHING * power, squares, 0.0))
+        return np.sqrt(np.where(squares > ROUNDING * power, squares, 0.0))
 
 
 # -- What is fixed before a run is read --------------------------------------------------------------------------------

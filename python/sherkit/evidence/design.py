@@ -18,13 +18,14 @@ import scipy
 
 from ..base import linalg
 from ..base.types import Bools, Floats
+from .thresholds import ROUNDING
 
 #: What is so much larger than noise is found.
 _LARGEST = 1e5
-#: Rounds of exchanges; one that gains less than this in the logarithm of the determinant is none.
-_ROUNDS, _LEAST_GAIN = 50, 1e-9
+#: Rounds of exchanges.
+_ROUNDS = 50
 #: Part of the largest eigenvalue of an information below which a direction is not observed, and its variance then.
-_UNSEEN, _FREE = 1e-10, 1e8
+_FREE = 1e8
 
 
 def power(square: float, rank: float, level: float, free: float = np.inf) -> float:
@@ -103,7 +104,7 @@ def exchanged(rows: Floats, chosen: Sequence[int]) -> list[int]:
             kept = gains[old]
             gains[out] = -np.inf
             best = int(np.argmax(gains))
-            if gains[best] > kept + _LEAST_GAIN:
+            if gains[best] > kept + ROUNDING:
                 out[k] = best
                 information = rest + rows[best].T @ rows[best]
         if out == before:
@@ -157,7 +158,7 @@ class Rival:
     def _fitted(self) -> tuple[Floats, Floats, Floats]:
         """The root of the inverse of its gram, directions that no row observes, and the fit."""
         value, vector = linalg.eigh(self.gram)
-        keep = value > _UNSEEN * value[-1]
+        keep = value > ROUNDING * value[-1]
         root = vector[:, keep] / np.sqrt(value[keep])
         return root, vector[:, ~keep], root @ (root.T @ self.right)
 

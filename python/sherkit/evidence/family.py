@@ -19,8 +19,6 @@ from .whitening import orthonormal
 
 #: Prior part of all effects together; that of all shapes is the rest.
 EFFECTS = 0.5
-#: Length of what a model leaves of a column of unit length below which it holds it.
-_LEFT = 1e-3
 
 
 class Waves(Protocol):
@@ -151,8 +149,8 @@ class Family:
                 continue
             columns = self.columns.of(block.at)
             columns -= basis @ (basis.T @ columns)
-            if np.linalg.norm(columns) >= _LEFT:
-                ones.append(orthonormal(columns, _LEFT))
+            if np.linalg.norm(columns) >= HELD_EFFECT**0.5:
+                ones.append(orthonormal(columns, HELD_EFFECT**0.5))
         if ones:
             held = np.square(self.columns.products(np.concatenate(ones, axis=1)))
             starts = np.cumsum([0, *(one.shape[1] for one in ones)])[:-1]

@@ -23,11 +23,7 @@ from ..fit.identify import Fit, identify, is_absurd
 from ..model.base import Derivatives, ModelWithEffects, column_slices
 from ..model.effect import Effect, Setting
 from .linearised import Linearised, last_asked
-
-#: Relative difference up to which two noises are the same.
-_SAME = 1e-12
-#: No residual is told from zero below this part of the range of the readings.
-DIGITS = 1e-9
+from .thresholds import ROUNDING
 
 
 class FittedRun(Saved):
@@ -113,7 +109,7 @@ class FittedRun(Saved):
         out = np.ones(len(self.names))
         for a in self.axes:
             used = self.data.readings[self.used[:, a], a]
-            out[a] = max(DIGITS * float(np.ptp(used)) if len(used) else 0.0, 1e-12)
+            out[a] = max(ROUNDING * float(np.ptp(used)) if len(used) else 0.0, 1e-12)
         return out
 
     def owns(self, effect: Effect) -> slice:
@@ -126,7 +122,7 @@ class FittedRun(Saved):
         axes, rows = list(self.axes), self.whole
         reach = np.ptp(self.data.readings[rows][:, axes], axis=0) if rows.any() else np.zeros(len(axes))
         left = np.abs(self.residuals[rows][:, axes]).max(axis=0, initial=0.0)
-        return bool((left <= np.maximum(DIGITS * reach, 1e-12)).all())
+        return bool((left <= np.maximum(ROUNDING * reach, 1e-12)).all())
 
     # -- other fits --------------------------------------------------------------------------------------
 
@@ -182,7 +178,7 @@ class FittedRun(Saved):
         each = self.fit.noise.sigma[rows] if sigma is None else np.where(data.taken, sigma, 1.0)
         noise = ReadingNoise(each, self.fit.noise.origin)
         every = np.array_equal(rows, np.arange(len(self.data)))
-        if every and self._is_minimum and np.allclose(each, self.fit.noise.sigma, rtol=_SAME, atol=0.0):
+        if every and self._is_minimum and np.allclose(each, self.fit.noise.sigma, rtol=ROUNDING, atol=0.0):
             return self
         return FittedRun(identify(self.model, data, noise=noise, start=self.fit.values, priors=self.fit.priors))
 

@@ -10,25 +10,20 @@ import numpy as np
 from ..base.types import Bools, Floats, Ints
 from .blocks import Block, ColumnPart, ReferenceRows, Visits
 from .run import Run
+from .thresholds import SAME_PLACE
 from .whitening import orthonormal
 
 # -- Waves -------------------------------------------------------------------------------------------------------------
 # Waves over the range of a variable: tables of their sines and cosines, and which of them poses can tell.
 
-#: A turn, rad.
-TURN = 2.0 * np.pi
 #: Waves over the range: along a joint, a half wave apart; in time; over a place, which a grid tells less well.
 _JOINT, _TIME, _PLACE = (1.0, 60.0), (1.0, 61.0), (2.0, 12.0)
 #: Of scales and screws, all of one pitch; of a gear.
 CYCLIC, _GEAR = (1.0, 121.0), (3.0, 321.0)
-#: How many times as many waves as values uneven places tell; the mean of a wave over places from which on these see it
-#: as one that is slower.
-_UNEVEN, _ALIAS = 3.0, 0.8
-#: Waves slower than this part of a frequency, and the part of a wave from which on they stand in for it, where values
-#: are too far apart to tell.
-_SLOWER, _STANDS_IN = 0.8, 0.8
-#: Part of a range within which values are the same.
-_SAME = 1e-3
+#: How many times as many waves as values uneven places tell.
+_UNEVEN = 3.0
+#: Part of a wave, or of its frequency, from which on slower ones stand in for it where values are too far apart.
+_STANDS_IN = 0.8
 #: Values that tell whether they do.
 _LOOKED_AT = 2000
 
@@ -39,11 +34,11 @@ def waves_along(values: Floats, tried: tuple[float, float] = _JOINT, *, per_valu
     Lomb-Scargle periodogram", ApJS 2018, section 7.1: the spectral window)."""
     counts = np.arange(*tried, 0.5)
     reach = max(float(np.ptp(values)), 1e-300)
-    places = np.unique(np.round(values / (_SAME * reach))) * _SAME
+    places = np.unique(np.round(values / (SAME_PLACE * reach))) * SAME_PLACE
     if len(places) > counts[-1] or len(places) < 2:
         return np.asarray(counts[counts <= max(len(places), 2)])
     window = np.abs(np.exp(2j * np.pi * np.outer(counts, places)).mean(axis=1))
-    even = window[counts <= _UNEVEN * len(places)].max() > _ALIAS
+    even = window[counts <= _UNEVEN * len(places)].max() > _STANDS_IN
     return np.asarray(counts[counts <= max((per_value if even else _UNEVEN) * len(places), 2)])
 
 
@@ -51,7 +46,7 @@ def waves_of_gear(values: Floats, axes: float) -> Floats:
     """The same of a joint by itself that is read by so many ``axes``: a gear has more waves than what all joints share,
     and slow ones are not told from what else a joint does."""
     counts = np.arange(*_GEAR, 0.5)
-    distinct = len(np.unique(np.round(values / (_SAME * max(float(np.ptp(values)), 1e-300)))))
+    distinct = len(np.unique(np.round(values / (SAME_PLACE * max(float(np.ptp(values)), 1e-300)))))
     return np.asarray(counts[counts <= max(0.5 * axes * distinct, 2)])
 
 
@@ -83,7 +78,7 @@ def distinguishable_waves(values: Floats, counts: Floats) -> Bools:
     u = (some - some[0]) / (some[-1] - some[0])
     out = np.ones(len(counts), dtype=bool)
     for k, count in enumerate(counts.tolist()):
-        half = np.arange(0, 2.0 * _SLOWER * count + 1e-9)
+        half = np.arange(0, 2.0 * _STANDS_IN * count + 1e-9)
         if 2 * len(half) < len(some):
             basis = orthonormal(np.cos(np.pi * np.outer(u, half)), 1e-6)
             waves = np.stack([np.sin(2 * np.pi * count * u), np.cos(2 * np.pi * count * u)], axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import tau
 
 import numpy as np
 
@@ -11,9 +12,9 @@ from ..base.types import Floats
 from ..fit.identify import ABSURD
 from .base import Base, log_bayes
 from .blocks import Block
-from .made import TURN
-from .sets import MOST, EffectSet, Sets, ShapeDescription
-from .thresholds import ALARM, COUNTS, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED, is_plausible, times_plausible
+from .plausible import is_plausible, times_plausible
+from .sets import EffectSet, Sets, ShapeDescription
+from .thresholds import ALARM, MOST, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
@@ -117,7 +118,7 @@ def _judged(sets: Sets, lead: EffectSet, found: list[EffectSet], alone: ShapeDes
     # three or more with many numbers imitate anything; what no shape follows is left, too, where poses are off by
     # errors of their own
     own = lead.base.own_errors()
-    off = own is not None and own.evidence > ALARM and own.part > COUNTS
+    off = own is not None and own.evidence > ALARM
     many = len(lead.blocks) > 2 and sum(len(b.effect.parameters) for b in lead.blocks if b.effect) > _FEW
     partly = not lead.explains or judged.shapes_say_more or many or off
     told: dict[str, Told] = {}
@@ -222,7 +223,7 @@ def _never_repeats(lead: EffectSet, block: Block) -> bool:
     most = int(np.argmax(np.square(moved[:, ::2] + moved[:, 1::2]).sum(axis=0)))
     period = setting[most] if isinstance(setting, tuple) else setting
     # what is nearer to two a turn than to three
-    slowest = TURN / 2.5 if block.effect.search == "period_rad" else np.inf
+    slowest = tau / 2.5 if block.effect.search == "period_rad" else np.inf
     reach = float(np.ptp(run.view.stood[run.view.waving(block.effect)[most]]))
     return period <= slowest and reach < _REPEATS * period
 

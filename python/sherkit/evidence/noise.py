@@ -19,11 +19,8 @@ from .family import Family
 from .ripple import ripple_of
 from .run import Run, shared_by_targets
 from .settings import refined, unit_columns
-from .thresholds import ALARM
+from .thresholds import A_FEW, ALARM
 from .whitening import InCommon, Whitening, correlation_in_time, orthonormal
-
-#: Most blocks beside which the correlation is looked at.
-_MOST = 6
 
 
 def base_of(run: Run, effects: Sequence[Effect]) -> Base:
@@ -57,7 +54,7 @@ def _weighed(run: Run, effects: Sequence[Effect]) -> Base:
         for white in [run.white, *([run.white.with_rho(rho)] if rho else []), *_by_pose(now)]:
             best = max(best, (_score(first, now, found, white, loud), white, loud, now), key=lambda one: one[0])
         i = int(np.argmax(now.each))
-        if len(found) == _MOST or now.each[i] < 0:
+        if len(found) == A_FEW or now.each[i] < 0:
             break
         found.append(refined(now, family.blocks[i]))
         now = _beside(now, found[-1])

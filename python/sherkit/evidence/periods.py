@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import tau
 
 import numpy as np
 import scipy
@@ -18,14 +19,12 @@ from ..base.types import Floats, Ints
 from ..model.effect import Effect, Setting
 from .base import Base
 from .blocks import Block
-from .made import TURN
 from .ripple import CLEARLY, Ripple, ripple_of, wave_takes
 from .settings import columns_at
+from .thresholds import A_FEW
 
 #: A frequency of the grid may lie half a step off its peak and take this part of it.
 _NEAR_PEAK = 0.6
-#: Aliases that are named.
-_MOST_ALIASES = 6
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Period:
         if isinstance(self.block.setting, tuple):
             return (f"{effect.name}: {self.made_by or 'waves '}of {self._of_each(unit)}",)
         value = _told(self.value, self.std)
-        per_turn = f", {round(TURN / self.value)} per turn" if unit == "rad" else ""
+        per_turn = f", {round(tau / self.value)} per turn" if unit == "rad" else ""
         out = []
         if not self.chosen:
             joints = f" ({self.made_by}of {listed(self._joints)})" if self.own and self.made_by else ""
@@ -87,7 +86,7 @@ class Period:
         out = []
         for joint, name in zip(self._joints, (one for one in self.own.joints if one in self.own.found), strict=True):
             frequency, std = self.own.found[name]
-            count, off = TURN * frequency, TURN * std
+            count, off = tau * frequency, tau * std
             if unit != "rad":
                 at = f"{_told(1.0 / frequency, std / frequency**2)} {unit}"
             else:
@@ -136,7 +135,7 @@ def period_of(base: Base, effect: Effect) -> Period | None:
     best, most = _peak(taken, at[int(np.argmax(gains))], step, ring=ring)
     noise = (base.rss - most) / max(base.free - 2 * len(spans), 1)
     had = next(period for one, period in view.periodic if one.name == effect.name)
-    usual = 0.5 * TURN if had is None and ring else had if isinstance(had, float) else None
+    usual = 0.5 * tau if had is None and ring else had if isinstance(had, float) else None
     least = (2.0 * np.log(len(at)) + CLEARLY) * noise
     if usual is not None and 1.0 / usual <= at.max() + step and most - taken(1.0 / usual) < least:
         best, most = 1.0 / usual, taken(1.0 / usual)
@@ -159,7 +158,7 @@ def period_of(base: Base, effect: Effect) -> Period | None:
             most, block = _taken(base, effect, each), replace(block, setting=each)
     if given is not None and isinstance(had, tuple) and most - _taken(base, effect, had) < least:
         block = given
-    aliases = tuple(1.0 / one for one in others[:_MOST_ALIASES])
+    aliases = tuple(1.0 / one for one in others[:A_FEW])
     made_by = f"{model.waves_are} " if model.waves_are else ""
     return Period(block, 1.0 / best, float(std), had, aliases, model.period_in_file, own, made_by)
 
@@ -178,8 +177,8 @@ def _taken(base: Base, effect: Effect, period: Setting) -> float:
 def _peak(taken: Callable[[float], float], near: float, step: float, *, ring: bool) -> tuple[float, float]:
     """The frequency at which a wave takes most, and how much, about one of the grid; of a ring whole numbers a turn."""
     if ring:
-        turns = np.arange(np.round(TURN * (near - step)), np.round(TURN * (near + step)) + 1.0)
-        return max(((k / TURN, taken(k / TURN)) for k in turns.tolist() if k >= 2.0), key=lambda one: one[1])
+        turns = np.arange(np.round(tau * (near - step)), np.round(tau * (near + step)) + 1.0)
+        return max(((k / tau, taken(k / tau)) for k in turns.tolist() if k >= 2.0), key=lambda one: one[1])
     found = scipy.optimize.minimize_scalar(
         lambda f: -taken(f), bounds=(max(near - step, 0.5 * near), near + step), method="bounded",
         options={"xatol": 1e-3 * step},

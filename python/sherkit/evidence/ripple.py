@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import comb
+from math import comb, tau
 
 import numpy as np
 import scipy
@@ -18,16 +18,15 @@ from ..model.effect import Effect
 from .base import Base
 from .blocks import Block, Columns, Visits
 from .family import Family
-from .made import TURN, Maker, waves_of_gear
+from .made import Maker, waves_of_gear
 from .run import Run
+from .thresholds import ROUNDS
 
 #: Change of χ² from which on a period counts as better than another, besides what choosing among all brings by
 #: chance: beyond it the odds are "very strong" (Kass and Raftery, "Bayes factors", JASA 1995).
 CLEARLY = 10.0
 #: Part of a wave's square that what is in the model must leave for it to be seen.
 SEEN = 0.01
-#: Rounds in which the periods of joints are looked for beside each other.
-_ROUNDS = 5
 #: Waves over a joint's range by which its frequency may still move.
 _MOVED = 0.02
 #: Deviation up to which a whole number of waves a turn is told from the next.
@@ -65,7 +64,7 @@ class Ripple:
         """A block of the waves that were found, at the periods of all."""
         view, pieces = made.view, []
         for name, (frequency, _) in self.found.items():
-            angle = TURN * frequency * view.stood[name]
+            angle = tau * frequency * view.stood[name]
             pieces.append((made.waves_of(name, angle, np.ones(1)), np.arange(2)))
         made.add("effect", (), pieces, effect=self.effect, setting=self.likeliest, ways=self.ways)
 
@@ -124,7 +123,7 @@ def ripple_of(base: Base, effect: Effect, *, alone: bool = False) -> Ripple | No
         again([name])
         if name not in found:
             break
-    for _ in range(_ROUNDS if len(found) > 1 else 0):
+    for _ in range(ROUNDS if len(found) > 1 else 0):
         if not again(list(found)):
             break
     if not found:
@@ -169,7 +168,7 @@ def _pairs_of(run: Run, effect: Effect, name: str, given: float | None) -> Famil
     counts = waves_of_gear(values, view.axes / view.ends) if given is None else np.array([reach / given])
     if not reach > 0 or not len(counts):
         return None
-    part = made.waves_of(name, TURN * values / reach, counts)
+    part = made.waves_of(name, tau * values / reach, counts)
     for k, count in enumerate(counts.tolist()):
         pair = np.array([k, len(counts) + k])
         made.add("effect", (), [(part, pair)], effect=effect, setting=reach / count, pattern=name)
@@ -204,7 +203,7 @@ def _beside(base: Base, found: Mapping[str, tuple[float, float]]) -> Base:
 
 def _pair(run: Run, name: str, frequency: float) -> Floats:
     """Sine and cosine (N, 2) of a joint."""
-    angle = TURN * frequency * run.view.stood[name]
+    angle = tau * frequency * run.view.stood[name]
     return run.flat(run.view.arriving(name, np.stack([np.sin(angle), np.cos(angle)], axis=1)))
 
 
@@ -239,8 +238,8 @@ def _peak(base: Base, effect: Effect, name: str, near: float, *, is_given: bool)
     noise = _noise(base, most)
     bend = (2.0 * most - takes(best - h) - takes(best + h)) / h**2
     std = float(np.sqrt(2.0 * noise / bend)) if bend > 0 else np.inf
-    whole = max(round(TURN * best), 2) / TURN
-    told = effect.search == "period_rad" and TURN * std < _TOLD
+    whole = max(round(tau * best), 2) / tau
+    told = effect.search == "period_rad" and tau * std < _TOLD
     if told and most - (exactly := takes(whole)) < CLEARLY * noise:
         return whole, std, exactly
     return best, std, most

@@ -18,12 +18,10 @@ from ..model.effect import Effect
 from .fitted_run import FittedRun
 from .linearised import Linearised
 from .thresholds import PLAUSIBLE, UNEVEN
-from .whitening import InCommon, Whitening, independent
+from .whitening import MOST_IN_COMMON, InCommon, Whitening, independent
 
 #: Fewest rows of which anything can be said.
 _FEWEST = 10
-#: Part of the noise that rows of a pose may have in common.
-_ALL = 0.999
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +138,7 @@ def weighed_run(fit: FittedRun, rows: Ints, effects: Sequence[Effect], sigma: Fl
     axes = list(fit.axes)
     part = float(np.mean(np.square(fit.data.pose_sigma[rows][:, axes] / sigma[axes])))
     # where it is all the noise that is known, nothing is known of what repeats differ by
-    in_common = InCommon.part(view.repeated, part) if 0.0 < part < _ALL else None
+    in_common = InCommon.part(view.repeated, part) if 0.0 < part < MOST_IN_COMMON else None
     return Run(fit, rows, sigma, view, Whitening(0.0, lag, back, in_common))
 
 

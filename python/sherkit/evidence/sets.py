@@ -17,15 +17,14 @@ from .base import Base, total
 from .blocks import Block
 from .family import Family
 from .fitted_run import FittedRun
+from .plausible import displaces, is_plausible
 from .run import Run
 from .settings import refined
-from .thresholds import ALARM, TIED, displaces, is_plausible
+from .thresholds import A_FEW, ALARM, MOST, TIED
 
 # -- Described by shapes -----------------------------------------------------------------------------------------------
 # Shapes that describe what a model leaves, one after another, as long as the readings favour one more.
 
-#: Most shapes of a description.
-MOST = 10
 #: Likeliest shapes among which different beginnings are looked for.
 _LIKELIEST = 200
 
@@ -78,21 +77,17 @@ def _from(base: Base, first: int, most: int) -> ShapeDescription:
 
 #: Prior odds of one more effect.
 ONE_MORE = float(np.log(0.1))
-#: Single effects that are refitted, and those that take nearly as much as any does, whatever they say.
-_SINGLES, _TAKE, _NEARLY = 6, 9, 0.85
+#: What takes so much of what the most does is refitted, whatever it says.
+_NEARLY = 0.8
 #: By how much less, in nats and as a part, a single may say to first order than one that explains, to be refitted.
 _BEHIND, _PART_BEHIND = 60.0, 0.1
-#: Pairs: beside how many sets, how many seconds each; to first order, of how many firsts.
-_BESIDE, _SECONDS, _FIRSTS, _THIRDS = 6, 4, 14, 3
+#: Pairs: how many seconds each, and to first order, of how many firsts.
+_SECONDS, FIRSTS = 4, 14
 #: Nats that an effect must say by itself before overtones of it are asked for: a worn spot, which is none, says 46 of a
 #: wave, one of five noises 594.
 _TONE = 100.0
 #: Most effects of a set.
 _MOST_EFFECTS = 4
-#: What is counted of a pair, at least.
-_PAIR = 2
-#: Sets that are described with shapes beside them, and shapes of each.
-_MIXED, _SHAPES = 5, 6
 
 
 _Key = tuple[str, str, Setting, int]
@@ -225,7 +220,7 @@ class Sets:
 
     def _settled(self, singles: Sequence[EffectSet]) -> bool:
         """Whether one of them explains, and no pair would be less."""
-        return any(one.explains and self.counted(one) <= _PAIR for one in singles)
+        return any(one.explains and self.counted(one) <= 2 for one in singles)
 
     def leading(self, sets: Sequence[EffectSet]) -> EffectSet:
         """The set that leads: of those that explain, plausible ones first; where shapes beside effects say clearly
@@ -235,7 +230,7 @@ class Sets:
         lead = self._of_the_machine(lead, explaining)
         partly = [one for one in sets if not one.explains]
         partly.sort(key=lambda one: -(one.value + max(float(one.base.shapes.max(initial=-np.inf)), 0.0)))
-        both = [(one.value + self.described(one.base, _SHAPES, 1).evidence, one) for one in partly[:_MIXED]]
+        both = [(one.value + self.described(one.base, MOST, 1).evidence, one) for one in partly[:A_FEW]]
         if both:
             value, mixed = max(both, key=lambda one: one[0])
             if not explaining or value > lead.value + TIED:
@@ -273,7 +268,7 @@ class Sets:
             assert step.effect is not None, "it is one"
             other = self.fitted([*others, refined(beside, step)]) if block.effect.link != step.effect.link else None
             equivalent_models = lead.base.rss * (1.0 + 2.0 * TIED / lead.base.free)
-            if other is not None and other.base.rss < equivalent_models and (other.explains or not lead.explains):
+            if other is not None and other.base.rss < equivalent_models:
                 # it stands in the other's place: its numbers more are those of where it was put
                 other = replace(other, value=max(other.value, lead.value))
                 self._fitted[_key(other.blocks)] = other
@@ -311,11 +306,11 @@ class Sets:
 
     def _singles(self) -> list[EffectSet]:
         each, gain = self.base.each, self.base.gains[0]
-        blocks = likeliest(self.family, each, _SINGLES)
+        blocks = likeliest(self.family, each, A_FEW)
         # a cause of many numbers stands behind each that imitates it
         for i in np.argsort(-gain).tolist():
             block = self.family.blocks[i]
-            if len(blocks) >= _TAKE or gain[i] <= _NEARLY * gain.max():
+            if gain[i] <= _NEARLY * gain.max():
                 break
             if block.effect is not None and block.name not in {one.name for one in blocks}:
                 blocks.append(block)
@@ -344,14 +339,14 @@ class Sets:
 
         # what explains by itself is no half of a pair, but a part of it may be
         whole = [one.blocks[0] for one in sets if one.explains]
-        for one in [one for one in sets if not one.explains][:_BESIDE]:
+        for one in [one for one in sets if not one.explains][:A_FEW]:
             for block in likeliest(self.family, one.each, _SECONDS, one.names, whole):
                 add(one.log_bf + float(one.each[self.family.where(block)]), one.blocks[0], block, again=True)
         of_effects = self._of_effects
-        for first in likeliest(of_effects.family, of_effects.each, _FIRSTS, (), whole):
+        for first in likeliest(of_effects.family, of_effects.each, FIRSTS, (), whole):
             beside = of_effects.beside(first)
             alone = float(of_effects.log_bf[of_effects.family.where(first)])
-            for block in likeliest(of_effects.family, beside.each, _THIRDS, (first.name,), whole):
+            for block in likeliest(of_effects.family, beside.each, _SECONDS, (first.name,), whole):
                 add(alone + float(beside.each[of_effects.family.where(block)]), first, block, again=False)
         out = []
         for _, a, b in sorted(pairs.values(), key=lambda pair: -pair[0])[: self.refits]:

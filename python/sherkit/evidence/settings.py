@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import tau
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ..model.effect import Effect, Setting
 from .base import Base
 from .blocks import Block
 from .linearised import Linearised
-from .made import MOMENTS, TURN
+from .made import MOMENTS
 from .ripple import ripple_of
 from .run import Run
 from .shapes import stepped
@@ -33,7 +34,7 @@ def columns_at(run: Run, effect: Effect, setting: Setting | None) -> Floats:
     if effect.is_periodic:
         names = view.waving(effect)
         each = setting if isinstance(setting, tuple) else [setting] * len(names)
-        angles = {name: TURN * view.stood[name] / one for name, one in zip(names, each, strict=True)}
+        angles = {name: tau * view.stood[name] / one for name, one in zip(names, each, strict=True)}
         waves = [view.arriving(k, np.stack([np.sin(angles[k]), np.cos(angles[k])], axis=1)) for k in names]
         return np.concatenate(waves, axis=2)
     assert not isinstance(setting, tuple), "only waves have one for each joint"
@@ -85,7 +86,7 @@ def finer(base: Base, block: Block) -> Block:
     reach = float(np.ptp(values))
 
     def takes(count: float) -> float:
-        angle = TURN * (values - values.min()) * count / reach
+        angle = tau * (values - values.min()) * count / reach
         waves = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         waves = waves - waves.mean(axis=0)
         if block.pattern is None:

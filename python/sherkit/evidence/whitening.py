@@ -11,9 +11,10 @@ import scipy
 
 from ..base import linalg
 from ..base.types import Floats, Ints
+from .thresholds import DIFFERENCES, ROUNDING
 
 #: Part of the noise that rows have in common at most: repeats that are equal but for rounding are no exact ones.
-MOST_IN_COMMON = 1.0 - 1e-9
+MOST_IN_COMMON = 1.0 - ROUNDING
 
 
 class InCommon:
@@ -144,12 +145,7 @@ def orthonormal(columns: Floats, tolerance: float = 1e-9) -> Floats:
     return flat
 
 
-#: Part of the largest singular value, of columns of unit length, below which a direction is rounding: derivatives that
-#: are differences carry eight digits.
-_ROUNDING = 1e-7
-
-
-def independent(columns: Floats, tolerance: float = _ROUNDING) -> Floats:
+def independent(columns: Floats, tolerance: float = DIFFERENCES) -> Floats:
     """An orthonormal basis (N, rank) of columns (N, p), whichever their order and units.
 
     Rank is decided by the singular values of the triangle, which keeps every length to the last digits: a Gram matrix

@@ -23,19 +23,12 @@ from ..errors import EffectError, FitError
 from ..evidence.base import gain_asked
 from ..evidence.design import needed, power
 from ..evidence.family import EFFECTS
+from ..evidence.thresholds import DIFFERENCES, LEVEL, POWER, TWIN
 from ..evidence.whitening import independent
 from ..model.base import missing_columns
 from ..model.chain import ChainModel
 from ..model.effect import Effect, Parameter
 from .poses import PoseDesign, design_of
-
-#: An effect counts as found at this level, and a size as one that would be found with this power.
-LEVEL = 0.01
-POWER = 0.8
-#: Singular values below this share of the largest are directions that nothing here observes.
-_UNOBSERVED = 1e-7
-#: So much of an effect is in the fitted parameters that it counts as absorbed.
-_ABSORBED = 0.95
 
 
 @dataclass(frozen=True)
@@ -63,7 +56,7 @@ class EffectPower:
     @property
     def is_absorbed(self) -> bool:
         """Whether the fitted parameters would take most of it."""
-        return self.absorbed > _ABSORBED
+        return self.absorbed > TWIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +97,7 @@ class Planning:
     @cached_property
     def _basis(self) -> Floats:
         """An orthonormal basis (readings, rank) of what the free parameters can move."""
-        return independent(self._columns(self.model), _UNOBSERVED)
+        return independent(self._columns(self.model), DIFFERENCES)
 
     def _columns(self, model: ChainModel) -> Floats:
         """Derivatives (readings, p) in units of the noise, by plausible sizes."""
@@ -153,7 +146,7 @@ class Planning:
         # twice: the first leaves some rounding
         for basis in 2 * [self._basis] + (2 * [beside] if beside is not None else []):
             columns = columns - basis @ (basis.T @ columns)
-        kept = np.linalg.norm(columns, axis=0) > _UNOBSERVED * np.linalg.norm(raw, axis=0)
+        kept = np.linalg.norm(columns, axis=0) > DIFFERENCES * np.linalg.norm(raw, axis=0)
         return np.asarray(columns * kept)
 
     def power(self, name: str, values: Mapping[str, float]) -> float:
@@ -173,7 +166,7 @@ class Planning:
         share = np.array([values.get(p.name, 0.0) / p.size for p in effect.parameters])
         at, whole = (float(((columns @ share) ** 2).sum()) for columns in (left, self._raw[name]))
         # along a direction that the parameters take wholly, what is left is rounding
-        seen = at > _UNOBSERVED**2 * whole
+        seen = at > DIFFERENCES**2 * whole
         times = float(np.sqrt(needed(POWER, *self._test(left, name)) / at)) if seen else float("inf")
         return {name: times * value for name, value in values.items()}
 
@@ -237,7 +230,7 @@ class Planning:
             others = self._left(other)
             if _rank(others, self._raw[other]) == 0:
                 continue
-            basis = independent(others, _UNOBSERVED)
+            basis = independent(others, DIFFERENCES)
             left = self._left(name, basis)
             if power(float((left**2).sum()), *self._test(left, name, basis.shape[1])) < POWER:
                 out.append(other)
@@ -261,4 +254,4 @@ def _rank(left: Floats, raw: Floats) -> int:
     """How many directions of an effect are left: what is as small as rounding is none."""
     size = np.linalg.norm(raw, axis=0)
     scaled = left / np.where(size > 0, size, 1.0)
-    return int((linalg.singular_values(scaled) > _UNOBSERVED).sum())
+    return int((linalg.singular_values(scaled) > DIFFERENCES).sum())

@@ -18,11 +18,9 @@ from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..errors import FitError, ShapeError
 from ..evidence.design import exchanged, showing
+from ..evidence.thresholds import ROUNDING
 from ..model.chain import ChainModel
 from ..model.effect import Parameter
-
-#: Singular values below this share of the largest are directions that no pose observes.
-_UNOBSERVED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +96,7 @@ def _observed(
     # as identification does it, so that both hold the same directions
     size = np.array([p.size for p in model.parameters])
     _, singular, right = linalg.svd((by * size).reshape(-1, len(size)), full_matrices=False)
-    basis = right[singular > _UNOBSERVED * singular[0]].T
+    basis = right[singular > ROUNDING * singular[0]].T
     return (by * size) @ basis, size, basis
 
 

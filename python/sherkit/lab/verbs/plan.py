@@ -18,8 +18,9 @@ from ...cli.paths import InputFile, OutputFile
 from ...data import Measurements
 from ...diagnosis.sensor_pose import pose_in_words, taken_by_pose
 from ...errors import SherkitError
+from ...evidence.thresholds import LEVEL, POWER
 from ...model.kinds import Robot, kind_of, model_of
-from ...planning.effect_power import LEVEL, POWER, EffectPower, Planning, planning_of
+from ...planning.effect_power import EffectPower, Planning, planning_of
 from ...planning.power import DetectionCount, EffectSize, study_power
 from ...robots.machine import robot_at
 from ..experiment import Experiment, load_experiment
