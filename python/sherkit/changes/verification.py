@@ -55,8 +55,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
     known = Known.of(made)
     # as of a robot's file, its names are those of files
-    names = made.columns if isinstance(run, str | PathLike) else {}
-    data = rows_of(made.robot, known.model, run, names or None)
+    called = made.columns if isinstance(run, str | PathLike) else {}
+    data = rows_of(made.robot, known.model, run, called or None)
     data = data.select(np.argsort(data.order, kind="stable"))
     axes = axes_of(data)
     if not axes:
