@@ -429,7 +429,7 @@ def hidden_at(arm: Serial, name: str, ratio: float, seed: int) -> dict[str, Any]
     return {field: value if field == "per_turn" else by * value for field, value in made.items()}
 
 
-@pytest.mark.parametrize("name", ["sensor_slip"])
+@pytest.mark.parametrize("name", ["sensor_slip", "slip"])
 def test_an_effect_is_found(name: str, ur5: Serial) -> None:
     """Catches an effect of an arm that is taken for another, or not seen at twice the noise."""
     found = sk.diagnose(ur5, simulated(ur5, 1, 200, **hidden_at(ur5, name, 2.0, 1)))

@@ -237,3 +237,24 @@ def test_fibres_are_not_read_from_the_future(tmp_path: Path) -> None:
     told = applied(model, fitted(model, "fibre_delay"))
     assert (told.written, told.kept_out) == ((), ("fibre_delay",))
     assert "put their time_s right" in told.why[0]
+
+
+def test_decimal_commas_are_read(tables: dict[str, pl.DataFrame], tmp_path: Path) -> None:
+    """Catches a table of the tool with commas for decimal points, as programs here write them, that is refused at its
+    first cell, where runs of other robots are read."""
+    run = tables["run"]
+    written = run.select(pl.col(pl.Float64).cast(pl.String).str.replace(r"\.", ","))
+    written.write_csv(tmp_path / "run.csv", separator=";", quote_style="never")
+    (read, wanted) = (read_tool_run(tmp_path / "run.csv"), tool_run_of(run, "run"))
+    np.testing.assert_array_equal(read.wavelengths_nm, wanted.wavelengths_nm)
+    np.testing.assert_array_equal(read.position_mm, wanted.position_mm)
+
+
+def test_before_the_hole_there_is_no_depth(tables: dict[str, pl.DataFrame]) -> None:
+    """Catches a known depth below zero that the filter is judged by: it says none of a tip that has left the eye, and
+    a sound tool was "overconfident" (9 of 9)."""
+    run = tables["run"].with_columns(depth_mm=C("depth_mm") - 10.0)
+    read = tool_run_of(run, "run").depth_mm
+    assert read is not None
+    assert np.nanmin(read) == 0.0
+    assert np.nanmax(read) == pytest.approx(tables["run"]["depth_mm"].max() - 10.0)

@@ -44,7 +44,7 @@ class ArmPhysics:
             late, came, velocity = time >= slips_s, covariates[2 : 2 + k], covariates[2 + k : 2 + 2 * k]
             point = self.true_target(read, came, velocity, int(number) - 1, warmth - 20.0, payload, late)
             point = point * (1.0 + hidden.warmth_per_c * (warmth - 20.0))
-            point = point + np.asarray(hidden.rate_mm_h) * time / 3600.0 + np.asarray(hidden.step_mm) * late
+            point = point + np.asarray(hidden.rate_mm_h) * time / 3600.0
             point = point + np.asarray(hidden.stand_mm_per_c) * (stand - 20.0)
             out[row, :3] = self.seen(point, late)
             centre, plane = (np.nan, np.nan) if ends is None else ends[row]
@@ -118,7 +118,8 @@ class ArmPhysics:
         payload_kg: float = 0.0, late: bool = False,
     ) -> Floats:  # fmt: skip
         """A target (3,), mm, base frame, for joints that are read (k,), with the direction from which they came, the
-        links warmer than the drawing, and what hangs at the first target; ``late`` once joints have slipped."""
+        links warmer than the drawing, and what hangs at the first target; ``late`` once joints and targets have
+        slipped."""
         k, hidden = len(read), self.effects
         home = np.array([np.deg2rad(j.home) if not j.slides else j.home for j in self.robot.joints])
 
@@ -146,7 +147,8 @@ class ArmPhysics:
         grown = warmer_c * np.broadcast_to(np.asarray(hidden.growth_per_c, dtype=float), (k + 1,))
         target = np.asarray(self.robot.targets_mm[number], dtype=float)
         tools = np.broadcast_to(np.asarray(self.tool_mm, dtype=float), (len(self.robot.targets_mm), 3))
-        moved = _aligning(tuple(self.robot.joints[-1].axis)).as_matrix() @ tools[number]
+        moved = tools[number] + np.asarray(hidden.step_mm) * late
+        moved = _aligning(tuple(self.robot.joints[-1].axis)).as_matrix() @ moved
         return (self._frames(real, grown=grown)[-1] @ [*((target + moved) * (1.0 + grown[-1])), 1.0])[:3]
 
     def seen(self, point: Floats, late: bool) -> Floats:

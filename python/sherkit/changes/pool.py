@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from ..fit.error import axes_of
 from ..fit.identify import identify
 from ..model.effect import Effect
 from ..model.kinds import Robot, model_of, required_um
-from ..model.robot_file import RobotLike, robot_of, run_for
+from ..model.robot_file import RobotLike, load_robot, run_for
 from ..model.sensor_pose import POSE
 from .courses import lacking
 from .pooled_fit import Joined
@@ -172,9 +173,12 @@ def _but_for_its_stand(joined: Joined) -> str:
     if not set(POSE) <= {f"sensor_{name.rpartition('_')[0]}" for name in run.stand.moved}:
         return ""
     basis = orthonormal(stand)
-    same = ["its base"] if joined.model.targets_anywhere else ["its base", "a tool that shifts all places alike"]
-    for effect in held_of(joined.model):
-        columns = joined.held(number)[effect.name][run.rows].reshape(len(stand), -1)
+    same = ["its base"]
+    if run.data.layout.unit == "µm" and not joined.model.targets_anywhere:
+        same.append("a tool that shifts all places alike")
+    every = {**run.columns, **joined.held(number)}
+    for effect in (one for one in (*joined.candidates, *held_of(joined.model)) if one.frees):
+        columns = every[effect.name][run.rows].reshape(len(stand), -1)
         left = columns - basis @ (basis.T @ columns)
         if np.linalg.norm(left) < _AS_STAND * np.linalg.norm(columns):
             same += [p.name for p in effect.parameters]
@@ -211,8 +215,13 @@ def sees_of(smallest: float | None, unit: str) -> str:
 
 def read_runs(robot: RobotLike, runs: Sequence[RunLike]) -> list[Measurements]:
     """The rows of each run of a robot, under the names that its file gives."""
-    model = model_of(robot_of(robot))
+    model = model_of(made_of(robot))
     return [rows_of(robot, model, run) for run in runs]
+
+
+def made_of(robot: RobotLike) -> Robot:
+    """A robot as it is, or read from its file."""
+    return load_robot(robot) if isinstance(robot, str | PathLike) else robot
 
 
 def rows_of(robot: RobotLike, model: Any, run: RunLike, columns: Columns | None = None) -> Measurements:

@@ -7,30 +7,48 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.types import Floats, Ints
+from ..base.types import Bools, Floats, Ints
 
 # -- The order of time -------------------------------------------------------------------------------------------------
 
 #: A joint that moved by less than this part of its range stood still.
 _NO_MOTION = 1e-9
+#: Turns that make a course there and back, and the part of its rows that they are at most.
+_FEWEST_TURNS, _SELDOM = 2, 0.25
 
 
 def directions(joints: Floats, order: Ints, *, begins: float) -> Floats:
     """Sign (n, k) of the last motion of each joint (n, k), in the ``order`` (n,) of time; ``begins`` before the first.
 
-    A joint that was sent to where it stood moves by the last digit of a number, if at all: that is no motion.
+    A joint that was sent to where it stood moves by the last digit of a number, if at all: that is no motion. But where
+    it goes there and back and stands still nowhere else, what it reads a second time where it turns it has come back to
+    from beyond, as ISO 230-2 has it.
     """
     if not len(joints):
         return joints.copy()
     at = np.argsort(order, kind="stable")
     move = np.diff(joints[at], axis=0, prepend=joints[at[:1]])
     step = np.where(np.abs(move) > _NO_MOTION * np.ptp(joints, axis=0), np.sign(move), 0.0)
+    stood = (step == 0).all(axis=1)
+    for course in step.T:
+        turned = _turned(course, stood)
+        course[turned] = course[turned + 1]
     # where a joint did not move, the direction of the motion before still holds
     last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step))[:, None], 0), axis=0)
     step[:1] = begins
     out = np.empty_like(step)
     out[at] = np.take_along_axis(step, last, axis=0)
     return out
+
+
+def _turned(step: Floats, stood: Bools) -> Ints:
+    """Rows at which all joints ``stood`` (n,) and one of them, of its motions (n,), turns: where it turns nowhere else,
+    nor stands, and seldom; none else."""
+    still, moves = np.flatnonzero(step[1:-1] == 0) + 1, step[step != 0]
+    turns = int(np.count_nonzero(np.diff(moves)))
+    at_turns = stood[still] & (step[still - 1] != 0) & (step[still + 1] == -step[still - 1])
+    seldom = _FEWEST_TURNS <= len(still) <= _SELDOM * len(step)
+    return still if seldom and turns == len(still) and at_turns.all() else still[:0]
 
 
 #: Rows that follow within this time, s, may have been read in motion.

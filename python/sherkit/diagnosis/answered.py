@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..base.figures import listed
 from ..base.types import Floats, Ints
 from ..data.doubts import DataWarning
 from ..evidence.base import chance_of
 from ..evidence.fitted_run import FittedRun
+from ..evidence.names import alike_in_model
 from ..evidence.plausible import implausible
 from ..fit.set_up import Mistake
 from .checks import checks_of
@@ -85,6 +87,8 @@ def diagnosis_of(looked: Looked) -> Diagnosis:
             "as noise; look for what changes slowly (temperature, humidity, a stand that gives way) and record it as a "
             "column"
         )
+    for name, others in ({} if run.is_exact or mistakes else alike_in_model(found.first)).items():
+        caveats.append(f"{name}, which is in the model, is not told from {listed(others)} by these rows")
     indistinguishable = _ties(found)
     base, view = found.first, found.first.family.run.view
     fits = {name: tied.run.of for tied in reversed(found.ties) for name in tied.names}

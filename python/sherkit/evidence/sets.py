@@ -238,15 +238,15 @@ class Sets:
         return self._of_the_instrument(lead)
 
     def _of_the_machine(self, lead: EffectSet, others: Sequence[EffectSet]) -> EffectSet:
-        """Where an instrument's and a machine's effect say the same of these rows, that of the machine: the instrument
-        is what all is measured by."""
-        if len(lead.blocks) != 1 or not _at_sensor(lead):
+        """Where an instrument's and a machine's effect say the same of these rows, beside another or alone, that of the
+        machine: the instrument is what all is measured by."""
+        if not _at_sensor(lead):
             return lead
         most = lead.base.rss * (1.0 + 2.0 / lead.base.free)
         same = [
             one for one in others
-            if one.base.rss < most and one.value > lead.value - TIED and not _at_sensor(one)
-            and one.plausible >= lead.plausible
+            if one.base.rss < most and one.value > lead.value - TIED and _at_sensor(one) < _at_sensor(lead)
+            and len(one.blocks) == len(lead.blocks) and one.plausible >= lead.plausible
         ]  # fmt: skip
         return max(same, key=lambda one: one.value, default=lead)
 
@@ -381,8 +381,8 @@ def _each(base: Base) -> Iterator[tuple[float, Block]]:
     return zip(base.each.tolist(), base.family.blocks, strict=True)
 
 
-def _at_sensor(one: EffectSet) -> bool:
-    return any(block.effect is not None and block.effect.link == "sensor" for block in one.blocks)
+def _at_sensor(one: EffectSet) -> int:
+    return sum(block.effect is not None and block.effect.link == "sensor" for block in one.blocks)
 
 
 def _key(blocks: Sequence[Block]) -> tuple[_Key, ...]:

@@ -91,7 +91,8 @@ class Hidden:
     ``sags`` (k,) how far by the moment that a payload makes about it, rad/(N m), or by its force, mm/N;
     ``play`` (k,) its lost motion; ``ring`` (k, 2) sine and cosine of its encoder once per turn, ``lines`` (k, 2) those
     at ``per_turn`` per radian, ``twice`` (k, 2) at twice that; ``warmth_per_c`` of the whole, ``growth_per_c``
-    (k + 1,) of the base and of the link behind each joint, ``rate_mm_h`` (3,), ``step_mm`` (3,) half way through,
+    (k + 1,) of the base and of the link behind each joint, ``rate_mm_h`` (3,), ``step_mm`` (3,) of the
+    targets in the frame of the last joint, half way through,
     ``lost`` (k,) what joints slipped by then;
     ``stand_mm_per_c`` (3,) what the stand does, ``stand_lag_s`` behind the room; ``knock`` (6,) turn and shift of the
     tracker half way through; ``zoom`` and ``bend_mm`` (3,) at a metre what the tracker misreads; ``late_s``

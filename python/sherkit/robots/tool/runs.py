@@ -199,8 +199,9 @@ class ToolRun:
     rotation vector, tool to base; z along the shaft to the tip), ``wavelengths_nm`` (n, 9; NaN where none came).
 
     Rows of the camera, in its own frame and by its own clock: ``camera_time_s`` (m,), ``camera_mm`` (m, 3).
-    ``depth_mm`` (n,) is the insertion depth from elsewhere, to judge by, NaN or None where unknown. ``fibre_time_s``
-    (n,) is when the interrogator took the row's wavelengths, by the robot's clock; None where it does not say.
+    ``depth_mm`` (n,) is the insertion depth from elsewhere, zero before the hole, to judge by, NaN or None where
+    unknown. ``fibre_time_s`` (n,) is when the interrogator took the row's wavelengths, by the robot's clock; None where
+    it does not say.
     """
 
     time_s: Floats
@@ -381,6 +382,8 @@ def tool_run_of(frame: pl.DataFrame, source: str = "frame") -> ToolRun:
     depth = None if depth is None or not np.isfinite(depth[robot]).any() else depth[robot]
     if depth is not None:
         check_depth(depth, source)
+        # before the hole there is no depth: the filter says zero of it
+        depth = depth.clip(0.0)
     return ToolRun(
         time_s=time[robot],
         position_mm=pose[robot, :3],

@@ -7,12 +7,13 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
 import polars as pl
 
 from ...base.figures import closest, listed
 from ...base.types import Floats
 from ...data.called import Columns, factor, header_unit, renamed
-from ...data.reader import checked
+from ...data.reader import DecimalMark, checked
 from ...data.tables import read_table
 from ...errors import MeasurementError
 from .tool import TURN
@@ -29,12 +30,26 @@ def table_at(path: Path, columns: Columns = NO_NAMES) -> pl.DataFrame:
         frame = read_table(checked(path))
     except pl.exceptions.PolarsError as error:
         raise MeasurementError(f"{path}: is not a table: {str(error).splitlines()[0]}") from None
+    frame = _with_points(frame, path)
     own = {ours: theirs for ours, theirs in columns.items() if theirs in frame.columns}
     frame, factors = renamed(frame, own, str(path))
     # what is no number is said by whoever needs it
     return frame.with_columns(
         pl.col(name).cast(pl.Float64) * by for name, by in factors.items() if frame[name].dtype.is_numeric()
     )
+
+
+def _with_points(frame: pl.DataFrame, path: Path) -> pl.DataFrame:
+    """The frame with numbers where cells have decimal commas throughout. Raises as :class:`DecimalMark`."""
+    words = frame.select(pl.col(pl.String).fill_null(""))
+    if not words.width or frame.select(pl.col(pl.Float64)).width:
+        return frame
+    mended = DecimalMark(path).with_points(words, np.arange(len(words)) + 2)
+    numbers = [one.str.strip_chars().cast(pl.Float64, strict=False) for one in mended]
+    return frame.with_columns(
+        number for number, cells in zip(numbers, mended, strict=True)
+        if not (number.is_null() & (cells.str.strip_chars() != "")).any()
+    )  # fmt: skip
 
 
 def numbers_of(frame: pl.DataFrame, needed: Iterable[str], known: Iterable[str], source: str) -> dict[str, Floats]:

@@ -14,7 +14,7 @@ const MOMENT: f64 = 20.0;
 // what the mechanism computes itself, in `structure.rs`
 places! { At:
     joint_shift joint_tilt tool targets joint_coupling joint_compliance payload_compliance
-    link_growth
+    link_growth slip
 }
 
 effects! { At;
@@ -108,8 +108,8 @@ effects! { At;
     drift: Body by body needs "time_s" {
         rate_x, rate_y, rate_z: "mm/h", 0.1, 1.0;
     }
-    // step of the target at the slip time, base frame
-    slip: Body by body needs "time_s" search "time_s" {
+    // step of the targets at the slip time, in the frame behind the last joint that holds them
+    slip: Structure by structure needs "time_s" search "time_s" {
         step_x, step_y, step_z: "mm", 0.2, 1.0;
     }
     // by how much the target seems to move, base frame, where the stands of arm and tracker warm

@@ -11,7 +11,7 @@ use super::effects::{AT, PARAMETERS, Values};
 use super::frames::{self, Link, stand};
 use super::load::{Carried, Load};
 use crate::Result;
-use crate::chain::body::warmer;
+use crate::chain::body::{since, warmer};
 use crate::chain::effects::{Place, Wanted, values_of};
 use crate::chain::{Covariates, Mechanism};
 use crate::numbers::rigid::Rigid;
@@ -35,6 +35,9 @@ pub struct Structure {
     load: Load,
     /// Growth of the links, 1/°C: of the base, then behind each joint.
     growth: [f64; JOINTS + 1],
+    /// By how much the targets slip where they are held, mm, and from which moment on, s.
+    slip: Vector3<f64>,
+    slip_time_s: f64,
 }
 
 /// A solved pose.
@@ -56,6 +59,8 @@ pub struct Solved {
     /// By how much it is warmer than the drawing, °C, and the factors by which links have grown.
     warmer: f64,
     grown: [f64; JOINTS + 1],
+    /// One once the targets have slipped, zero before.
+    slipped: f64,
 }
 
 impl Structure {
@@ -90,6 +95,20 @@ impl Structure {
             gives: values_of(at.payload_compliance, values),
             load: Load::new(model),
             growth: values_of(at.link_growth, values),
+            slip: Vector3::from(values_of::<3, PARAMETERS>(at.slip, values)),
+            slip_time_s: model.slip_time_s,
+        }
+    }
+
+    /// Where a target is held behind the last joint, slipped or not, mm; an effect at zero does not ask for its
+    /// covariate.
+    fn held(&self, target: usize, slipped: f64) -> Vector3<f64> {
+        let [first, ..] = &self.targets;
+        let own = self.targets.get(target).unwrap_or(first);
+        if self.slip == Vector3::zeros() {
+            *own
+        } else {
+            own + self.slip * slipped
         }
     }
 
@@ -135,8 +154,8 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
             .map(|a| if a == 0.0 { 1.0 } else { 1.0 + a * warmer });
         let [between @ .., _] = &grown;
         let (places, flange) = stand(&self.links, self.count, values.as_ref(), between);
-        let [first, ..] = &self.targets;
-        let point = flange.apply(&(first * grown[self.count.min(JOINTS)]));
+        let slipped = since(row.time_s, self.slip_time_s);
+        let point = flange.apply(&(self.held(0, slipped) * grown[self.count.min(JOINTS)]));
         Ok(Solved {
             places,
             flange,
@@ -148,18 +167,20 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
             payload_kg: row.payload_kg,
             warmer,
             grown,
+            slipped,
         })
     }
 
     fn aimed(&self, solved: Solved, target: usize) -> Solved {
         match self.targets.get(target) {
-            Some(own) if target > 0 => Solved {
-                target,
-                point: solved
-                    .flange
-                    .apply(&(own * solved.grown[self.count.min(JOINTS)])),
-                ..solved
-            },
+            Some(_) if target > 0 => {
+                let held = self.held(target, solved.slipped) * solved.grown[self.count.min(JOINTS)];
+                Solved {
+                    target,
+                    point: solved.flange.apply(&held),
+                    ..solved
+                }
+            }
             _ => solved,
         }
     }
@@ -217,7 +238,7 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
         let last = self.count.min(JOINTS);
         let end = solved.grown[last];
         if let Some(at) = wanted.wants(at.link_growth) {
-            let held = self.targets.get(solved.target).unwrap_or(&self.targets[0]);
+            let held = self.held(solved.target, solved.slipped);
             for i in 0..=last {
                 let place = solved.places.get(i).filter(|_| i < last);
                 let reach = place.map_or_else(|| Self::flange(solved) * held, |p| p.reach);
@@ -235,6 +256,10 @@ impl Mechanism<JOINTS, PARAMETERS> for Structure {
             } else {
                 own.fill(0.0);
             }
+        }
+        if let Some(at) = wanted.wants(at.slip) {
+            d.fixed_columns_mut::<3>(at.start)
+                .copy_from(&(by_point * Self::flange(solved) * end * solved.slipped));
         }
         let rigid = by_joints;
         let asked = wanted.wants(at.joint_compliance);
