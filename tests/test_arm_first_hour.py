@@ -10,10 +10,15 @@ import numpy as np
 import pytest
 
 import sherkit as sk
+from running import slow
 from sherkit.data.file_check import check_file
 from sherkit.errors import SherkitWarning
+from sherkit.fit.set_up import set_up_mistakes
+from sherkit.fit.set_up_zeros import several_joints
+from sherkit.model.kinds import model_of
 from sherkit.robots.serial import postures
 from test_arm_counted import OwnArm, arm_in
+from test_serial import NOISE_MM
 
 
 @pytest.mark.parametrize("height_mm", [0.0, 50.0])
@@ -52,3 +57,27 @@ def test_a_running_number_is_no_pose(numbers: str, meant: str | None, tmp_path: 
     found = check_file(tmp_path / "run.csv")
     assert found.columns.get("pose") == meant
     assert len(np.unique(found.data.groups)) == 2
+
+
+@pytest.mark.parametrize(("seed", "flipped"), [(3, False), *slow((4, False), (5, True), (6, True))])
+def test_zeros_and_senses_of_several_joints_at_once_are_said(seed: int, flipped: bool, tmp_path: Path) -> None:
+    """Catches a vendor's zeros at quarter turns in several joints, of which each by itself shows nothing: "nothing that
+    is usually mistaken explains the run", or physics that is not there. What is said to be changed, whichever of the
+    wrist's two ways, leaves the noise."""
+    arm = arm_in(tmp_path)
+    rng = np.random.default_rng([seed, 51])
+    zeros = 0.5 * np.pi * rng.integers(-1, 3, 6)
+    senses = rng.choice([-1.0, 1.0], 6) if flipped else np.ones(6)
+    run = OwnArm.made(seed).run(arm, postures(arm, 60, 0.9, seed), seed, declared=True)
+    vendors = replace(run, joints=np.ascontiguousarray(senses * (run.joints - zeros)))
+    (told, *_) = set_up_mistakes(model_of(arm), vendors)
+    assert "the joints look counted from other zeros" in told.sentence
+    assert told.after < 3.0 * 1e3 * NOISE_MM
+    assert told.before > 1e4
+
+
+def test_joints_that_are_counted_rightly_are_left_alone(tmp_path: Path) -> None:
+    """Catches a sound arm of which another way to count is as good: the wrist has two."""
+    arm = arm_in(tmp_path)
+    run = OwnArm.made(7).run(arm, postures(arm, 60, 0.9, 7), 7, declared=True)
+    assert several_joints(model_of(arm), run) is None

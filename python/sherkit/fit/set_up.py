@@ -24,6 +24,7 @@ from .plausible import (
 )
 from .set_up_frames import set_up_anew, turned_frame
 from .set_up_hypotheses import SetUpHypothesis, hypotheses
+from .set_up_zeros import several_joints
 
 # -- The mistakes ----------------------------------------------------------------------------------------------------
 
@@ -159,6 +160,10 @@ def _wrong(
         return []
     stands = min((p for p in (now, free) if p is not None), key=lambda p: p.misfit, default=None)
     better = _much_better(model, data, datum, stands, now, anew)
+    if not better and (several := several_joints(model, data)) is not None:
+        found = plausible_fit(model, several.data, datum)
+        if found is not None and found.relative < _NOT_RIGHT and _is_much_better(several, found, stands):
+            better = [(several, found)]
     unit, per_unit = data.layout.unit, data.layout.per_unit
     before = float("nan") if now is None else per_unit * now.error
     if not better:

@@ -66,7 +66,7 @@ def hypotheses(model: ModelWithEffects, data: Measurements) -> Iterator[SetUpHyp
 # -- columns -------------------------------------------------------------------------------------------------------
 
 
-def _joints_as(data: Measurements, order: Sequence[int], factor: Floats, offset: Floats) -> Measurements:
+def joints_as(data: Measurements, order: Sequence[int], factor: Floats, offset: Floats) -> Measurements:
     """Each joint from the column that ``order`` names, times its factor, plus its offset."""
     o = list(order)
     ends = data.to_joints if data.layout.from_fixed else data.to_joints[:, o] * factor + offset
@@ -143,7 +143,7 @@ def _exchanges(columns: Sequence[int]) -> Iterator[tuple[str, list[int], list[in
 
 def _of_columns(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[str, str, Measurements]]:
     layout = data.layout
-    joints = _Block(data, layout.joints, "joint readings", _joints_as)
+    joints = _Block(data, layout.joints, "joint readings", joints_as)
     readings = _Block(data, layout.readings, "readings", _readings_as)
     taken = [k for k in range(len(layout.readings)) if data.used[:, k].any()]
     coordinates = [k for k in taken if k < data.coordinates]
