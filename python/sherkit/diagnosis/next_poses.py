@@ -59,6 +59,9 @@ def next_poses(true: Fit, rivals: Sequence[Fit], sigma: Floats, most: int = MOST
         trial = _Trial(true, reachable.rows, sigma, most)
         chosen, untold = _chosen(trial, rivals)
         advice = _advice(true, reachable.rows, untold, sigma, most) if untold else ""
+        if advice and chosen:
+            told = [_what(rival, true) for rival in rivals if rival not in untold]
+            advice += f". The poses below tell it from {listed(dict.fromkeys(told))}"
     except SherkitError:
         return Proposal()
     return Proposal(_named(trial, reachable, chosen), advice)

@@ -57,7 +57,9 @@ def before_and_after(found: Comparison) -> Picture[Comparison]:
         for k, (key, title) in enumerate(zip(tables, titles, strict=True)):
             up = f"error, {found.unit}" if not k else None
             made = figure(quantity(name), up, height=_HEIGHT, width=_WIDE, y_range=(0.0, top), x_range=across)
-            made.scatter(name, "error", source=sources[key], size=5, color=COLOURS[k % len(COLOURS)], alpha=0.7)
+            # before and after in the colours of the bars
+            colour = COLOURS[{0: 1, 1: 0}.get(k, k) % len(COLOURS)]
+            made.scatter(name, "error", source=sources[key], size=5, color=colour, alpha=0.7)
             told = f": {number(off[k])} {found.unit} (root mean square)" if name == names[0] else ""
             made.title.text = f"{title}{told}"
             figures.append(made)

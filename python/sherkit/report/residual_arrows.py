@@ -194,7 +194,10 @@ def note(change: Change) -> str:
     if left.noise_origin != "unknown":
         said += " Noise alone would leave 95 of 100 arrows inside the circle."
     if len(names) > 1:
-        said += " The number over a panel is the RMS error of its single readings, of all axes together."
+        said += (
+            " The number over a panel is the RMS error of its single readings, of all axes together, by a fit that has "
+            "seen them."
+        )
     return said
 
 

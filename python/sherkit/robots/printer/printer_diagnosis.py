@@ -168,7 +168,7 @@ class Examined:
             verdict = "a pattern that no known fault makes"
         else:
             verdict = "the numbers in the firmware" if self.better_numbers else "nothing that this probing shows"
-        wrong, steps = self._wrong(), tuple(self._steps()) or (ToDo("Nothing."),)
+        wrong, steps = self._wrong(), tuple(self._steps()) or (ToDo("Nothing needs to be changed."),)
         before = Bar(BEFORE, "the plate as it reads now", self.before_mm)
         bars = before, Bar(AFTER, "with the best numbers", self.after_mm)
         # the verdict says which pattern it is
@@ -332,7 +332,7 @@ class Examined:
                 out.append(f"{step.sentence}: run this again with -o NEW.cfg, and use that file.")
             else:
                 out += [step.sentence, *(f"    {line}" for line in step.command.splitlines())]
-        return out or ["Nothing."]
+        return out or ["Nothing needs to be changed."]
 
     def _remains(self) -> list[str]:
         out = [f"{_mm(self.after_mm)} RMS over the plate, the scatter of the probe included."]
@@ -389,7 +389,7 @@ class Examined:
                 f"although the first layer is even, turn the plate by {TURN_DEG:g}°, probe again under another name, "
                 f"and run this with --plate NAME={TURN_DEG:g}."
             )
-        return out or ["Nothing."]
+        return out or ["Nothing needs to be changed."]
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""

@@ -58,6 +58,13 @@ _OWN = {
         residuals="Along the links as they stand, proportional to the deviation of temperature from 20 °C.",
         remedy="Warm up before measuring; hold the temperature; links of carbon fibre or Invar.",
     ),
+    "slip": Sentences(
+        physics="What the last link holds moved in it at one moment: a nest that was knocked, a target or tool that "
+        "let go, shifted or grew.",
+        residuals="A step over time that turns with the last link.",
+        remedy="Seat and tighten what the flange holds; measure again from the moment on.",
+        sizes={"step": "the target jumped along the flange's {k} by {size}"},
+    ),
     "sensor_scale": Sentences(
         physics="All that the instrument reads is too large or too small by the same part: air temperature and "
         "pressure of a laser tracker, focal length of a camera, a scale bar.",
