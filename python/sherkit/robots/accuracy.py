@@ -18,8 +18,8 @@ from ..model.batch import Batch, matrix
 from ..model.effect import Effect
 from .deployed import BASE, SENSOR, Deployed
 from .identified_model import BiasBound, IdentifiedModel, at_rest, by_effect
+from .linear_fit import AccuracyQuery, Counted
 from .predicted_accuracy import Hiding, PredictedAccuracies, PredictedAccuracy
-from .unobserved_effects import AccuracyQuery, Counted
 
 #: Places at which a calibration is asked what it could not see.
 _ASKED = 80
