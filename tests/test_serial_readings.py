@@ -292,7 +292,7 @@ def test_planes_that_are_touched_calibrate_an_arm() -> None:
             leant = n + known.get(f"plane_{k + 1}_lean_u", 0.0) * u
             leant += known.get(f"plane_{k + 1}_lean_v", 0.0) * np.cross(n, u)
             above = leant @ (told - drawn.at_mm) / np.linalg.norm(leant) - known.get(f"plane_{k + 1}_height", 0.0)
-            assert above == pytest.approx(virtual.height(real, k)[0], abs=0.06)
+            assert above == pytest.approx(virtual.height(real, k), abs=0.06)
 
 
 def test_an_arm_that_nothing_reads_is_refused(tmp_path: Path) -> None:

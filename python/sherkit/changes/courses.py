@@ -15,12 +15,12 @@ from .._core import blocks_taken as taken
 from ..base import linalg
 from ..base.types import Floats, Ints
 from ..errors import SherkitError
-from ..evidence.base import Base, log_bayes, total
+from ..evidence.base import Base, log_bayes, log_bayes_of_fit, total
 from ..evidence.blocks import Block, ColumnPart, Columns
 from ..evidence.family import Family, everything
 from ..evidence.plausible import is_plausible
 from ..evidence.sets import ONE_MORE, EffectSet, Sets, ShapeDescription
-from ..evidence.thresholds import ALARM, LEFT, MOST, SCALES, TIED
+from ..evidence.thresholds import ALARM, LEFT, MOST, TIED
 from .change_model import ChangeRows
 from .pooled_fit import Joined
 
@@ -28,8 +28,6 @@ from .pooled_fit import Joined
 _MOST_BESIDE = 3
 #: A change of one unit of the noise must be seen with readings of so many beyond what is free.
 _FEWEST = 12
-#: Noises by which something that was exchanged may change a reading.
-_LARGE = np.array([60.0, 600.0, 6000.0])
 #: Steps of a fit in full.
 _REFITS = 3
 
@@ -267,11 +265,10 @@ class ChangeSets(Sets):
                 # where it has its zero says all: that is no change of it
                 return None
             if best is None or base.rss < best[0]:
-                rank = np.array([max(base.basis.shape[1] - self.base.basis.shape[1], 1)])
+                rank = max(base.basis.shape[1] - self.base.basis.shape[1], 1)
                 part = np.array([1.0 - base.rss / self.base.rss])
-                # all against what says most without a change; another tool may be many times what effects are
-                said = [log_bayes(part, rank, self.base.free, len(base.residual), s)[0] for s in (SCALES, _LARGE)]
-                bf = float(max(said)) - self._still
+                # all against what says most without a change
+                bf = log_bayes_of_fit(part, rank, self.base.free, len(base.residual)) - self._still
                 value = bf + weight + ONE_MORE * (len(blocks) - 1)
                 plausible = all(is_plausible(about, effect) for effect, _ in changes)  # type: ignore[arg-type]
                 best = base.rss, EffectSet(blocks, run, base, bf, value, plausible)

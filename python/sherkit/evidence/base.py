@@ -20,6 +20,8 @@ from .run import Run
 from .thresholds import HELD_EFFECT, HELD_SHAPE, ROUNDING, SCALES
 from .whitening import independent, orthonormal
 
+#: Noises by which what was fitted may change a reading beyond what is looked for.
+_LARGE = np.array([60.0, 600.0, 6000.0])
 #: What an error of its own at each pose may be, in noises of a reading, and degrees of freedom that tell it.
 _OWN, _FREE = np.array([0.35, 0.7, 2.0, 6.0]), 10
 
@@ -35,6 +37,13 @@ def log_bayes(part: Floats, rank: Floats, free: float | Floats, count: int, scal
     g = np.square(scales)[:, None] * count / np.maximum(k, 1.0)
     each = -0.5 * k * np.log1p(g) - 0.5 * free * np.log1p(-np.clip(part, 0.0, 1.0 - ROUNDING) * g / (1.0 + g))
     return np.where(k < 1, -np.inf, np.logaddexp.reduce(each, axis=0) - np.log(len(scales)))
+
+
+def log_bayes_of_fit(part: Floats, rank: int, free: float, count: int) -> float:
+    """The same of what was fitted in full: it may be many times as large as what is looked for, as another tool is, or
+    a day's warmth."""
+    ranks = np.array([rank])
+    return float(max(log_bayes(part, ranks, free, count, scales)[0] for scales in (SCALES, _LARGE)))
 
 
 def gain_asked(rank: float, free: int, count: int, odds: float) -> float:
@@ -240,7 +249,7 @@ class Base:
             rank = max(after.basis.shape[1] - self.basis.shape[1], 1)
             part = np.array([1.0 - after.rss / self.rss])
             free = self.free / family.run.shared
-            return float(log_bayes(part, np.array([rank]), free, len(self.residual))[0])
+            return log_bayes_of_fit(part, rank, free, len(self.residual))
         owns = [run.of.owns(block.effect) for block in blocks if block.effect is not None]
         at = np.concatenate([np.arange(own.start, own.stop) for own in owns])
         scale = np.concatenate([np.full(own.stop - own.start, family.scale_of(block))
