@@ -443,6 +443,16 @@ def test_growth_of_all_links_alike_is_tied_with_that_of_the_whole(ur5: Serial) -
     assert ("thermal_growth", "link_growth") in found.indistinguishable
 
 
+def test_a_tie_outlives_the_adding_of_one_of_it(ur5: Serial) -> None:
+    """Catches "adequate: no effect is missing, use the calibration as it is" once a person has added the first name of
+    a tie: no reading chose it. What is told from all others is no tie."""
+    for name, told in (("thermal_growth", True), ("backlash", False)):
+        data = simulated(ur5, 1, 200, **hidden_at(ur5, name, 2.0, 1))
+        found = sk.diagnose(sk.identify(ur5, data, effects=[name]))
+        assert found.verdict == "adequate"
+        assert (f"{name}, which is in the model, is not told from" in (found.caveat or "")) is told
+
+
 def test_what_hangs_is_told_to_the_loop(ur5: Serial) -> None:
     """Catches a payload that is lost between the run and the calibrated arm, or in its promise: the deviations of what
     gives way count by what hangs."""

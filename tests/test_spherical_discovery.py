@@ -203,7 +203,10 @@ def test_each_effect_is_found_by_name(k: int, name: str) -> None:
     assert d.p_missing <= LEVEL
     assert d.unit == "px"
     # where the camera stands takes most of what joints and markers are off by, and is known to a degree of its own
-    assert d.steps[0].error.rms > (1.02 if name in ("joint_offset", "marker_offset", "axis_offset") else 1.2) * d.steps[-1].error.rms
+    assert (
+        d.steps[0].error.rms
+        > (1.02 if name in ("joint_offset", "marker_offset", "axis_offset") else 1.2) * d.steps[-1].error.rms
+    )
     assert abs(d.steps[-1].error.rms / np.sqrt(d.error.axes) / NOISE_PX - 1) < held_out_allowance(d)
     report = {c.effect: c for c in d.candidates}[name]
     assert report.p_value < LEVEL
