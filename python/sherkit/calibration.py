@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -95,8 +94,7 @@ def calibrate(
     if correction not in CORRECTIONS:
         raise FitError(f"correction: '{correction}' is not known; choose {', '.join(CORRECTIONS)}")
     whole, local = run_for(robot, whole), None if local is None else run_for(robot, local)
-    columns = columns_of(robot) if isinstance(robot, str | PathLike) else {}
-    robot = robot_of(robot)
+    given, robot = robot, robot_of(robot)
     # what these parameters leave held can be freed by the name that a diagnosis gives it
     added = named_effects(catalogue_for(model_of(robot, free), whole), effects)
     own = [effect for effect in added if effect.function is not None]
@@ -141,8 +139,8 @@ def calibrate(
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         refuse_absurd(fit, [effect.name for effect in added])
         if (stand := known_stand(fit)) is not None and not stand.holds:
-            its = "camera" if data.layout.unit == "px" else "sensor"
-            warnings.warn(f"{data.source}: the {its} stands {stand}{_OFF_STAND}", SherkitWarning, stacklevel=2)
+            said = f"{data.source}: the {stand.called} stands {stand}{_OFF_STAND}"
+            warnings.warn(said, SherkitWarning, stacklevel=2)
         used = {name for effect in model.effects for name in effect.needs}
         for column in (one for one in further(data) if any(map(grows, added)) and one not in used):
             other = identify(model, with_temperature_of(data, column), loss=loss, priors=priors, linear=linear)
@@ -160,7 +158,7 @@ def calibrate(
 
     first = run(whole, "whole")
     second = run(local, "local") if local is not None else None
-    return Result(first, second, replace(made.from_runs(first, second), columns=columns))
+    return Result(first, second, replace(made.from_runs(first, second), columns=columns_of(given)))
 
 
 def to_json(result: Result) -> dict[str, Any]:

@@ -216,7 +216,7 @@ def fleet(
         machines = sk.fleet(["demo/whole.csv", "demo/local.csv"], "demo/robot.toml")
         print(machines)
     """
-    columns = columns_of(robot) if isinstance(robot, str | os.PathLike) else None
+    columns = columns_of(robot) or None
     nominal = robot_of(robot)
     names = [os.fspath(r) if isinstance(r, str | os.PathLike) else f"run {k + 1}" for k, r in enumerate(runs)]
     if not names:

@@ -180,7 +180,7 @@ def _information(columns: Floats, ridge: float) -> Floats:
 # -- Batches -----------------------------------------------------------------------------------------------------------
 # What is asked for next: the first poses, poses that tell most, poses once more, and when.
 
-#: Readings over which the rest of the span is spread where nothing shows, and from which on.
+#: Readings over which the rest of the span is spread where nothing shows.
 _SPREAD_TO = 60
 #: The share of readings that are poses read once more.
 _ONCE_MORE = 0.125

@@ -126,7 +126,7 @@ class Sight:
 @dataclass(frozen=True)
 class Power:
     """How often an error of :data:`TIMES` what is ``required`` would have been seen: of each candidate (``chances``)
-    and over all of them alike (``chance``), and the ``smallest`` error that would be in 95 of 100 of cases, over
+    and over all of them alike (``chance``), and the ``smallest`` error that would be in 95 of 100 cases, over
     all of them (infinite where none)."""
 
     required: float

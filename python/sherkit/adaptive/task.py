@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from ..model.base import ModelWithEffects
 from ..model.chain import ChainModel
 from ..model.kinds import kind_of, model_of
 from ..model.kinds import required_um as stated_um
-from ..model.robot_file import RobotLike, load_robot
+from ..model.robot_file import RobotLike, read_robot
 
 # -- Where it may go ---------------------------------------------------------------------------------------------------
 # Where a robot may be sent: a box of places or of joint readings, within limits and workspace.
@@ -261,7 +260,7 @@ class Task:
         seed: Seed = 0,
         minutes: Positive | None = None,
     ) -> None:
-        self.robot = load_robot(robot) if isinstance(robot, str | PathLike) else robot
+        self.robot = read_robot(robot)
         self.model = model_of(self.robot)
         self.layout = kind_of(self.robot).layout
         self.required_um = required_um if required_um is not None else stated_um(self.robot)

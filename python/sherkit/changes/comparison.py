@@ -22,10 +22,10 @@ from ..evidence.names import judged_names
 from ..evidence.sets import EffectSet
 from ..evidence.thresholds import ALARM, ROUNDING
 from ..model.effect import Effect
-from ..model.robot_file import RobotLike
+from ..model.robot_file import RobotLike, read_robot
 from .change_model import ParameterChange
 from .courses import Courses, change_verdict
-from .pool import Pool, calibrate_again, left_out, made_of, read_runs, sees_of, told_ties, unchanged_advice
+from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
 from .pooled_fit import Joined
 from .vouching import errors_of
 
@@ -159,7 +159,7 @@ def compare(robot: RobotLike, runs: Sequence[RunLike], *, effects: Sequence[str 
     """
     if len(runs) < 2:
         raise FitError(f"compare: expected two runs or more, the first of them before; got {len(runs)}")
-    return concluded(Pool.of(made_of(robot), read_runs(robot, runs), effects))
+    return concluded(Pool.of(read_robot(robot), read_runs(robot, runs), effects))
 
 
 def concluded(pool: Pool) -> Comparison:

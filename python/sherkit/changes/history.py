@@ -29,10 +29,10 @@ from ..evidence.blocks import Block
 from ..evidence.sets import FIRSTS, ONE_MORE, described, likeliest
 from ..evidence.thresholds import A_FEW, ALARM, SURE, TIED
 from ..model.effect import Effect
-from ..model.robot_file import RobotLike
+from ..model.robot_file import RobotLike, read_robot
 from .change_model import About
 from .courses import Courses, change_verdict
-from .pool import Pool, calibrate_again, left_out, made_of, read_runs, sees_of, unchanged_advice
+from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, unchanged_advice
 from .pooled_fit import Joined
 from .vouching import errors_of
 
@@ -188,7 +188,7 @@ def history(
         raise FitError(f"history: expected two runs or more, got {len(runs)}")
     if dates and len(dates) != len(runs):
         raise MeasurementError(f"dates: expected one for each of {len(runs)} runs, got {len(dates)}")
-    made, data = made_of(robot), read_runs(robot, runs)
+    made, data = read_robot(robot), read_runs(robot, runs)
     at_s, told = _dates(data, dates)
     order = [int(k) for k in np.argsort(at_s, kind="stable")]
     given = [data[k] for k in order]

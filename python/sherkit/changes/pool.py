@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ from ..fit.error import axes_of
 from ..fit.identify import identify
 from ..model.effect import Effect
 from ..model.kinds import Robot, model_of, required_um
-from ..model.robot_file import RobotLike, load_robot, run_for
+from ..model.robot_file import RobotLike, read_robot, run_for
 from ..model.sensor_pose import POSE
 from .courses import lacking
 from .pooled_fit import Joined
@@ -215,13 +214,8 @@ def sees_of(smallest: float | None, unit: str) -> str:
 
 def read_runs(robot: RobotLike, runs: Sequence[RunLike]) -> list[Measurements]:
     """The rows of each run of a robot, under the names that its file gives."""
-    model = model_of(made_of(robot))
+    model = model_of(read_robot(robot))
     return [rows_of(robot, model, run) for run in runs]
-
-
-def made_of(robot: RobotLike) -> Robot:
-    """A robot as it is, or read from its file."""
-    return load_robot(robot) if isinstance(robot, str | PathLike) else robot
 
 
 def rows_of(robot: RobotLike, model: Any, run: RunLike, columns: Columns | None = None) -> Measurements:

@@ -154,6 +154,7 @@ class Verification(Shown):
 def advice_of(
     valid: bool | None, names: tuple[str, ...], ties: tuple[tuple[str, ...], ...], evidence: float, held: Sequence[str]
 ) -> str:  # fmt: skip
+    """What to do after a check."""
     if valid is None:
         return "the calibration promises nothing at these places: calibrate again"
     if valid and not names and evidence < ALARM:

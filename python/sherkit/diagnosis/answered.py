@@ -12,7 +12,6 @@ from ..base.types import Floats, Ints
 from ..data.doubts import DataWarning
 from ..evidence.base import chance_of
 from ..evidence.fitted_run import FittedRun
-from ..evidence.names import alike_in_model
 from ..evidence.plausible import implausible
 from ..fit.set_up import Mistake
 from .checks import checks_of
@@ -87,8 +86,10 @@ def diagnosis_of(looked: Looked) -> Diagnosis:
             "as noise; look for what changes slowly (temperature, humidity, a stand that gives way) and record it as a "
             "column"
         )
-    for name, others in ({} if run.is_exact or mistakes else alike_in_model(found.first)).items():
-        caveats.append(f"{name}, which is in the model, is not told from {listed(others)} by these rows")
+    # who added one of a tie chose it, and no reading did
+    for effect in own if verdict == "adequate" and not run.is_exact else ():
+        if others := () if effect.frees else found.first.in_place_of(effect):
+            caveats.append(f"{effect.name}, which is in the model, is not told from {listed(others)} by these rows")
     indistinguishable = _ties(found)
     base, view = found.first, found.first.family.run.view
     fits = {name: tied.run.of for tied in reversed(found.ties) for name in tied.names}

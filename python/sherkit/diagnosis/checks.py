@@ -188,7 +188,7 @@ def _stands(final: FittedRun, used: str) -> list[Check]:
     stand = known_stand(final.fit)
     if stand is None:
         return []
-    its, holds = "camera" if final.unit == "px" else "sensor", stand.holds
+    its, holds = stand.called, stand.holds
     instead = () if holds else stands_with(final)
     also = f"; with it there {listed(instead)} would do as well" if instead else ""
     return [

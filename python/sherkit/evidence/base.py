@@ -14,10 +14,11 @@ import sherkit._core as _core
 
 from ..base import linalg
 from ..base.types import Floats, Ints
+from ..model.effect import Effect
 from .blocks import Block, ReferenceRows, Sort, sorts_of
 from .family import Family, log_weights
 from .run import Run
-from .thresholds import HELD_EFFECT, HELD_SHAPE, ROUNDING, SCALES
+from .thresholds import HELD_EFFECT, HELD_SHAPE, ROUNDING, SCALES, TIED
 from .whitening import independent, orthonormal
 
 #: Noises by which what was fitted may change a reading beyond what is looked for.
@@ -264,6 +265,30 @@ class Base:
         whole = float(told @ told)
         found = log_bayes_of(mine.T @ mine, mine.T @ told, whole, self.free)
         return float(found) - 0.5 * self.free * float(np.log(whole / self.rss))
+
+    def in_place_of(self, effect: Effect) -> tuple[str, ...]:
+        """Effects each of which, in the place of one that is in the model, comes as near the data; none where that one
+        itself says nothing."""
+        family, run = self.family, self.family.run
+        at = run.of.owns(effect)
+        own = run.flat(run.view.fitted(run.view.whole))
+        others = independent(np.delete(own, at, axis=1))
+        mine = own[:, at] - others @ (others.T @ own[:, at])
+        basis = independent(mine)
+        # what it explains, and of each column the part along that
+        along, parts = basis.T @ (self.residual + mine @ run.of.fit.values[at]), family.columns.products(basis)
+        most = self.rss * (1.0 + 2.0 * TIED / self.free)
+        whole = self.rss + float(along @ along)
+        if whole <= most:
+            return ()
+        names = []
+        for (which, columns, _), gram in zip(family.groups, self.left, strict=True):
+            part = parts[columns]
+            right = self.right[columns] + part @ along
+            gain, _ = _core.blocks_taken(gram + part @ part.transpose(0, 2, 1), right, family.least[which])
+            near = [family.blocks[k] for k in which[whole - gain < most]]
+            names += [one.name for one in near if one.effect is not None and one.name != effect.name]
+        return tuple(dict.fromkeys(names))
 
     def takes(self, columns: Floats) -> float:
         """Sum of squares that these columns (N, k) would take."""

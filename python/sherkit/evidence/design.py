@@ -24,7 +24,7 @@ from .thresholds import ROUNDING
 _LARGEST = 1e5
 #: Rounds of exchanges.
 _ROUNDS = 50
-#: Part of the largest eigenvalue of an information below which a direction is not observed, and its variance then.
+#: Variance of a direction that is not observed.
 _FREE = 1e8
 
 

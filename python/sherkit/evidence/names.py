@@ -15,7 +15,6 @@ from .blocks import Block
 from .plausible import is_plausible, times_plausible
 from .sets import EffectSet, Sets, ShapeDescription
 from .thresholds import ALARM, MOST, NEEDED, PLAINLY, PLAUSIBLE, SURE, TELLS, TIED
-from .whitening import independent
 
 #: Most steps in time that are taken for as many accidents.
 _STEPS = 2
@@ -256,27 +255,3 @@ def _ties(sets: Sets, lead: EffectSet, found: list[EffectSet]) -> tuple[EffectSe
         and one.rest < max(lead.rest, ALARM) + TIED
         and not (lead.plausible and _is_no_robots(one))
     )
-
-
-def alike_in_model(base: Base) -> dict[str, tuple[str, ...]]:
-    """Of each effect that is in the model already, those that in its place come as near the data: who added it chose
-    one of them, and no reading did."""
-    run, fit = base.family.run, base.family.run.of
-    every = run.flat(run.view.fitted(run.view.whole))
-    out = {}
-    for effect in (one for one in fit.model.effects if one.name not in fit.model.within and not one.frees):
-        at = fit.owns(effect)
-        q = independent(np.delete(every, at, axis=1))
-        mine, left = (values - q @ (q.T @ values) for values in (every[:, at], run.residual))
-        told = left + mine @ fit.fit.values[at]
-
-        def leaves(columns: Floats, told: Floats = told, q: Floats = q) -> float:
-            basis = independent(columns - q @ (q.T @ columns))
-            return float(told @ told - np.square(basis.T @ told).sum())
-
-        most = leaves(mine) * (1.0 + 2.0 * TIED / base.free)
-        blocks = (block for block in base.family.blocks if block.effect is not None and block.name != effect.name)
-        alike = dict.fromkeys(block.name for block in blocks if leaves(base.family.columns.of(block.at)) < most)
-        if alike and leaves(mine[:, :0]) > most:
-            out[effect.name] = tuple(alike)
-    return out

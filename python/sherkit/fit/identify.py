@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ from ..model.any import Model
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Parameter, named_effects
 from ..model.kinds import model_of
-from ..model.robot_file import RobotLike, load_robot, run_for
+from ..model.robot_file import RobotLike, read_robot, run_for
 from ..model.thermometers import catalogue_for
 from .constant_columns import held
 from .error import ErrorSize, held_out_error, noise_beside, of_residuals, repeatability_of
@@ -312,7 +311,7 @@ def identify(
         fit = sk.identify("demo/robot.toml", "demo/whole.csv", effects=["rail_lean"])
         print(fit.by_name["rail_lean.radial_1"], fit.rms())
     """
-    given = load_robot(robot) if isinstance(robot, str | PathLike) else robot
+    given = read_robot(robot)
     model = model_of(given, free)
     data = run_for(robot, data)
     model = extended_by(model, effects, data) if effects else model

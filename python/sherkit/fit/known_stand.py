@@ -25,14 +25,16 @@ _TELLS = 0.01
 
 @dataclass(frozen=True)
 class KnownStand:
-    """How far a fit has a sensor from where it is known to stand: shift, mm, and turn, degrees, each with how well that
-    is known (0 where it is not), and how likely that is (``p``: χ² of as many directions as the readings tell)."""
+    """How far a fit has a sensor, as it is ``called``, from where it is known to stand: shift, mm, and turn, degrees,
+    each with how well that is known (0 where it is not), and how likely that is (``p``: χ² of as many directions as the
+    readings tell)."""
 
     shift_mm: float
     shift_sd_mm: float
     turn_deg: float
     turn_sd_deg: float
     p: float
+    called: str
 
     @property
     def holds(self) -> bool:
@@ -78,7 +80,7 @@ def known_stand(fit: Fit) -> KnownStand | None:
     sds = [max(known[name] for name in part) for part in (SHIFTS, TURNS)]
     return KnownStand(
         sizes[0], sds[0], float(np.rad2deg(sizes[1])), float(np.rad2deg(sds[1])),
-        float(scipy.special.chdtrc(len(a), square)),
+        float(scipy.special.chdtrc(len(a), square)), "camera" if fit.data.layout.unit == "px" else "sensor",
     )  # fmt: skip
 
 

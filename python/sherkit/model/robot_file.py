@@ -84,8 +84,8 @@ def _layouts_of(robot: object) -> tuple[Layout, ...]:
     """The kinds of run that a robot may have; none where it is not known, which its own reader says."""
     with warnings.catch_warnings(), suppress(SherkitError):
         warnings.simplefilter("ignore", SherkitWarning)
-        known = load_robot(robot) if isinstance(robot, str | os.PathLike) else robot
-        return tuple(kind_of(known).layouts) if isinstance(getattr(known, "kind", None), str) else ()  # type: ignore[arg-type]
+        known = read_robot(robot)
+        return tuple(kind_of(known).layouts) if isinstance(getattr(known, "kind", None), str) else ()
     return ()
 
 
@@ -99,9 +99,12 @@ def _by_what_is_known(data: Measurements) -> Measurements:
     return Measurements.from_columns(values, data.source, data.line, data.counted, layout)
 
 
-def columns_of(path: str | os.PathLike[str]) -> Columns:
-    """The names of columns by ours that a robot file gives, for the runs of this robot: ``q1_mm = "Enc1 [mm]"``."""
-    return _columns_in(read_toml(Path(path), "robot"), path)
+def columns_of(robot: object) -> Columns:
+    """The names of columns by ours that the file of a robot gives, for the runs of this robot: ``q1_mm = "Enc1 [mm]"``;
+    none where it is given otherwise."""
+    if not isinstance(robot, str | os.PathLike):
+        return {}
+    return _columns_in(read_toml(Path(robot), "robot"), robot)
 
 
 def _columns_in(tables: dict[str, Any], path: str | os.PathLike[str]) -> Columns:
@@ -118,6 +121,11 @@ def save_robot(robot: Robot, path: str | os.PathLike[str]) -> None:
         sk.save_robot(robot, "copy.toml")
     """
     write_whole(path, tomli_w.dumps(robot_of(robot).to_tables()))
+
+
+def read_robot(given: Any) -> Any:
+    """What was given, or the robot of that file; whether it is one is asked by whoever needs that."""
+    return load_robot(given) if isinstance(given, str | os.PathLike) else given
 
 
 def robot_of(given: RobotLike) -> Robot:
