@@ -2,7 +2,6 @@
 
 The table of the effects, for all the joints that an arm may have, is `rust/core/src/serial/effects.rs`, the sentences
 on them are in `sentences.py`; here is which of them an arm has.
-
 """
 
 from __future__ import annotations
