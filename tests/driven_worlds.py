@@ -37,7 +37,7 @@ Rows = list[dict[str, Any]]
 #: Over which time what lives in it is sized, s, and how long a reading takes.
 SPAN_S, PACE_S = 1800.0, 4.0
 #: What of the spherical robot is its camera's or its marker's: where the tool points, it does not show.
-_SEEN = {"marker_offset", "thermal_growth", "drift", "slip", "thermal_shift", "sensor_pose", "sensor_slip",
+_SEEN = {"marker_offset", "thermal_growth", "drift", "slip", "thermal_shift", "sensor_pose", "sensor_slip", "sensor_drift",
          "focal_length", "lens_distortion", "camera_delay"}  # fmt: skip
 #: How many times as much a hall warms as a room.
 _HALL = 5.0
@@ -264,8 +264,8 @@ class DrivenArm(World):
             point = real.true_target(read[k], step[k], 0.0 * read[k], 0, warm, 0.0, late)
             point = point * (1.0 + hidden.warmth_per_c * warm)
             point = point + np.asarray(hidden.rate_mm_h) * columns["time_s"][k] / 3600.0
-            point = point + np.asarray(hidden.step_mm) * late + np.asarray(hidden.stand_mm_per_c) * warm
-            out.append(real.seen(point, late))
+            point = point + np.asarray(hidden.stand_mm_per_c) * warm
+            out.append(real.seen(point, late, columns["time_s"][k] / 3600.0))
         return out
 
     def apart_at(self, calibration: Any, joints: Floats, now: Mapping[str, float]) -> Floats:
@@ -275,7 +275,6 @@ class DrivenArm(World):
         late, still, hidden = time_s > SPAN_S / 2, np.zeros_like(joints[0]), self.real.effects
         at = np.array([self.real.true_target(q, still, still, 0, warm, 0.0, late) for q in joints])
         at = at * (1.0 + hidden.warmth_per_c * warm) + np.asarray(hidden.rate_mm_h) * time_s / 3600.0
-        at = at + np.asarray(hidden.step_mm) * late
         seen = np.array([self.real.seen(point, late) for point in at])
         return self.apart_mm(seen, calibration.forward_batch(joints, frame="sensor").require())
 

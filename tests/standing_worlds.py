@@ -219,7 +219,7 @@ class Arm(Standing):
         made: dict[str, Any] = {}
         for field, shape in OF_ARMS[name].items():
             made[field] = 1e-4 * rng.choice([-1.0, 1.0], shape) * rng.uniform(0.7, 1.3, shape)
-            if field == "knock":
+            if field in ("knock", "settles"):
                 made[field] *= [1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0]
         changed, plain = self._measured({"per_turn": 3.0, **made}), self.exact_run()
         by = self.noise / self.left(changed.readings[:, :3], plain.readings[:, :3])

@@ -41,6 +41,7 @@ EXPECTED = {
     "beam_alignment": (9, "sensor", ()),
     "sensor_linearity": (3, "sensor", ()),
     "sensor_slip": (6, "sensor", ("time_s",)),
+    "sensor_drift": (6, "sensor", ("time_s",)),
     "bar_zero": (1, "sensor", ("distance_mm",)),
 }
 #: Those of the simulator: the second waves of all joints are one, and go with the first.
@@ -74,7 +75,7 @@ def test_the_catalogue_says_what_each_effect_is() -> None:
             assert text.strip().endswith(".")
         assert len({p.name for p in effect.parameters}) == len(effect.parameters)
         for p in effect.parameters:
-            assert p.unit in ("mm", "rad", "mm/mm", "mm/h", "1/°C", "mm/°C")
+            assert p.unit in ("mm", "rad", "mm/mm", "mm/h", "rad/h", "1/°C", "mm/°C")
             assert p.size > 0
             assert p.lever_mm > 0
         assert [p.name for p in effect.qualified()] == [f"{name}.{p.name}" for p in effect.parameters]

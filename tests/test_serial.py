@@ -267,7 +267,8 @@ def everything(arm: Serial, rng: np.random.Generator) -> tuple[SecondArm, dict[s
         "lines": 0.0 if mixed else some(k, 2), "twice": 0.0 if mixed else some(k, 2),
         "per_turn": 3.0, "step_mm": 1e3 * some(3), "zoom": 1e-4, "late_s": 0.02,
         "sags": 0.01 * slide * some(k),
-        "growth_per_c": 0.02 * some(k + 1) * grows, "knock": np.r_[some(3), 1e3 * some(3)], "lost": slide * some(k),
+        "growth_per_c": 0.02 * some(k + 1) * grows, "knock": np.r_[some(3), 1e3 * some(3)],
+        "settles": np.r_[some(3), 1e3 * some(3)], "lost": slide * some(k),
         "stand_mm_per_c": 100.0 * some(3), "bend_mm": 1e3 * some(3),
     }  # fmt: skip
     names: dict[str, Any] = {
@@ -293,6 +294,7 @@ def everything(arm: Serial, rng: np.random.Generator) -> tuple[SecondArm, dict[s
         names |= {f"drift.rate_{axis}": hidden["rate_mm_h"][a], f"slip.step_{axis}": hidden["step_mm"][a]}
         names |= {f"thermal_shift.shift_{axis}": hidden["stand_mm_per_c"][a]}
         names |= {f"sensor_slip.{n}_{axis}": hidden["knock"][i + a] for n, i in (("turn", 0), ("shift", 3))}
+        names |= {f"sensor_drift.{n}_rate_{axis}": hidden["settles"][i + a] for n, i in (("turn", 0), ("shift", 3))}
         names |= {f"sensor_linearity.cubic_{axis}": hidden["bend_mm"][a]}
     return SecondArm(arm, offset, shift, tilt, tool, stand, Hidden(**hidden)), names
 
@@ -393,7 +395,7 @@ EFFECTS = {
     "backlash": {"play": (6,)}, "encoder_eccentricity": {"ring": (6, 2)}, "encoder_cyclic": {"lines": (6, 2)},
     "thermal_growth": {"warmth_per_c": ()}, "drift": {"rate_mm_h": (3,)}, "slip": {"step_mm": (3,)},
     "joint_slip": {"lost": (6,)}, "thermal_shift": {"stand_mm_per_c": (3,)},
-    "sensor_slip": {"knock": (6,)}, "sensor_scale": {"zoom": ()}, "sensor_linearity": {"bend_mm": (3,)},
+    "sensor_slip": {"knock": (6,)}, "sensor_drift": {"settles": (6,)}, "sensor_scale": {"zoom": ()}, "sensor_linearity": {"bend_mm": (3,)},
     "reading_delay": {"late_s": ()}, "payload_compliance": {"sags": (6,)}, "link_growth": {"growth_per_c": (7,)},
 }  # fmt: skip
 
@@ -414,7 +416,7 @@ def hidden_at(arm: Serial, name: str, ratio: float, seed: int) -> dict[str, Any]
     made: dict[str, Any] = {"per_turn": 3.0}
     for field, shape in EFFECTS[name].items():
         made[field] = rng.choice([-1.0, 1.0], shape) * rng.uniform(0.7, 1.3, shape)
-        if field == "knock":
+        if field in ("knock", "settles"):
             made[field] *= [1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0]
     stand = draw_pose(np.random.default_rng([seed, 8]))
     virtual = replace(SecondArm.simulated(arm, seed, 1.0, PLAIN), noise_mm=0.0, stand=stand)
@@ -429,7 +431,7 @@ def hidden_at(arm: Serial, name: str, ratio: float, seed: int) -> dict[str, Any]
     return {field: value if field == "per_turn" else by * value for field, value in made.items()}
 
 
-@pytest.mark.parametrize("name", ["sensor_slip", "slip"])
+@pytest.mark.parametrize("name", ["sensor_slip", "sensor_drift", "slip"])
 def test_an_effect_is_found(name: str, ur5: Serial) -> None:
     """Catches an effect of an arm that is taken for another, or not seen at twice the noise."""
     found = sk.diagnose(ur5, simulated(ur5, 1, 200, **hidden_at(ur5, name, 2.0, 1)))

@@ -28,6 +28,7 @@ Measured point, all evaluated at the point p the mechanism reaches:
 Sensor, whose scale says r where the point is at x after the effects above:
   sensor_pose (6)          rotation vector w, rad, and shift t, mm: the sensor sees the point x at s = exp(w) x + t
   sensor_slip (7)          what is added to sensor_pose, then the time in s after which it is
+  sensor_drift (6)         rad/h and mm/h: what is added to sensor_pose in an hour, linear in time_s from its zero
   beam_alignment (9)       M by rows: r = (I + M) s
   sensor_linearity (3)     a_k, mm: a_k (r_k / 20 mm)^3 more is shown than r_k
 Effects marked * are outside the catalogue a calibration is expected to know.
@@ -90,6 +91,7 @@ EFFECTS: dict[str, Effect] = {
     "sensor_linearity": Effect(3, 0.01),
     "sensor_pose": Effect(6, 0.1),
     "sensor_slip": Effect(6, 0.005, fixed=1),
+    "sensor_drift": Effect(6, 0.02),
     "humidity": Effect(3, 1e-3, catalogued=False),
     "joint_coupling": Effect(6, 0.01, catalogued=False),
     "joint_crosstalk": Effect(6, 0.01, catalogued=False),
@@ -233,6 +235,7 @@ def sensor_reading(x: Array, columns: Columns, effects: Mapping[str, Array]) -> 
     """What the sensor makes of the point x, (n, 3), mm."""
     beams = np.eye(3) + effects["beam_alignment"].reshape(3, 3)
     before, (*step, when) = effects["sensor_pose"], effects["sensor_slip"]
-    stands = np.where(columns["time_s"][:, None] > when, before + step, before)
+    time_s = columns["time_s"][:, None]
+    stands = np.where(time_s > when, before + step, before) + effects["sensor_drift"] * time_s / 3600.0
     straight = (Rotation.from_rotvec(stands[:, :3]).apply(x) + stands[:, 3:]) @ beams.T
     return straight + effects["sensor_linearity"] * (straight / SPAN_MM) ** 3

@@ -46,7 +46,7 @@ class ArmPhysics:
             point = point * (1.0 + hidden.warmth_per_c * (warmth - 20.0))
             point = point + np.asarray(hidden.rate_mm_h) * time / 3600.0
             point = point + np.asarray(hidden.stand_mm_per_c) * (stand - 20.0)
-            out[row, :3] = self.seen(point, late)
+            out[row, :3] = self.seen(point, late, time / 3600.0)
             centre, plane = (np.nan, np.nan) if ends is None else ends[row]
             if np.isfinite(centre):
                 out[row, 3] = self.distance(point, int(centre) - 1)
@@ -151,11 +151,12 @@ class ArmPhysics:
         moved = _aligning(tuple(self.robot.joints[-1].axis)).as_matrix() @ moved
         return (self._frames(real, grown=grown)[-1] @ [*((target + moved) * (1.0 + grown[-1])), 1.0])[:3]
 
-    def seen(self, point: Floats, late: bool) -> Floats:
+    def seen(self, point: Floats, late: bool, hours: float = 0.0) -> Floats:
         """What the tracker shows (3,), mm."""
         stand = np.broadcast_to(np.asarray(self.stand, dtype=float), 6).copy()
         if late:
             stand = stand + np.broadcast_to(np.asarray(self.effects.knock, dtype=float), 6)
+        stand = stand + hours * np.broadcast_to(np.asarray(self.effects.settles, dtype=float), 6)
         turns = Rotation
         nominal = turns.from_euler("xyz", self.robot.sensor_pose.rpy_deg, degrees=True)
         there = turns.from_rotvec(stand[:3]).apply(nominal.apply(point))

@@ -32,6 +32,7 @@ marker's centre that is the same in every repeat of a pose.
 Sensor:
   sensor_pose (6)            turn about the camera's own axes after its rotation, rad, then translation, mm
   sensor_slip (7)            what is added to sensor_pose, then the time in s from which it is
+  sensor_drift (6)           what is added to sensor_pose in an hour from the time zero
   focal_length (1)           relative error of both focal lengths
   lens_distortion (4)        errors of k1, k2, p1, p2
 """
@@ -114,6 +115,7 @@ SPHERICAL_EFFECTS: dict[str, Effect] = {
     "thermal_shift": Effect((0.2, 0.2, 0.2, 60.0), fixed=1),
     "sensor_pose": Effect((1e-3,) * 3 + (0.5,) * 3),
     "sensor_slip": Effect((1e-3,) * 3 + (0.5,) * 3 + (60.0,), fixed=1),
+    "sensor_drift": Effect((0.02,) * 3 + (2.0,) * 3),
     "focal_length": Effect((2e-3,)),
     "lens_distortion": Effect((0.01, 0.01, 1e-3, 1e-3)),
     "camera_delay": Effect((5e-3,), positive=True),
@@ -444,6 +446,9 @@ class SecondSpherical:
         *step, when = self._effects["sensor_slip"]
         if np.any(step):
             pose = pose + np.outer((now or Now()).needed("time_s", "a slip of the camera") >= when, step)
+        if np.any(self._effects["sensor_drift"]):
+            hours = (now or Now()).needed("time_s", "a drift of the camera") / 3600.0
+            pose = pose + np.outer(hours, self._effects["sensor_drift"])
         turn = Rotation.from_rotvec(pose[:, :3]) * Rotation.from_rotvec(self.camera[9:12])
         x, y, depth = (turn.apply(points) + self.camera[12:] + pose[:, 3:]).T
         if np.any(depth <= 0):

@@ -251,6 +251,8 @@ def test_point_and_sensor_effects_match_their_formulas() -> None:
         "sensor_pose": ([*v, *v], Rotation.from_rotvec(v).apply(p) + v - p),
         "sensor_slip": ([*v, *v, 200.0], np.where(t > 200, Rotation.from_rotvec(v).apply(p) + v - p, 0.0)),
     }
+    turned = np.stack([Rotation.from_rotvec(v * h).apply(one) for h, one in zip(t[:, 0] / 3600, p, strict=True)])
+    expected["sensor_drift"] = ([*v, *v], turned + v * t / 3600 - p)
     for name, (parameters, moved) in expected.items():
         np.testing.assert_allclose(change(name, parameters), moved, atol=1e-12, err_msg=name)
     # a scale bends about its own zero, not about the robot's

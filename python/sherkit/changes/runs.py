@@ -188,7 +188,7 @@ OWN_NOISE, _OWN_COURSE = 10, 40
 #: Readings of a row that tell a direction; the part up to which columns are alike; rows that show it.
 _TELLS, _ALIKE, _ENOUGH = 2, 1e-2, 300
 #: Parameters that say where the sensor stands, by how their names begin.
-_OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip", SETUP_PREFIX)
+_OF_STAND = ("datum", "sensor_turn", "sensor_shift", "sensor_slip", "sensor_drift", SETUP_PREFIX)
 
 
 @dataclass(frozen=True, eq=False)

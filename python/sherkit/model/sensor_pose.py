@@ -35,6 +35,8 @@ SHIFTS = ("sensor_shift_x", "sensor_shift_y", "sensor_shift_z")
 POSE = (*TURNS, *SHIFTS)
 #: The effect that says how the pose changed in the course of a run; its parameters are called as those are.
 SLIP = "sensor_slip"
+#: And the one that says how fast it changes.
+DRIFT = "sensor_drift"
 #: The coordinates of an instrument that reads places in space; of one in a plane the first two.
 SPACE = ("x_mm", "y_mm", "z_mm")
 #: The numbers that readings of a plane show.
@@ -251,8 +253,19 @@ def slip_row(lever_mm: float, names: Collection[str] = POSE) -> dict[str, Any]:
          **_of(name, _KNOCKED_RAD, _KNOCKED_MM), "lever_mm": lever_mm if name in TURNS else 1.0}
         for name in POSE if name in names
     ]  # fmt: skip
-    return {"name": "sensor_slip", "link": "sensor", "base": False, "parameters": own, "needs": ["time_s"],
+    return {"name": SLIP, "link": "sensor", "base": False, "parameters": own, "needs": ["time_s"],
             "search": "time_s"}  # fmt: skip
+
+
+def drift_row(lever_mm: float, names: Collection[str] = POSE) -> dict[str, Any]:
+    """The row of the effect: how fast these numbers change from the beginning of the run; a turn moves what is seen by
+    ``lever_mm`` per radian."""
+    own = []
+    for row in slip_row(lever_mm, names)["parameters"]:
+        word, axis = row["name"].split("_")
+        name = f"{word}_rate_{axis}"
+        own.append({**row, "name": name, "symbol": name, "unit": f"{row['unit']}/h"})
+    return {"name": DRIFT, "link": "sensor", "base": False, "parameters": own, "needs": ["time_s"], "search": None}
 
 
 def _of(name: str, turn: float, shift: float) -> dict[str, Any]:

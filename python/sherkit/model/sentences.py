@@ -90,6 +90,17 @@ COMMON: dict[str, Sentences] = {
         remedy="Clamp the stand; measure reference nests on the robot's base before and after; measure again from the "
         "moment on.",
     ),
+    "sensor_drift": Sentences(
+        physics="The instrument turns or creeps steadily while the run lasts: a tripod settles, a stand warms on one "
+        "side, a zero of its angles wanders; or the robot sinks on its floor.",
+        residuals="A straight line over time, which differs from place to place where it is a turn.",
+        remedy="Let instrument and stand warm up and settle; measure reference nests on the robot's base before, "
+        "between and after; shuffle the order of poses.",
+        sizes={
+            "turn_rate": "the instrument turns about its {k} by {size}",
+            "shift_rate": "the instrument creeps along its {k} by {size}",
+        },
+    ),
     "focal_length": Sentences(
         physics="The focal length differs from the calibrated one: the lens was refocused, or warmed up.",
         residuals="The picture grows or shrinks about its middle.",

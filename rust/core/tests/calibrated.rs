@@ -19,6 +19,7 @@ const BEAM_ALIGNMENT: Range<usize> = range_of(CATALOGUE, "beam_alignment");
 const SENSOR_LINEARITY: Range<usize> = range_of(CATALOGUE, "sensor_linearity");
 const SENSOR_POSE: Range<usize> = range_of(CATALOGUE, "sensor_pose");
 const SENSOR_SLIP: Range<usize> = range_of(CATALOGUE, "sensor_slip");
+const SENSOR_DRIFT: Range<usize> = range_of(CATALOGUE, "sensor_drift");
 
 /// What a random calibrated robot is made of; [`Parts::with`] puts it together.
 #[derive(Clone, Debug)]
@@ -180,7 +181,7 @@ proptest! {
     }
 
     /// A frame that is another one: turned the wrong way, shifted before it is turned, that of the local model, or that of before
-    /// a slip; an inverse that is asked in one frame and answers in the other; beams, bends, a slip of the stand or its warmth
+    /// a slip; an inverse that is asked in one frame and answers in the other; beams, bends, a slip or a drift of the stand or its warmth
     /// in where the robot is.
     #[test]
     fn both_frames_tell_of_one_place(parts in parts(), away in aways(60.0), before in any::<bool>()) {
@@ -195,7 +196,7 @@ proptest! {
             for k in 0..6 {
                 values[SENSOR_POSE.start + k] += values[SENSOR_SLIP.start + k];
             }
-            for range in [BEAM_ALIGNMENT, SENSOR_LINEARITY, SENSOR_SLIP] {
+            for range in [BEAM_ALIGNMENT, SENSOR_LINEARITY, SENSOR_SLIP, SENSOR_DRIFT] {
                 values[range].fill(0.0);
             }
         }
@@ -222,6 +223,7 @@ proptest! {
         // without a correction the robot is where its chain has the point, and is read as the chain has it after the slip
         let mut bare = parts.clone();
         (bare.corrected, bare.has_local) = ([false; 2], false);
+        bare.whole[SENSOR_DRIFT].fill(0.0);
         let chain = model.with(&bare.whole).unwrap();
         bare.with(|c| {
             let place = c.in_frame(Frame::Base).forward(&joints, &now).unwrap().0;

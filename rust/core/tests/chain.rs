@@ -37,6 +37,7 @@ const ROD_MISMATCH: Range<usize> = of("rod_mismatch");
 const SENSOR_LINEARITY: Range<usize> = of("sensor_linearity");
 const SENSOR_POSE: Range<usize> = of("sensor_pose");
 const SENSOR_SLIP: Range<usize> = of("sensor_slip");
+const SENSOR_DRIFT: Range<usize> = of("sensor_drift");
 const SLIP: Range<usize> = of("slip");
 const THERMAL_GROWTH: Range<usize> = of("thermal_growth");
 const THERMAL_SHIFT: Range<usize> = of("thermal_shift");
@@ -133,6 +134,7 @@ proptest! {
         prop_assert!((found - apart.norm() - values[BAR_ZERO.start]).abs() < 1e-9);
         values[SENSOR_POSE].fill(0.0);
         values[SENSOR_SLIP].fill(0.0);
+        values[SENSOR_DRIFT].fill(0.0);
         values[BEAM_ALIGNMENT].fill(0.0);
         values[SENSOR_LINEARITY].fill(0.0);
         prop_assert_eq!(model_of(&robot).with(&values).unwrap().row_value(&here).unwrap().x, found);
@@ -161,7 +163,7 @@ proptest! {
         if !turned {
             model.sensor.rotation = Matrix3::identity();
         }
-        let one_by_one = [BACKLASH, ENCODER_CYCLIC, ENCODER_SECOND, JOINT_SCALE, JOINT_SLIP, DRIFT, SLIP, THERMAL_GROWTH, THERMAL_SHIFT, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, LINK_GROWTH, ROD_MISMATCH, SENSOR_SLIP];
+        let one_by_one = [BACKLASH, ENCODER_CYCLIC, ENCODER_SECOND, JOINT_SCALE, JOINT_SLIP, DRIFT, SLIP, THERMAL_GROWTH, THERMAL_SHIFT, GRAVITY_SAG, DRIVE_COMPLIANCE, LIMB_TWIST, LINK_GROWTH, ROD_MISMATCH, SENSOR_SLIP, SENSOR_DRIFT];
         let mut plain = values;
         if !off {
             plain[SENSOR_POSE].fill(0.0);
@@ -246,7 +248,7 @@ proptest! {
         let mut quiet = values;
         for range in [
             JOINT_SCALE, ENCODER_CYCLIC, ENCODER_SECOND, BACKLASH, JOINT_SLIP, THERMAL_GROWTH, DRIFT, SLIP, THERMAL_SHIFT,
-            BEAM_ALIGNMENT, SENSOR_LINEARITY, SENSOR_POSE, SENSOR_SLIP,
+            BEAM_ALIGNMENT, SENSOR_LINEARITY, SENSOR_POSE, SENSOR_SLIP, SENSOR_DRIFT,
         ] {
             quiet[range].fill(0.0);
         }
@@ -271,7 +273,8 @@ proptest! {
         let hours = (now.time_s - model.time_origin_s) / 3600.0;
         let push = Vector3::new(0.3, -0.2, 0.1);
         let body = body + push + Vector3::from_fn(|i, _| v(DRIFT, i) * hours + v(SLIP, i) + v(THERMAL_SHIFT, i) * (now.stand_c - 20.0));
-        let off: [f64; 6] = std::array::from_fn(|k| v(SENSOR_POSE, k) + v(SENSOR_SLIP, k));
+        let off: [f64; 6] =
+            std::array::from_fn(|k| v(SENSOR_POSE, k) + v(SENSOR_SLIP, k) + v(SENSOR_DRIFT, k) * hours);
         let seen = stand(&model.sensor, &off).apply(&body);
         let expected = Vector3::from_fn(|i, _| {
             let shown = seen[i] + (0..3).map(|k| v(BEAM_ALIGNMENT, 3 * i + k) * seen[k]).sum::<f64>();

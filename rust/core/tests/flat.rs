@@ -84,8 +84,9 @@ impl Parts {
     }
 }
 
-/// Numbers at the end of a delta's parameters that rows from before lack: those of its bar; of its encoders' second wave as well.
-const LATER_OF_DELTA: [usize; 2] = [1, 1 + 2 * delta::LIMBS];
+/// Numbers at the end of a delta's parameters that rows from before lack: how fast its instrument's pose changes; its bar's
+/// as well; those of its encoders' second wave as well.
+const LATER_OF_DELTA: [usize; 3] = [6, 6 + 1, 6 + 1 + 2 * delta::LIMBS];
 
 /// Where the values of a delta's first branch end in its row: behind its head, its geometry, its target and sensor, its
 /// rods, its joints, its moments.
@@ -120,7 +121,7 @@ proptest! {
     /// the last parameters of each branch, and as if those were zero.
     #[test]
     fn a_delta_from_before_is_read(robot in robots(), values in effects(), seed in any::<u64>()) {
-        let later = LATER_OF_DELTA[usize::from(seed % 2 == 0)];
+        let later = LATER_OF_DELTA[(seed % 3) as usize];
         let mut parts = Parts::new(&robot, &values, seed);
         for own in parts.values.iter_mut().flat_map(|all| &mut all[delta::PARAMETERS - later..]) {
             *own = 0.0;
@@ -237,11 +238,12 @@ fn an_arm_comes_back_to_the_last_bit() {
     }
     assert!(read_delta(&row).is_err());
     // a row from before gears had a second wave: all but the last parameters, and as if these were zero
-    let before = serial::PARAMETERS - 2 * JOINTS;
+    let later = 6 + 2 * JOINTS;
+    let before = serial::PARAMETERS - later;
     let values = std::array::from_fn(|k| if k < before { values[k] } else { 0.0 });
     let made = serial::Calibrated::new(&model, &values, &limits).expect("an arm");
     let mut old = row;
-    old.truncate(old.len() - 2 * JOINTS);
+    old.truncate(old.len() - later);
     old[2] = before as f64;
     let read = read_serial(&old).expect("an arm from before");
     assert_eq!(read.forward(&joints, &now), made.forward(&joints, &now));
@@ -294,11 +296,12 @@ fn a_spherical_robot_comes_back_to_the_last_bit() {
         assert!(read_delta(&row).is_err());
     }
     // from before encoders had a second wave
-    let before = spherical::PARAMETERS - 4;
+    let later = 6 + 4;
+    let before = spherical::PARAMETERS - later;
     let values = std::array::from_fn(|k| if k < before { values[k] } else { 0.0 });
     let mut old = Vec::new();
     write_spherical(&model, &values, Elbows::Open, |x| old.push(x));
-    old.truncate(old.len() - 4);
+    old.truncate(old.len() - later);
     old[2] = before as f64;
     let read = read_spherical(&old).expect("one from before");
     let made = spherical::Calibrated::new(&model, &values, Elbows::Open).expect("a robot");

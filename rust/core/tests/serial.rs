@@ -19,6 +19,7 @@ use std::ops::Range;
 
 const SENSOR_POSE: Range<usize> = range_of(CATALOGUE, "sensor_pose");
 const SENSOR_SLIP: Range<usize> = range_of(CATALOGUE, "sensor_slip");
+const SENSOR_DRIFT: Range<usize> = range_of(CATALOGUE, "sensor_drift");
 
 fn turn(axis: usize, angle: f64) -> Matrix3<f64> {
     let (s, c) = angle.sin_cos();
@@ -190,6 +191,7 @@ proptest! {
         sensor in sensors(),
         off in prop::array::uniform6(-3.0..3.0_f64),
         slip in prop::array::uniform6(-0.3..0.3_f64),
+        rate in prop::array::uniform6(-0.3..0.3_f64),
         share in 0.0..1.0_f64,
         slipped in any::<bool>(),
     ) {
@@ -197,6 +199,7 @@ proptest! {
         let mut values = some(share);
         values[SENSOR_POSE].copy_from_slice(&off);
         values[SENSOR_SLIP].copy_from_slice(&slip);
+        values[SENSOR_DRIFT].copy_from_slice(&rate);
         let mut row = row();
         row.covariates.time_s = model.sensor_slip_time_s + if slipped { 100.0 } else { -1.0 };
         // the same arm seen from its base by a tracker of the same faults cannot tell: its faults are of what it sees
@@ -204,16 +207,18 @@ proptest! {
         for name in ["sensor_scale", "sensor_linearity"] {
             true_to_size[range_of(CATALOGUE, name)].fill(0.0);
         }
-        let pose: [f64; 6] = std::array::from_fn(|k| off[k] + if slipped { slip[k] } else { 0.0 });
+        let hours = (row.covariates.time_s - model.time_origin_s) / 3600.0;
+        let pose: [f64; 6] = std::array::from_fn(|k| off[k] + if slipped { slip[k] } else { 0.0 } + rate[k] * hours);
         let mut from_base = true_to_size;
         from_base[SENSOR_POSE].fill(0.0);
         from_base[SENSOR_SLIP].fill(0.0);
+        from_base[SENSOR_DRIFT].fill(0.0);
         let at_base = Model { sensor: Rigid::identity(), ..model }.with(&from_base).unwrap().row_value(&row).unwrap();
         let seen = model.with(&true_to_size).unwrap().row_value(&row).unwrap();
         prop_assert!((seen - stand(&sensor, &pose).apply(&at_base)).amax() < 1e-10);
 
         let predicted = model.with(&values).unwrap().row_predict(&row, Wanted::ALL).unwrap();
-        for p in SENSOR_POSE.chain(SENSOR_SLIP) {
+        for p in SENSOR_POSE.chain(SENSOR_SLIP).chain(SENSOR_DRIFT) {
             let differences = derivative(|h| {
                 let mut v = values;
                 v[p] += h;
@@ -244,7 +249,10 @@ proptest! {
         row.covariates.time_s = now.time_s.max(model.sensor_slip_time_s);
         row.push = Vector3::zeros();
         if slipped {
-            let read = model.with(&values).unwrap().row_value(&row).unwrap();
+            // but for what it drifted: a loop has it where it stood
+            let mut steady = values;
+            steady[SENSOR_DRIFT].fill(0.0);
+            let read = model.with(&steady).unwrap().row_value(&row).unwrap();
             prop_assert!((there - read).amax() < 1e-10, "{there} {read}");
         }
         for k in 0..JOINTS {

@@ -15,7 +15,7 @@ from ...data.called import factor
 from ...data.columns import TEMPERATURE, TIME, bare, unit_in
 from ...data.in_time import DRAWN_C
 from ...model.effect import Effect, Sentences, catalogue_of_core
-from ...model.sensor_pose import POSE, pose_row, slip_row
+from ...model.sensor_pose import POSE, drift_row, pose_row, slip_row
 from ...model.sentences import COMMON
 
 #: A plausible small error of a reading or joint by its unit; of any other, this part of its range. A joint that
@@ -81,7 +81,7 @@ class Generic:
     @property
     def is_base(self) -> bool:
         """Whether it is no effect but of every model: where the sensor stands."""
-        return self.by_pose and self.search is None
+        return self.by_pose and not self.needs
 
     @property
     def row(self) -> dict[str, Any]:
@@ -160,8 +160,7 @@ def generic_effects(
         out.append(Generic("sensor_growth", "sensor", by_reading("growth", [_GROWTH] * len(read), ["1/°C"] * len(read)),
                            _each(_growing), (TEMPERATURE,)))  # fmt: skip
     out += [
-        Generic("drift", "body", by_reading("rate", seen, [f"{u}/h" for u in read]),
-                _each(lambda _, at: ((at.time_s - at.chain.time_origin_s) / 3600.0)[:, None]), (TIME,)),
+        Generic("drift", "body", by_reading("rate", seen, [f"{u}/h" for u in read]), _each(_hours), (TIME,)),
         Generic("slip", "body", by_reading("step", seen), _each(_late("slip_time_s")), (TIME,), TIME),
         Generic("thermal_shift", "sensor", by_reading("shift", [0.2 * s for s in seen], [f"{u}/°C" for u in read]),
                 _each(lambda _, at: (at.stand_c - DRAWN_C)[:, None]), (TEMPERATURE,), "lag_s"),
@@ -170,7 +169,7 @@ def generic_effects(
                 _each(lambda x, _: x)),
     ]  # fmt: skip
     if is_place:
-        out.append(_of_pose(slip_row(1.0), _each(_late("sensor_slip_time_s"))))
+        out += [_of_pose(slip_row(1.0), _each(_late("sensor_slip_time_s"))), _of_pose(drift_row(1.0), _each(_hours))]
     return tuple(one for one in out if one.parameters)
 
 
@@ -264,6 +263,11 @@ def _wave_of(turns: Mapping[int, float]) -> Formula:
 
 def _cyclic(which: Sequence[int], times: float = 1.0) -> Formula:
     return lambda q, at: _wave(q, {k: times * at.chain.wave[k] for k in which})
+
+
+def _hours(_: NDArray[Any], at: RowCovariates) -> Floats:
+    """Since the beginning of the run, (n, 1)."""
+    return ((at.time_s - at.chain.time_origin_s) / 3600.0)[:, None]
 
 
 def _late(setting: str) -> Callable[[NDArray[Any], RowCovariates], Floats]:

@@ -61,7 +61,7 @@ impl Body {
             growth += self.thermal * warmer(row);
         }
         if self.drift != Vector3::zeros() {
-            shift += self.drift * self.hours(row);
+            shift += self.drift * hours(row.time_s, self.time_origin_s);
         }
         if self.slip != Vector3::zeros() {
             shift += self.slip * self.slipped(row);
@@ -77,10 +77,6 @@ impl Body {
         } else {
             self.stand * standing(row)
         }
-    }
-
-    fn hours<const J: usize>(&self, row: &Covariates<J>) -> f64 {
-        (row.time_s - self.time_origin_s) / SECONDS_PER_HOUR
     }
 
     fn slipped<const J: usize>(&self, row: &Covariates<J>) -> f64 {
@@ -107,13 +103,19 @@ impl Body {
         }
         if let Some(place) = wanted.wants(at.drift) {
             d.fixed_columns_mut::<3>(place.start)
-                .copy_from(&(by_body * self.hours(row)));
+                .copy_from(&(by_body * hours(row.time_s, self.time_origin_s)));
         }
         if let Some(place) = wanted.wants(at.slip) {
             d.fixed_columns_mut::<3>(place.start)
                 .copy_from(&(by_body * self.slipped(row)));
         }
     }
+}
+
+/// Hours since a moment, by which a drift counts; NaN where the time is not known.
+#[inline]
+pub(crate) fn hours(time_s: f64, origin_s: f64) -> f64 {
+    (time_s - origin_s) / SECONDS_PER_HOUR
 }
 
 /// One from a moment on, zero before; NaN where the time is not known.

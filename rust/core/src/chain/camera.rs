@@ -2,7 +2,7 @@
 
 use super::effects::{Wanted, values_of};
 use super::sensor::{Look, Sensor};
-use super::sensor_pose::{SensorPose, Stand};
+use super::sensor_pose::{Moments, SensorPose, Stand};
 use super::table::Table;
 use crate::Result;
 use crate::camera::{Camera, Description, Projection};
@@ -12,20 +12,20 @@ use nalgebra::{Matrix2x3, SMatrix, SVector, Vector2, Vector3};
 #[derive(Clone, Copy, Debug)]
 pub struct Eye {
     pose: SensorPose,
-    /// Where it stands before it slips, if ever.
+    /// Where it stands before it slips or drifts, if ever.
     camera: Camera,
     /// Nominal focal lengths, px.
     focal: [f64; 2],
 }
 
 impl Eye {
-    /// A nominal camera with the effects that a robot has; it slips at a moment, s.
+    /// A nominal camera with the effects that a robot has.
     ///
     /// # Errors
     /// As [`Camera::new`].
     pub(crate) fn new<T: Table, const P: usize>(
         nominal: &Description,
-        slip_time_s: f64,
+        moments: Moments,
         values: &[f64; P],
     ) -> Result<Self> {
         let at = T::AT.camera;
@@ -39,7 +39,7 @@ impl Eye {
             *k += d;
         }
         let camera = Camera::new(&camera)?;
-        let pose = SensorPose::new::<T, P>(&camera.frame(), slip_time_s, values);
+        let pose = SensorPose::new::<T, P>(&camera.frame(), moments, values);
         Ok(Self {
             camera: camera.standing(&pose.first().frame),
             pose,
@@ -47,13 +47,13 @@ impl Eye {
         })
     }
 
-    /// The camera as it stands before it slips.
+    /// The camera as it stands before it slips or drifts.
     pub(crate) fn camera(&self) -> &Camera {
         &self.camera
     }
 
     /// The camera as it stands when a picture is taken.
-    pub(crate) fn at(&self, look: Look) -> Result<(Camera, &Stand)> {
+    pub(crate) fn at(&self, look: Look) -> Result<(Camera, Stand)> {
         let stand = self.pose.at(look)?;
         Ok((self.camera.standing(&stand.frame), stand))
     }
@@ -105,7 +105,7 @@ impl Sensor<2> for Eye {
     ) -> Result<(SVector<f64, 2>, Matrix2x3<f64>)> {
         let (camera, stand) = self.at(look)?;
         let projection = camera.projection(point)?;
-        self.columns::<T, P>(stand, &projection, point, look, wanted, d);
+        self.columns::<T, P>(&stand, &projection, point, look, wanted, d);
         Ok((projection.pixel, camera.by_point(&projection)))
     }
 }

@@ -7,7 +7,7 @@ use super::columns::Columns;
 use super::effects::{Wanted, values_of};
 use super::robot::checked;
 use super::sensor::{Look, Sensor};
-use super::sensor_pose::SensorPose;
+use super::sensor_pose::{Moments, SensorPose};
 use super::table::Table;
 use crate::Result;
 use crate::numbers::math::{Real, Triple, cross, dot, scale};
@@ -33,15 +33,15 @@ struct Seen {
 }
 
 impl Cartesian {
-    /// The instrument with the effects that a robot has, where it stands; it slips at a moment, s.
+    /// The instrument with the effects that a robot has, where it stands.
     pub(crate) fn new<T: Table, const P: usize>(
         nominal: &Rigid,
-        slip_time_s: f64,
+        moments: Moments,
         values: &[f64; P],
     ) -> Self {
         let at = T::AT.cartesian;
         Self {
-            pose: SensorPose::new::<T, P>(nominal, slip_time_s, values),
+            pose: SensorPose::new::<T, P>(nominal, moments, values),
             beams: Matrix3::from_row_slice(&values_of::<9, P>(at.beam_alignment, values)),
             linearity: Vector3::from(values_of::<3, P>(at.sensor_linearity, values)),
         }
@@ -121,7 +121,7 @@ impl Sensor<3> for Cartesian {
         let by_point = self.by_point(&seen);
         let at = T::AT.cartesian;
         self.pose
-            .columns::<T, 3, P>(stand, &turned, &by_point, look, wanted, d);
+            .columns::<T, 3, P>(&stand, &turned, &by_point, look, wanted, d);
         // parameters touch their own axis alone: what an earlier row left on the others is cleared
         if let Some(place) = wanted.wants(at.sensor_linearity) {
             let mut own = d.fixed_columns_mut::<3>(place.start);

@@ -52,6 +52,6 @@ pub(crate) use robot::Trail;
 pub use robot::{Chain, Distances, Robot};
 pub use row::{Aim, Covariates, Fixed, Prediction, Row};
 pub use sensor::{Look, Sensor};
-pub use sensor_pose::{SensorPose, Stand};
+pub use sensor_pose::{Moments, SensorPose, Stand};
 pub use table::{Settings, Table};
 pub use tracker::Tracker;

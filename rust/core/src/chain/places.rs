@@ -4,7 +4,7 @@ use super::effects::places;
 
 places! { OfJoints: joint_offset joint_scale joint_slip encoder_cyclic encoder_second encoder_eccentricity backlash camera_delay reading_delay }
 places! { OfBody: thermal_growth thermal_shift drift slip }
-places! { OfPose: sensor_pose sensor_slip }
+places! { OfPose: sensor_pose sensor_slip sensor_drift }
 places! { OfCartesian: beam_alignment sensor_linearity }
 places! { OfCamera: focal_length principal_point lens_distortion }
 places! { OfAngles: datum }

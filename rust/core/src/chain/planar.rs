@@ -9,7 +9,8 @@ use super::effects::{Effect, OWN_LEVER, Wanted, places, values_of};
 use super::places::Places;
 use super::table::effects;
 use super::{
-    Aim, Cartesian, Covariates, Distances, Mechanism, Prediction, Robot, Row, Settings, Table,
+    Aim, Cartesian, Covariates, Distances, Mechanism, Moments, Prediction, Robot, Row, Settings,
+    Table,
 };
 use crate::camera::rotation_matrix;
 use crate::numbers::math::sin_cos;
@@ -38,6 +39,10 @@ effects! { At;
     sensor_slip: Sensor by pose needs "time_s" search "time_s" {
         turn_x, turn_y, turn_z: "rad", 2e-3, 20.0;
         shift_x, shift_y, shift_z: "mm", 0.1, 1.0;
+    }
+    sensor_drift: Sensor by pose needs "time_s" {
+        turn_rate_x, turn_rate_y, turn_rate_z: "rad/h", 2e-3, 20.0;
+        shift_rate_x, shift_rate_y, shift_rate_z: "mm/h", 0.1, 1.0;
     }
     joint_scale: Joints by joints {
         scale_1, scale_2: "rad/rad", 2e-3, 200.0;
@@ -137,7 +142,10 @@ impl Robot<2, 3, PARAMETERS> for Arm {
     fn sensor(&self, values: &Values) -> Result<Cartesian> {
         Ok(Cartesian::new::<Self, PARAMETERS>(
             &self.sensor,
-            SENSOR_SLIP_S,
+            Moments {
+                origin_s: 100.0,
+                slip_s: SENSOR_SLIP_S,
+            },
             values,
         ))
     }

@@ -2,9 +2,10 @@
 //! Shah, Eastman, Hong, "An overview of robot-sensor calibration methods", 2012).
 //!
 //! `seen = exp(turn) R₀ x + t₀ + shift`: the picture of the robot is turned about the instrument's own axes, then shifted;
-//! the place where the origin of the base is seen stays where it turns. It may change once, at a moment: a stand is knocked.
+//! the place where the origin of the base is seen stays where it turns. It may change once, at a moment: a stand is knocked;
+//! and steadily, while a tripod settles.
 
-use super::body::since;
+use super::body::{hours, since};
 use super::effects::{Wanted, values_of};
 use super::sensor::{Look, Sensor};
 use super::table::Table;
@@ -16,10 +17,21 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 /// Where an instrument stands, with what a robot's table has of it.
 #[derive(Clone, Copy, Debug)]
 pub struct SensorPose {
+    nominal: Rigid,
+    off: [f64; 6],
+    slip: [f64; 6],
+    rate: [f64; 6],
+    moments: Moments,
+    /// Before it slips or drifts, and after the slip.
     first: Stand,
-    /// From the moment of the slip on, where it slips.
-    slipped: Option<Stand>,
-    slip_time_s: f64,
+    slipped: Stand,
+}
+
+/// Time from which the drift of an instrument counts, and moment of its slip, s.
+#[derive(Clone, Copy, Debug)]
+pub struct Moments {
+    pub(crate) origin_s: f64,
+    pub(crate) slip_s: f64,
 }
 
 /// One place to stand: from the base frame to the instrument's, and the turn by which it is off the nominal one.
@@ -28,6 +40,14 @@ pub struct Stand {
     /// From the base frame to that of the instrument.
     pub frame: Rigid,
     by_turn: Matrix3<f64>,
+}
+
+/// A pose that does not change.
+const STILL: [f64; 6] = [0.0; 6];
+
+/// A pose changed by a share of another.
+fn sum(off: &[f64; 6], by: &[f64; 6], share: f64) -> [f64; 6] {
+    core::array::from_fn(|k| off[k] + share * by[k])
 }
 
 impl Stand {
@@ -50,58 +70,78 @@ impl Stand {
 }
 
 impl SensorPose {
-    /// The pose with the errors that a robot has; it slips at a moment, s.
+    /// The pose with the errors that a robot has.
     pub(crate) fn new<T: Table, const P: usize>(
         nominal: &Rigid,
-        slip_time_s: f64,
+        moments: Moments,
         values: &[f64; P],
     ) -> Self {
         let at = T::AT.pose;
-        let mut off: [f64; 6] = values_of(at.sensor_pose, values);
+        let off = values_of(at.sensor_pose, values);
+        let slip = values_of(at.sensor_slip, values);
         let first = Stand::new(nominal, &off);
-        let slip: [f64; 6] = values_of(at.sensor_slip, values);
-        let slipped = (slip != [0.0; 6]).then(|| {
-            off.iter_mut().zip(slip).for_each(|(p, s)| *p += s);
-            Stand::new(nominal, &off)
-        });
         Self {
+            nominal: *nominal,
+            off,
+            slip,
+            rate: values_of(at.sensor_drift, values),
+            moments,
             first,
-            slipped,
-            slip_time_s,
+            slipped: if slip == STILL {
+                first
+            } else {
+                Stand::new(nominal, &sum(&off, &slip, 1.0))
+            },
         }
     }
 
     /// As a control loop has it, at all times: what a loop is told, it is told after the run, when the stand has long been
-    /// knocked, and nobody sends a robot to where an instrument would have seen it before. So a loop needs no time for it.
+    /// knocked, and nobody sends a robot to where an instrument would have seen it before, or sees it when it has drifted.
+    /// So a loop needs no time for it.
     #[must_use]
     pub(crate) fn deployed(self) -> Self {
         Self {
-            first: self.slipped.unwrap_or(self.first),
-            slipped: None,
+            off: sum(&self.off, &self.slip, 1.0),
+            slip: STILL,
+            rate: STILL,
+            first: self.slipped,
             ..self
         }
     }
 
-    /// Before it slips, if ever.
+    /// Before it slips or drifts, if ever.
     pub(crate) fn first(&self) -> &Stand {
         &self.first
     }
 
-    /// Whether it is the same at all times, and no derivative by a slip is wanted.
+    /// Whether it is the same at all times, and no derivative by a slip or a drift is wanted.
     pub(crate) fn stays<T: Table>(&self, wanted: Wanted) -> bool {
-        self.slipped.is_none() && wanted.wants(T::AT.pose.sensor_slip).is_none()
+        let at = T::AT.pose;
+        self.slip == STILL
+            && self.rate == STILL
+            && wanted.wants(at.sensor_slip).is_none()
+            && wanted.wants(at.sensor_drift).is_none()
     }
 
     /// Where it stands at the time of a reading.
     ///
     /// # Errors
-    /// [`Error::NotFinite`] where it slips and the time is not known.
-    pub(crate) fn at(&self, look: Look) -> Result<&Stand> {
-        match &self.slipped {
-            Some(_) if look.time_s.is_nan() => Err(Error::NotFinite { index: 0 }),
-            Some(slipped) if look.time_s >= self.slip_time_s => Ok(slipped),
-            _ => Ok(&self.first),
+    /// [`Error::NotFinite`] where it slips or drifts and the time is not known.
+    pub(crate) fn at(&self, look: Look) -> Result<Stand> {
+        if self.slip == STILL && self.rate == STILL {
+            return Ok(self.first);
         }
+        if look.time_s.is_nan() {
+            return Err(Error::NotFinite { index: 0 });
+        }
+        let slipped = look.time_s >= self.moments.slip_s;
+        if self.rate == STILL {
+            return Ok(if slipped { self.slipped } else { self.first });
+        }
+        let share = f64::from(u8::from(slipped));
+        let off = sum(&self.off, &self.slip, share);
+        let drifted = hours(look.time_s, self.moments.origin_s);
+        Ok(Stand::new(&self.nominal, &sum(&off, &self.rate, drifted)))
     }
 
     /// Writes the wanted columns: `turned` is the point turned and not shifted, `by_seen` what the instrument makes of a
@@ -117,13 +157,17 @@ impl SensorPose {
         d: &mut SMatrix<f64, M, P>,
     ) {
         let at = T::AT.pose;
-        let (pose, slip) = (wanted.wants(at.sensor_pose), wanted.wants(at.sensor_slip));
-        if pose.is_none() && slip.is_none() {
+        let shares = [
+            (at.sensor_pose, 1.0),
+            (at.sensor_slip, since(look.time_s, self.moments.slip_s)),
+            (at.sensor_drift, hours(look.time_s, self.moments.origin_s)),
+        ];
+        if !shares.iter().any(|(own, _)| wanted.wants(*own).is_some()) {
             return;
         }
         let by_turn = -(by_seen * turned.cross_matrix() * stand.by_turn);
-        for (place, share) in [(pose, 1.0), (slip, since(look.time_s, self.slip_time_s))] {
-            if let Some(place) = place {
+        for (own, share) in shares {
+            if let Some(place) = wanted.wants(own) {
                 d.fixed_columns_mut::<3>(place.start)
                     .copy_from(&(by_turn * share));
                 d.fixed_columns_mut::<3>(place.start + 3)
@@ -151,7 +195,7 @@ impl Sensor<3> for SensorPose {
         let stand = self.at(look)?;
         let turned = stand.frame.rotation * point;
         let straight = Matrix3::identity();
-        self.columns::<T, 3, P>(stand, &turned, &straight, look, wanted, d);
+        self.columns::<T, 3, P>(&stand, &turned, &straight, look, wanted, d);
         Ok((turned + stand.frame.translation, stand.frame.rotation))
     }
 }

@@ -3,7 +3,7 @@
 use super::effects::{Wanted, values_of};
 use super::robot::checked;
 use super::sensor::{Look, Sensor};
-use super::sensor_pose::SensorPose;
+use super::sensor_pose::{Moments, SensorPose};
 use super::table::Table;
 use crate::Result;
 use crate::numbers::rigid::Rigid;
@@ -21,16 +21,16 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// A tracker with the effects that a robot has; it slips at a moment, s.
+    /// A tracker with the effects that a robot has.
     pub(crate) fn new<T: Table, const P: usize>(
         nominal: &Rigid,
-        slip_time_s: f64,
+        moments: Moments,
         values: &[f64; P],
     ) -> Self {
         let at = T::AT.tracker;
         let [scale] = values_of(at.sensor_scale, values);
         Self {
-            pose: SensorPose::new::<T, P>(nominal, slip_time_s, values),
+            pose: SensorPose::new::<T, P>(nominal, moments, values),
             scale,
             linearity: Vector3::from(values_of::<3, P>(at.sensor_linearity, values)),
         }
@@ -92,7 +92,7 @@ impl Sensor<3> for Tracker {
         let (value, cubes) = self.shown(&seen);
         let by_seen = self.by_seen(&seen);
         self.pose
-            .columns::<T, 3, P>(stand, &turned, &by_seen, look, wanted, d);
+            .columns::<T, 3, P>(&stand, &turned, &by_seen, look, wanted, d);
         if let Some(place) = wanted.wants(at.sensor_scale) {
             d.set_column(place.start, &seen);
         }

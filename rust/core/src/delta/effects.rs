@@ -130,4 +130,9 @@ effects! { At;
     bar_zero: Sensor by bar needs "distance_mm" {
         length: "mm", 0.1, 1.0;
     }
+    // how fast the sensors' pose changes, from the beginning of the run
+    sensor_drift: Sensor by pose needs "time_s" {
+        turn_rate_x, turn_rate_y, turn_rate_z: "rad/h", 5e-4, 20.0;
+        shift_rate_x, shift_rate_y, shift_rate_z: "mm/h", 0.1, 1.0;
+    }
 }

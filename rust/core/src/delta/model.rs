@@ -6,7 +6,7 @@ use super::nominal::Model;
 use super::structure::Structure;
 use crate::chain::effects::Effect;
 use crate::chain::places::Places;
-use crate::chain::{self, Between, Cartesian, Distances, Robot, Settings, Table};
+use crate::chain::{self, Between, Cartesian, Distances, Moments, Robot, Settings, Table};
 use crate::{Error, Result};
 use core::f64::consts::TAU;
 
@@ -21,6 +21,16 @@ pub type Row = chain::Row<LIMBS>;
 pub type Chain = chain::Chain<Model, LIMBS, READINGS, PARAMETERS>;
 /// Reading of a row with its derivatives, mm.
 pub type Prediction = chain::Prediction<LIMBS, READINGS, PARAMETERS>;
+
+impl Model {
+    /// From when its instrument drifts, and when it slips.
+    pub(crate) fn moments(&self) -> Moments {
+        Moments {
+            origin_s: self.time_origin_s,
+            slip_s: self.sensor_slip_time_s,
+        }
+    }
+}
 
 impl Table for Model {
     type Own = At;
@@ -79,7 +89,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     fn sensor(&self, values: &Values) -> Result<Cartesian> {
         Ok(Cartesian::new::<Self, PARAMETERS>(
             &self.sensor,
-            self.sensor_slip_time_s,
+            self.moments(),
             values,
         ))
     }

@@ -36,11 +36,11 @@ const DELTA: f64 = 1.0;
 const SPHERICAL: f64 = 2.0;
 const SERIAL: f64 = 3.0;
 
-/// Numbers at the end of each kind's parameters that rows from before do not hold: a delta's bar, and two of each joint for
-/// the second wave of its encoder.
-const LATER_OF_DELTA: &[usize] = &[1, 1 + 2 * delta::LIMBS];
-const LATER_OF_SPHERICAL: &[usize] = &[2 * spherical::LIMBS];
-const LATER_OF_SERIAL: &[usize] = &[2 * serial::JOINTS];
+/// Numbers at the end of each kind's parameters that rows from before do not hold: how fast the instrument's pose changes,
+/// a delta's bar, and two of each joint for the second wave of its encoder.
+const LATER_OF_DELTA: &[usize] = &[6, 6 + 1, 6 + 1 + 2 * delta::LIMBS];
+const LATER_OF_SPHERICAL: &[usize] = &[6, 6 + 2 * spherical::LIMBS];
+const LATER_OF_SERIAL: &[usize] = &[6, 6 + 2 * serial::JOINTS];
 
 /// What a branch of a calibrated delta is made from.
 #[derive(Clone, Copy, Debug)]

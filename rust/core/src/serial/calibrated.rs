@@ -50,13 +50,13 @@ impl Calibrated {
     /// # Errors
     /// As [`Model::with`]; [`Error::InvalidGeometry`] for limits of which the lower is above the higher.
     pub fn new(model: &Model, values: &Values, limits: &Limits) -> Result<Self> {
-        let slip_time_s = model.sensor_slip_time_s;
-        let tracker = Tracker::new::<Model, PARAMETERS>(&model.sensor, slip_time_s, values);
+        let tracker = Tracker::new::<Model, PARAMETERS>(&model.sensor, model.moments(), values);
         let mut values = *values;
         let (pose, at) = (AT.pose, AT.tracker);
         for measured in [
             pose.sensor_pose,
             pose.sensor_slip,
+            pose.sensor_drift,
             at.sensor_scale,
             at.sensor_linearity,
             AT.joints.reading_delay,

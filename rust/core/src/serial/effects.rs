@@ -137,9 +137,14 @@ effects! { At;
     reading_delay: Sensor by joints needs "velocity" {
         delay: "s", 0.01, LEVER;
     }
-    // the cyclic error's second wave in each period; the last, as rows of numbers from before it hold all but these
+    // the cyclic error's second wave in each period; behind what rows of numbers from before it hold
     encoder_second: Joints by joints {
         sine_1, cosine_1, sine_2, cosine_2, sine_3, cosine_3, sine_4, cosine_4, sine_5, cosine_5, sine_6, cosine_6,
         sine_7, cosine_7, sine_8, cosine_8, sine_9, cosine_9: "rad", 3e-4, LEVER;
+    }
+    // how fast the tracker's pose changes, from the beginning of the run
+    sensor_drift: Sensor by pose needs "time_s" {
+        turn_rate_x, turn_rate_y, turn_rate_z: "rad/h", 1e-4, LEVER;
+        shift_rate_x, shift_rate_y, shift_rate_z: "mm/h", 0.1, 1.0;
     }
 }

@@ -5,7 +5,7 @@ use super::effects::{AT, At, CATALOGUE, PARAMETERS, Values};
 use super::structure::Structure;
 use crate::chain::effects::Effect;
 use crate::chain::places::Places;
-use crate::chain::{self, Distances, Gauges, Robot, Settings, Table, Tracker};
+use crate::chain::{self, Distances, Gauges, Moments, Robot, Settings, Table, Tracker};
 use crate::numbers::rigid::SQUARE;
 use crate::{Error, Result};
 use core::f64::consts::TAU;
@@ -22,6 +22,16 @@ pub type Row = chain::Row<JOINTS>;
 pub type Chain = chain::Chain<Model, JOINTS, READINGS, PARAMETERS>;
 /// Reading of a row with its derivatives, mm.
 pub type Prediction = chain::Prediction<JOINTS, READINGS, PARAMETERS>;
+
+impl Model {
+    /// From when its instrument drifts, and when it slips.
+    pub(crate) fn moments(&self) -> Moments {
+        Moments {
+            origin_s: self.time_origin_s,
+            slip_s: self.sensor_slip_time_s,
+        }
+    }
+}
 
 impl Table for Model {
     type Own = At;
@@ -110,7 +120,7 @@ impl Robot<JOINTS, READINGS, PARAMETERS> for Model {
     fn sensor(&self, values: &Values) -> Result<Tracker> {
         Ok(Tracker::new::<Self, PARAMETERS>(
             &self.sensor,
-            self.sensor_slip_time_s,
+            self.moments(),
             values,
         ))
     }

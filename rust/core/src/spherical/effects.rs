@@ -111,8 +111,13 @@ effects! { At;
     camera_delay: Sensor by joints needs "theta1_rad_per_s" "theta2_rad_per_s" {
         delay: "s", 0.02, LEVER;
     }
-    // the cyclic error's second wave in each period; the last, as rows of numbers from before it hold all but these
+    // the cyclic error's second wave in each period; behind what rows of numbers from before it hold
     encoder_second: Joints by joints {
         sine_1, cosine_1, sine_2, cosine_2: "rad", 3e-4, LEVER;
+    }
+    // how fast the camera's pose changes, from the beginning of the run
+    sensor_drift: Sensor by pose needs "time_s" {
+        turn_rate_x, turn_rate_y, turn_rate_z: "rad/h", 5e-4, LEVER;
+        shift_rate_x, shift_rate_y, shift_rate_z: "mm/h", 0.1, 1.0;
     }
 }

@@ -8,7 +8,7 @@ use super::structure::Structure;
 use crate::camera::{Camera, Face};
 use crate::chain::effects::{Effect, Wanted};
 use crate::chain::places::Places;
-use crate::chain::{self, Angles, Eye, Look, Robot, Sensor, Settings, Table};
+use crate::chain::{self, Angles, Eye, Look, Moments, Robot, Sensor, Settings, Table};
 use crate::{Error, Result};
 use core::f64::consts::TAU;
 use nalgebra::{Matrix2x3, SMatrix, Vector2, Vector3};
@@ -60,12 +60,20 @@ impl Sensor<READINGS> for Instrument {
 }
 
 impl Model {
+    /// From when its instrument drifts, and when it slips.
+    pub(crate) fn moments(&self) -> Moments {
+        Moments {
+            origin_s: self.time_origin_s,
+            slip_s: self.sensor_slip_time_s,
+        }
+    }
+
     /// The camera with its errors.
     ///
     /// # Errors
     /// As [`Camera::new`].
     pub fn camera(&self, values: &Values) -> Result<Camera> {
-        Ok(*Eye::new::<Self, PARAMETERS>(&self.camera, self.sensor_slip_time_s, values)?.camera())
+        Ok(*Eye::new::<Self, PARAMETERS>(&self.camera, self.moments(), values)?.camera())
     }
 }
 
@@ -125,8 +133,7 @@ impl Robot<LIMBS, READINGS, PARAMETERS> for Model {
     fn sensor(&self, values: &Values) -> Result<Instrument> {
         Ok(match self.readings {
             Readings::Pixels => {
-                let eye =
-                    Eye::new::<Self, PARAMETERS>(&self.camera, self.sensor_slip_time_s, values)?;
+                let eye = Eye::new::<Self, PARAMETERS>(&self.camera, self.moments(), values)?;
                 Instrument::Camera(eye, self.face)
             }
             Readings::Angles => Instrument::Angles(Angles::new::<Self, PARAMETERS>(values)),

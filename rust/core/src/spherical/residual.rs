@@ -76,7 +76,7 @@ impl Chain {
             .try_inverse()
             .ok_or(Error::RayMisses { miss_mm: 0.0 })?;
         let by_pixel = answers.fixed_columns::<2>(0);
-        eye.columns::<Model, PARAMETERS>(stand, &projection, &point, look, Wanted::ALL, &mut d);
+        eye.columns::<Model, PARAMETERS>(&stand, &projection, &point, look, Wanted::ALL, &mut d);
         let by_axis = angles_by_axis(&point, angles[1]);
         d = -(by_axis * by_pixel) * d;
         let by_radius: Vector3<f64> = answers.column(2) * radius;

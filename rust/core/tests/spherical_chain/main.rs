@@ -48,6 +48,7 @@ const THERMAL_SHIFT: Range<usize> = of("thermal_shift");
 const DRIFT: Range<usize> = of("drift");
 const SLIP: Range<usize> = of("slip");
 const SENSOR_SLIP: Range<usize> = of("sensor_slip");
+const SENSOR_DRIFT: Range<usize> = of("sensor_drift");
 
 /// The same robot read in pixels and in angles.
 fn both(model: &Model) -> [Model; 2] {
@@ -375,8 +376,10 @@ proptest! {
         let marker = marker + Vector3::from_fn(|k, _| v(THERMAL_SHIFT, k) * (r.covariates.stand_c - 20.0));
         // the camera
         let mut c = model.camera;
-        let turn = Rotation3::new(Vector3::from_fn(|k, _| v(SENSOR_POSE, k) + v(SENSOR_SLIP, k)));
-        let shift = Vector3::from_fn(|k, _| v(SENSOR_POSE, 3 + k) + v(SENSOR_SLIP, 3 + k));
+        let off: [f64; 6] =
+            std::array::from_fn(|k| v(SENSOR_POSE, k) + v(SENSOR_SLIP, k) + v(SENSOR_DRIFT, k) * hours);
+        let turn = Rotation3::new(Vector3::new(off[0], off[1], off[2]));
+        let shift = Vector3::new(off[3], off[4], off[5]);
         let seen = (turn * Rotation3::new(c.rotation)) * marker + c.translation + shift;
         for k in 0..4 {
             c.distortion[k] += v(LENS_DISTORTION, k);
