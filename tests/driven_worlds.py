@@ -37,7 +37,8 @@ Rows = list[dict[str, Any]]
 #: Over which time what lives in it is sized, s, and how long a reading takes.
 SPAN_S, PACE_S = 1800.0, 4.0
 #: What of the spherical robot is its camera's or its marker's: where the tool points, it does not show.
-_SEEN = {"marker_offset", "thermal_growth", "drift", "slip", "thermal_shift", "sensor_pose", "sensor_slip", "sensor_drift",
+_SEEN = {"marker_offset", "thermal_growth", "drift", "slip", "thermal_shift", "sensor_pose", "sensor_slip",
+         "sensor_drift",
          "focal_length", "lens_distortion", "camera_delay"}  # fmt: skip
 #: How many times as much a hall warms as a room.
 _HALL = 5.0

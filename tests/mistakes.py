@@ -164,6 +164,11 @@ def in_radians(g: dict[str, Any]) -> dict[str, Any]:
     return {name: np.deg2rad(g[name]).tolist() for name in names}
 
 
+def _in(unit_mm: float, name: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """A length of the robot's file in another unit."""
+    return lambda g: {name: (np.asarray(g[name]) / unit_mm).tolist()}
+
+
 def rolled(degrees: float) -> Callable[[World], World]:
     """The camera turned about its axis."""
 
@@ -220,6 +225,10 @@ def _delta() -> list[Mistake]:
     out += [
         Mistake("assembly mode", (("assembly",), ("above", "below")), geometry(lambda g: {"assembly_mode": "above"})),
         Mistake("clockwise limbs", (("clockwise", "mirror", "base_angle"),), geometry(clockwise)),
+        Mistake(
+            "platform in centimetres", (("platform_radius",), ("centimet",)), geometry(_in(10.0, "platform_radius_mm"))
+        ),
+        Mistake("base in inches", (("base_radius",), ("inch",)), geometry(_in(INCH_MM, "base_radius_mm"))),
         Mistake("base angles in radians", (("base_angle",), ("radian", "rad")), geometry(in_radians)),
         Mistake("time in milliseconds", time, times(1e3, "time_s")),
     ]

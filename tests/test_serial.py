@@ -395,7 +395,8 @@ EFFECTS = {
     "backlash": {"play": (6,)}, "encoder_eccentricity": {"ring": (6, 2)}, "encoder_cyclic": {"lines": (6, 2)},
     "thermal_growth": {"warmth_per_c": ()}, "drift": {"rate_mm_h": (3,)}, "slip": {"step_mm": (3,)},
     "joint_slip": {"lost": (6,)}, "thermal_shift": {"stand_mm_per_c": (3,)},
-    "sensor_slip": {"knock": (6,)}, "sensor_drift": {"settles": (6,)}, "sensor_scale": {"zoom": ()}, "sensor_linearity": {"bend_mm": (3,)},
+    "sensor_slip": {"knock": (6,)}, "sensor_drift": {"settles": (6,)},
+    "sensor_scale": {"zoom": ()}, "sensor_linearity": {"bend_mm": (3,)},
     "reading_delay": {"late_s": ()}, "payload_compliance": {"sags": (6,)}, "link_growth": {"growth_per_c": (7,)},
 }  # fmt: skip
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,12 +27,13 @@ from sherkit.data import Measurements
 from sherkit.errors import FitError
 from sherkit.fit import Mistake, set_up_mistakes
 from sherkit.model import kinds
-from sherkit.model.kinds import model_of
+from sherkit.model.kinds import model_of, robot_from_tables
 from sherkit.robots.serial import postures
 from sherkit.robots.serial.imported import import_dh
 from sherkit.robots.spherical import CameraView
 from test_arm_counted import TARGET_MM
-from test_serial import PLAIN, UR5
+from test_serial import KIND as ARMS
+from test_serial import PLAIN, UR5, simulated
 from worlds import World
 
 NAMED = {m.name: m for m in mistakes.MISTAKES["delta"][1]}
@@ -147,7 +149,18 @@ def test_large_physics_is_no_mistake(world: World) -> None:
     assert told(world) == ()
 
 
-@pytest.mark.parametrize("name", [*slow("a camera that is turned"), "alpha in radians"])
+def test_a_length_of_an_arm_in_inches_is_said_of_that_joint() -> None:
+    """Catches "what is left varies with A2" where one row of a table of an arm is in inches."""
+    tables = deepcopy(ARMS.example.to_tables())
+    tables["joint"][1]["origin_mm"][0] /= 25.4
+    said = sk.diagnose(robot_from_tables(tables, "arm"), simulated(ARMS.example, 1, 60)).headline
+    assert "the x of origin_mm of joint_2 in the robot file looks like inches" in said
+    assert "write 50" in said
+
+
+@pytest.mark.parametrize(
+    "name", [*slow("a camera that is turned"), "alpha in radians", "platform in centimetres", *slow("base in inches")]
+)
 def test_mistakes_of_a_robots_file_are_said_as_such(name: str) -> None:
     """Catches a limb blamed for an angle in radians, and a camera blamed for how it was mounted."""
     kind, mistake = next((k, m) for k, (_, every) in mistakes.MISTAKES.items() for m in every if m.name == name)

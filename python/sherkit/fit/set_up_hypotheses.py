@@ -315,7 +315,7 @@ def _of_robot(model: ModelWithEffects) -> Iterator[tuple[str, str, ModelWithEffe
         return
     kind, tables = kind_of(model.robot), model.robot.to_tables()
     geometry = tables.get("geometry", {})
-    changes: list[tuple[str, str, str, dict[str, Any]]] = []
+    changes: list[tuple[str, str, str, Any]] = []
     for key, words in kind.choices.items():
         now = getattr(model.robot, key)
         for word in words:
@@ -333,6 +333,7 @@ def _of_robot(model: ModelWithEffects) -> Iterator[tuple[str, str, ModelWithEffe
             looks = f"{with_and(keys)} in the robot file {'look' if len(keys) > 1 else 'looks'} like radians"
             degrees = {key: np.rad2deg(table[key]).tolist() for key in keys}
             changes.append((looks, f"write {'them' if len(keys) > 1 else 'it'} in degrees", name, degrees))
+    changes += _other_lengths(tables)
     lists = [key for key in geometry if unit_in(key) == "deg" and np.size(geometry[key]) > 1]
     if lists:
         first = geometry[lists[0]][0]
@@ -342,7 +343,7 @@ def _of_robot(model: ModelWithEffects) -> Iterator[tuple[str, str, ModelWithEffe
             changes.append((looks, f"count them anticlockwise: {_written(turned)}", "geometry", turned))
     for looks, advice, name, changed in changes:
         meant = deepcopy(tables)
-        meant[name] |= changed
+        meant[name] = meant[name] | changed if isinstance(changed, dict) else changed
         try:
             robot = robot_from_tables(meant, "robot file")
         except SherkitError:
@@ -352,6 +353,40 @@ def _of_robot(model: ModelWithEffects) -> Iterator[tuple[str, str, ModelWithEffe
         yield looks, advice, replace(model, robot=robot)
 
 
-def _written(changed: dict[str, list[float]]) -> str:
+def _other_lengths(tables: dict[str, Any]) -> Iterator[tuple[str, str, str, Any]]:
+    """Lengths that were written in another unit: all of the geometry, one of its keys, one number; of an arm one
+    component of where one joint stands."""
+    geometry, joints = tables.get("geometry", {}), tables.get("joint", [])
+    lengths = {key: np.asarray(own, dtype=float) for key, own in geometry.items() if unit_in(key) == "mm"}
+    for called, factor in UNITS["mm"]:
+        if factor < 1.0:
+            # nobody writes a robot in micrometres
+            continue
+        like = f"in the robot file {{}} like {called}"
+        ways = [(with_and(list(lengths)), lengths)] if len(lengths) > 1 else []
+        for key, own in lengths.items():
+            ways.append((key, {key: own}))
+            ways += [(f"number {k + 1} of {key}", {key: own}) for k in range(own.size) if own.size > 1 and own[k]]
+        for names, keys in ways:
+            which = int(names.split()[1]) - 1 if names.startswith("number ") else ...
+            longer = {key: own.copy() for key, own in keys.items()}
+            for own in longer.values():
+                own[which] *= factor
+            meant = {key: own.tolist() for key, own in longer.items()}
+            look = "look" if len(keys) > 1 else "looks"
+            yield f"{names} {like.format(look)}", f"write {_written(meant)}", "geometry", meant
+        for k, joint in enumerate(joints):
+            for axis, length in enumerate(joint["origin_mm"]):
+                if length:
+                    origin = [factor * one if at == axis else one for at, one in enumerate(joint["origin_mm"])]
+                    what = f"the {'xyz'[axis]} of origin_mm of {joint['name']}"
+                    changed = [*joints[:k], joint | {"origin_mm": origin}, *joints[k + 1 :]]
+                    yield f"{what} {like.format('looks')}", f"write {factor * length:.6g}", "joint", changed
+
+
+def _written(changed: dict[str, Any]) -> str:
     """Keys with their values, as in a file."""
-    return "; ".join(f"{key} = [{', '.join(f'{v:.5g}' for v in values)}]" for key, values in changed.items())
+    return "; ".join(
+        f"{key} = [{', '.join(f'{v:.5g}' for v in own)}]" if isinstance(own, list) else f"{key} = {own:.5g}"
+        for key, own in changed.items()
+    )

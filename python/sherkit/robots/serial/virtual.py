@@ -62,7 +62,8 @@ _ROWS = {
     "centres_mm": "centres", "scale": "joint_scale", "gives": "joint_compliance", "sags": "payload_compliance",
     "play": "backlash", "ring": "encoder_eccentricity", "lines": "encoder_cyclic", "twice": "encoder_second",
     "warmth_per_c": "thermal_growth", "growth_per_c": "link_growth", "rate_mm_h": "drift", "step_mm": "slip",
-    "lost": "joint_slip", "stand_mm_per_c": "thermal_shift", "knock": "sensor_slip", "settles": "sensor_drift", "zoom": "sensor_scale",
+    "lost": "joint_slip", "stand_mm_per_c": "thermal_shift", "knock": "sensor_slip",
+    "settles": "sensor_drift", "zoom": "sensor_scale",
     "bend_mm": "sensor_linearity", "late_s": "reading_delay", "bar_mm": "bar_zero",
     "follows": "joint_coupling",
 }  # fmt: skip
@@ -95,7 +96,8 @@ class Hidden:
     targets in the frame of the last joint, half way through,
     ``lost`` (k,) what joints slipped by then;
     ``stand_mm_per_c`` (3,) what the stand does, ``stand_lag_s`` behind the room; ``knock`` (6,) turn and shift of the
-    tracker half way through, ``settles`` (6,) those in an hour; ``zoom`` and ``bend_mm`` (3,) at a metre what the tracker misreads; ``late_s``
+    tracker half way through, ``settles`` (6,) those in an hour;
+    ``zoom`` and ``bend_mm`` (3,) at a metre what the tracker misreads; ``late_s``
     its delay; ``bar_mm`` what is added to every distance.
     """
 
