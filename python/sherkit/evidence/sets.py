@@ -230,10 +230,12 @@ class Sets:
         lead = self._of_the_machine(lead, explaining)
         partly = [one for one in sets if not one.explains]
         partly.sort(key=lambda one: -(one.value + max(float(one.base.shapes.max(initial=-np.inf)), 0.0)))
-        both = [(one.value + self.described(one.base, MOST, 1).evidence, one) for one in partly[:A_FEW]]
+        both = [(one, self.described(one.base, MOST, 1)) for one in partly[:A_FEW]]
+        # what leaves more than one that explains says no more, whatever its own noise makes of its shapes
+        both = [pair for pair in both if not explaining or pair[1].base.rss < lead.base.rss]
         if both:
-            value, mixed = max(both, key=lambda one: one[0])
-            if not explaining or value > lead.value + TIED:
+            mixed, shapes = max(both, key=lambda pair: pair[0].value + pair[1].evidence)
+            if not explaining or mixed.value + shapes.evidence > lead.value + TIED:
                 return mixed
         return self._of_the_instrument(lead)
 
