@@ -25,11 +25,12 @@ from ..evidence.design import showing
 from ..evidence.family import Family
 from ..evidence.sets import EffectSet
 from ..evidence.thresholds import A_FEW, ROUNDING, TIED
+from ..planning.region import CANDIDATES, PosesToDrive
 from .known import run_at
 from .look import InterimAnalysis, called
 from .noise import FEWEST
 from .rule import RuleState
-from .task import CANDIDATES, PosesToDrive, Task
+from .task import Task
 
 # -- Places ------------------------------------------------------------------------------------------------------------
 

@@ -21,7 +21,7 @@ from ..evidence.whitening import Whitening
 from ..fit.identify import Fit, identify
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
-from .task import PosesToDrive, Region, planned
+from ..planning.region import PosesToDrive, Region, planned
 
 #: Rows of the reference, and those from which on something may let go: what one or two rows before it say may be their
 #: own.

@@ -24,8 +24,8 @@ from ..fit.set_up import set_up_mistakes
 from ..model.base import ModelWithEffects
 from ..model.chain import ChainModel
 from ..model.robot_file import run_for
+from ..planning.region import Region, planned
 from .known import PLACES
-from .task import Region, planned
 
 # -- Rows as one table -------------------------------------------------------------------------------------------------
 

@@ -8,19 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ..adaptive.task import CANDIDATES, Region, planned
 from ..base import linalg
 from ..base.arguments import Count, Seed, validate_arguments
-from ..evidence.design import showing
 from ..fit.error import axes_of
 from ..model.kinds import kind_of
+from ..planning.region import CANDIDATES, Region, planned
+from ..planning.to_measure import showing_first
 from ..robots.calibrated import Calibration, load_calibration
 from .check_rows import Known
 from .runs import change_candidates, change_columns
 from .vouching import stand_columns
-
-#: What is known of where the sensor stands is next to nothing.
-_RIDGE = 1e-3
 
 
 @validate_arguments
@@ -46,12 +43,8 @@ def verifying_poses(
     part: Any = made.parts_made[0]
     noise = float(np.sqrt(np.diag(part.residual_covariance + part.scatter).mean())) or 1.0
     sized = [columns[one.name] / noise for one in candidates]
-    scale = np.linalg.norm(stand.reshape(-1, stand.shape[2]), axis=0) / np.sqrt(len(stand))
-    x = stand / np.where(scale > 0, scale, 1.0)
     # of where the sensor stands next to nothing is known, of a change that it is of plausible size
-    infos = [np.diag([_RIDGE] * x.shape[2] + [1.0 + _RIDGE] * z.shape[2]) for z in sized]
-    parts = [(info, np.concatenate([x, z], axis=2)) for info, z in zip(infos, sized, strict=True)]
-    order = rng.permutation(showing(x, _RIDGE * np.eye(x.shape[2]), parts, int(count), first=x.shape[2]))
+    order = showing_first(stand, sized, int(count), stand.shape[2], rng)
     names = dict(zip(layout.joints, places.joints.T, strict=True))
     names |= dict(zip(region.targets, places.targets.T, strict=True))
     return [

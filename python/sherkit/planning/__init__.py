@@ -3,6 +3,7 @@
 from .effect_power import Planning, planning_of
 from .poses import PoseDesign, choose_poses
 from .power import EffectSize, study_power
+from .to_measure import poses_to_measure, rows_at
 
 __all__ = [
     "EffectSize",
@@ -10,5 +11,7 @@ __all__ = [
     "PoseDesign",
     "choose_poses",
     "planning_of",
+    "poses_to_measure",
+    "rows_at",
     "study_power",
 ]

@@ -201,7 +201,7 @@ class Accurate(Deployed):
         could do most.
         """
         x, where = self._places(coordinates), self.frame_of(frame)
-        inverse = self.joints_to(x, frame=frame, temperature_c=temperature_c, direction=direction, **load)
+        inverse = self.inverse_batch(x, frame=frame, temperature_c=temperature_c, direction=direction, **load)
         return self._predicted(self._own(x, where), inverse, where, temperature_c, direction, **load)
 
     def predicted_accuracies_with(

@@ -205,7 +205,7 @@ class Calibration(Shown, Accurate):
         :class:`~sherkit.errors.OutOfReach`.
         """
         x = np.stack([self._place(start), self._place(end)])
-        joints = self.joints_to(x, frame=frame, temperature_c=temperature_c).require("end of the move")
+        joints = self.inverse_batch(x, frame=frame, temperature_c=temperature_c).require("end of the move")
         return self.move_accuracy_with(joints[0], joints[1], frame=frame, temperature_c=temperature_c)
 
     def move_accuracy_with(

@@ -209,7 +209,7 @@ class Deployed(Saved, ABC):
 
     def measured(self, coordinates: ArrayLike, *, frame: str | None = None) -> bool:
         """Whether ``coordinates`` (k,) of a ``frame`` lie where poses were measured: in the box of their places, and
-        the joints that lead there (:meth:`joints_to`) in their convex hull, both give or take a tenth."""
+        the joints that lead there (:meth:`inverse_batch`) in their convex hull, both give or take a tenth."""
         return bool(self.measured_batch(self._place(coordinates)[None, :], frame=frame)[0])
 
     def measured_batch(self, coordinates: ArrayLike, *, frame: str | None = None) -> Bools:
@@ -221,19 +221,11 @@ class Deployed(Saved, ABC):
             inside |= here & ((x >= part.low - margin) & (x <= part.high + margin)).all(axis=1)
         asked = np.flatnonzero(inside)
         if len(asked):
-            there = self.joints_to(np.ascontiguousarray(x[asked]))
+            there = self.inverse_batch(np.ascontiguousarray(x[asked]))
             inside[asked] = there.reached
             reached = np.flatnonzero(there.reached)
             inside[asked[reached]] = self.beyond_poses(x[asked[reached]], there.values[reached]) == 0.0
         return inside
-
-    def joints_to(
-        self, coordinates: Floats, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None, **load: float,
-    ) -> Batch:  # fmt: skip
-        """Joints (n, j) with which the robot is asked how accurate it is at ``coordinates`` (n, k); where a place
-        leaves them open, those nearest to what was measured. Arguments as :meth:`inverse_batch`."""
-        return self.inverse_batch(coordinates, frame=frame, temperature_c=temperature_c, direction=direction, **load)
 
     def beyond_poses(self, coordinates: Floats, joints: Floats) -> Floats:
         """How far outside the hull of the poses (:func:`~sherkit.robots.poses_hull.beyond`) the ``joints`` (n, j) lie

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import scipy
@@ -19,6 +19,9 @@ from ..calibration_run import CalibrationRun
 from ..deployed import BASE, SENSOR
 from ..identified_model import IdentifiedModel, at_rest
 from .robot import POSITION, Serial
+
+#: Poses of the run from which a way to a place is looked for.
+_NEAREST = 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,12 +97,18 @@ class SerialCalibration(Calibration):
     ) -> Floats:  # fmt: skip
         """Joint readings (k,) within their limits at which the target is at ``coordinates`` (3,), to 1e-9 mm.
 
-        Of many postures that to which damped steps lead from ``start`` (k,); left out, as :meth:`Serial.inverse`. Other
-        arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach` with how near it comes.
+        Of many postures that to which damped steps lead from ``start`` (k,); left out, from the pose of the run whose
+        place is nearest, of which :meth:`accuracy` speaks, or where no way leads from the nearest few as
+        :meth:`Serial.inverse`. Other arguments as :meth:`forward`. Raises :class:`~sherkit.errors.OutOfReach` with how
+        near it comes.
         """
         now = self._now(temperature_c, direction, payload_kg)
         core, place = self.core_in(frame), self._place(coordinates)
-        made = self.robot.found_from(lambda x, q: core.inverse(x, now, q), place, start)
+        near = self._found_near(place[None], core, now) if start is None else None
+        if near is not None and near.reached[0]:
+            made: Floats = near.values[0]
+        else:
+            made = self.robot.found_from(lambda x, q: core.inverse(x, now, q), place, start)
         self._went_to(place, frame)
         return made
 
@@ -107,32 +116,29 @@ class SerialCalibration(Calibration):
         self, coordinates: ArrayLike, *, frame: str | None = None, temperature_c: float | None = None,
         direction: ArrayLike | None = None, payload_kg: float = 0.0, starts: ArrayLike | None = None,
     ) -> Batch:  # fmt: skip
-        """Joint readings (n, k) for positions (n, 3), each from its own of ``starts`` (n, k); those out of reach are
-        marked. ``direction`` (k,) and ``payload_kg`` as :meth:`forward`."""
+        """Joint readings (n, k) for positions (n, 3), each from its own of ``starts`` (n, k), left out as
+        :meth:`inverse`; those out of reach are marked. ``direction`` (k,) and ``payload_kg`` as :meth:`forward`."""
         core, now = self.core_in(frame), self._now(temperature_c, direction, payload_kg)
         places = self._places(coordinates)
-        found = self.robot.all_found_from(lambda x, q: core.inverse_batch(x, now, q), places, starts)
-        return Batch(*found)
-
-    def joints_to(
-        self, coordinates: Floats, *, frame: str | None = None, temperature_c: float | None = None,
-        direction: ArrayLike | None = None, **load: float,
-    ) -> Batch:  # fmt: skip
-        """From the pose of the run whose place is nearest; from home, as :meth:`inverse_batch`, where no way leads from
-        that."""
-        now: dict[str, Any] = {"frame": frame, "temperature_c": temperature_c, "direction": direction} | load
-        poses = self.whole.poses
-        if not len(poses):
-            return self.inverse_batch(coordinates, **now)
-        places = self.forward_batch(poses, frame=frame, temperature_c=temperature_c).values
-        nearest = scipy.spatial.KDTree(places).query(coordinates)[1]
-        made = self.inverse_batch(coordinates, **now, starts=poses[nearest])
+        if starts is not None:
+            return Batch(*self.robot.all_found_from(lambda x, q: core.inverse_batch(x, now, q), places, starts))
+        made = self._found_near(places, core, now)
         missing = np.flatnonzero(~made.reached)
-        if not len(missing):
-            return made
-        others = self.inverse_batch(coordinates[missing], **now)
-        joints, reached = made.values.copy(), made.reached.copy()
-        joints[missing], reached[missing] = others.values, others.reached
+        if len(missing):
+            others = self.robot.all_found_from(lambda x, q: core.inverse_batch(x, now, q), places[missing], None)
+            made.values[missing], made.reached[missing] = others
+        return made
+
+    def _found_near(self, places: Floats, core: _core.SerialCalibrated, now: list[float]) -> Batch:
+        """Joints (n, k) to places (n, 3) from the poses of the run whose places are nearest, the nearest first."""
+        poses = self.whole.poses
+        joints, reached = np.full((len(places), self._joints), np.nan), np.zeros(len(places), dtype=bool)
+        if len(poses):
+            there, _, _ = core.forward_batch(poses, now)
+            nearest = scipy.spatial.KDTree(there).query(places, k=range(1, min(_NEAREST, len(poses)) + 1))[1]
+            for begin in nearest.T:
+                rows = np.flatnonzero(~reached)
+                joints[rows], reached[rows] = core.inverse_batch(places[rows], now, poses[begin[rows]])
         return Batch(joints, reached)
 
     # -- accuracy ----------------------------------------------------------------------------------------
