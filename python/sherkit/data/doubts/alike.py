@@ -13,6 +13,7 @@ from ...base import linalg
 from ...base.figures import listed
 from ...base.types import Bools, Floats
 from .. import columns as c
+from ..artefact import is_artefact
 from ..noise import MAD
 from ..rows import Measurements
 from .doubt import FEWEST, DataWarning, some
@@ -189,7 +190,7 @@ def piled(data: Measurements) -> Iterator[DataWarning]:
     Where a plan stands in a plane, or an instrument has few digits, many readings are equal as well; but then they are
     where the joints put them.
     """
-    if len(data) < FEWEST or not data.layout.follows:
+    if len(data) < FEWEST or not data.layout.follows or is_artefact(data):
         return
     few = some(data)
     lost: list[list[tuple[str, float, Bools]]] = []

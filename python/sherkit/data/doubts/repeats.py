@@ -10,6 +10,7 @@ import scipy
 
 from ...base.figures import listed
 from ...base.types import Ints
+from ..artefact import is_artefact
 from ..noise import step_of
 from ..rows import Measurements
 from .doubt import DataWarning
@@ -71,7 +72,7 @@ def averaged(data: Measurements) -> Iterator[DataWarning]:
     rows = np.flatnonzero(every)
     group = np.unique(data.groups[rows], return_inverse=True)[1].ravel()
     count = np.bincount(group)
-    if (count > 1).sum() < _FEWEST:
+    if (count > 1).sum() < _FEWEST or is_artefact(data):
         return
     order = np.argsort(group, kind="stable")
     starts = np.concatenate([[0], np.cumsum(count[:-1])])
