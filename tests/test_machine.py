@@ -158,6 +158,17 @@ def test_an_effect_outside_the_catalogue_is_described_and_not_explained() -> Non
     assert d.signature is not None
 
 
+def test_what_follows_a_course_is_not_called_each_poses_own() -> None:
+    """Catches "each pose is off by 15 µm of its own", as of a bad seat, in the headline of a guide that is bent (12 of
+    12): a course along the axis takes all of it."""
+    run = run_of("gantry", 3)
+    along = run["x_axis_mm"].to_numpy() / 400
+    d = sk.diagnose(MACHINE["gantry"], run.with_columns(y_mm=run["y_mm"] + 0.06 * np.abs(along - 0.5)))
+    assert d.verdict == "unexplained"
+    assert "has a structure" in d.headline
+    assert "each pose is off" not in d.headline
+
+
 def assert_template_helps(name: str, run: pl.DataFrame, d: sk.diagnosis.Diagnosis, folder: Path) -> None:
     """What is described runs as an effect of one's own, and leaves less of the same rows."""
     (folder / "mine.py").write_text(template(d.signature, d.fit.data.layout), encoding="utf-8")

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from second_printer import Firmware, Machine, Plate, Probe, klipper_file, mesh_points, touched
 from sherkit import identify
 from sherkit.cli import main
-from sherkit.robots.printer import PrinterModel, Towers, import_klipper
+from sherkit.robots.printer import PrinterModel, Towers, hypotheses, import_klipper
 from sherkit.robots.printer.callipers import weighed
+from sherkit.robots.printer.model import CATALOGUE
 from sherkit.robots.printer.printer_diagnosis import Examined, examine
 from sherkit.robots.printer.robot import WEIGHT
 
@@ -122,6 +123,18 @@ def counted(fault: str, callipers_mm: float, seeds: range, folder: Path, plate: 
         # a size is known to about a third of what callipers scatter over the spokes
         out["worse"] += after[0] > before[0] + 0.003 or abs(after[1]) > abs(before[1]) + callipers_mm / 40.0
     return out
+
+
+def test_callipers_are_nobody_where_no_distance_was_measured(tmp_path: Path) -> None:
+    """Catches "callipers that read every distance too long or too short" named by 29 heights of a real printer: what
+    moves nothing that was measured explains nothing, however a fit with it ends."""
+    text = Case(1, "radius", 0.05).text
+    for kept, there in ((text, True), ("\n".join(line for line in text.splitlines() if "distance" not in line), False)):
+        (tmp_path / "printer.cfg").write_text(kept)
+        plain = examine(import_klipper(tmp_path / "printer.cfg")).plain
+        assert bool(plain.data.between_places.any()) == there
+        nothing = hypotheses.Suspect((), plain, plain)
+        assert bool(hypotheses._fitted(nothing, [(CATALOGUE["bar_zero"],)])) == there
 
 
 def test_callipers_are_told_from_a_probe(tmp_path: Path) -> None:

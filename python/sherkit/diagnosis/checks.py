@@ -87,7 +87,10 @@ def checks_of(
     if steps is not None and own is not None and not steps.joints and steps.size >= _size(final, own):
         # repeats agree on a part of what rounding leaves
         off = False
-    out += [left, _poses(final, own, off, slow_drift, followed=found.structure or steps is not None), small]
+    poses = _poses(final, own, off, slow_drift, followed=found.structure or steps is not None)
+    if found.structure and found.left.shapes:
+        poses = replace(poses, fails=_beside_shapes(final, _own_errors(found.left.base), level))
+    out += [left, poses, small]
     out += _stands(final, used)
     if (loose := _loosely(final, small, error, sigma, enough)) is not None:
         out.append(loose)
@@ -244,6 +247,13 @@ def _poses(
         POSES_AS_REPEATS, tested, f"{own.poses} poses", told, holds=not off, p=chance_of(own.evidence),
         fails=told + why,
     )  # fmt: skip
+
+
+def _beside_shapes(final: FittedRun, own: OwnErrors | None, level: float) -> str:
+    """What follows something is not each pose's own: what is, beside the shapes that describe what is left."""
+    if own is None or chance_of(own.evidence) > level:
+        return ""
+    return f"beside that each pose is off by {_size(final, own):.2g} {final.unit} of its own"
 
 
 def _digits(steps: Rounded | None, used: str, *, asked: bool, alone: bool) -> Check:

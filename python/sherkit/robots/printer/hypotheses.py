@@ -105,7 +105,8 @@ def _fitted(nothing: Suspect, sets: list[tuple[Effect, ...]]) -> list[Suspect]:
             continue
         # what has as many numbers as rows explains whatever there is; short of that it counts, though it may fit noise:
         # few points must not leave the plate out, and the machine alone to be blamed
-        if fit.data.used.sum() > fit.rank:
+        # and what moves nothing that was measured, as callipers do where there are no distances, is nobody
+        if fit.data.used.sum() > fit.rank > nothing.fit.rank:
             out.append(Suspect(effects, fit, plain))
     return out
 

@@ -40,6 +40,8 @@ _WORTH_LENGTH_MM = 0.02
 _WORTH_SIZE = 0.0005
 #: Less than this, mm RMS, no probe resolves and nobody feels.
 _FELT_MM = 0.003
+#: Heights by which one fault is told from another.
+_ENOUGH = 25
 _TOWERS = {1: "A (front left)", 2: "B (front right)", 3: "C (back)"}
 #: What the owner of a printer calls a suspect.
 _CALLED = {
@@ -389,7 +391,11 @@ class Examined:
                 f"although the first layer is even, turn the plate by {TURN_DEG:g}°, probe again under another name, "
                 f"and run this with --plate NAME={TURN_DEG:g}."
             )
-        return out or ["Nothing needs to be changed."]
+        heights = int((~self.plain.data.between_places).sum())
+        if self.suspects and heights < _ENOUGH:
+            out.append(f"Probe a mesh of 7 by 7 points or more, and run this again: by {heights} heights one fault looks "
+                       "like another.")  # fmt: skip
+        return out or ["Nothing more."]
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
