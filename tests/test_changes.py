@@ -484,6 +484,17 @@ def test_what_follows_the_temperature_is_said() -> None:
     assert "thermal_growth" in found.advice
 
 
+def test_a_check_without_what_an_effect_needs_names_both() -> None:
+    """Catches "the model cannot reach these joint readings; check units and joint order" of a calibration with backlash
+    whose check has no time."""
+    run = sk.from_frame(pl.DataFrame(worlds.clean(1).columns))
+    made = sk.calibrate(worlds.clean(1).robot, run, effects=["backlash"], correction="none").calibration
+    with pytest.raises(
+        FitError, match="backlash, in the model, cannot be computed without the column direction, or time_s"
+    ):
+        sk.verify(made, sk.from_frame(run.to_frame().drop("time_s", strict=False).head(40)))
+
+
 def test_a_check_that_was_knocked_or_copied_says_so() -> None:
     """Catches "take twelve times as many readings" of a check in which the tracker was knocked by 0.1 mm, and a machine
     that is refused since each row of its check stands three times in the file."""

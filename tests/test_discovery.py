@@ -304,7 +304,8 @@ def test_an_effect_without_its_column_is_untestable_and_says_why() -> None:
     run = measured(GRIDS["small"], 0)
     frame = run.data.to_frame().drop("temperature_c", "time_s", "humidity_pct")
     d = sk.diagnose(sk.identify(DELTA, sk.from_frame(frame)))
-    warm, timed = {"thermal_growth", "link_growth", "thermal_shift"}, {"drift", "slip", "joint_slip", "sensor_slip"}
+    warm = {"thermal_growth", "link_growth", "thermal_shift"}
+    timed = {"drift", "slip", "joint_slip", "sensor_slip", "sensor_drift"}
     assert set(d.untestable) == warm | timed | {"backlash", "bar_zero"}
     assert "temperature_c" in d.untestable["thermal_growth"]
     assert not set(d.untestable) & {c.effect for c in d.candidates}

@@ -75,10 +75,26 @@ def test_the_promised_power_is_that_of_simulated_runs(planning):
         assert abs(one.share - one.power) <= 0.05
 
 
+def test_a_size_that_is_found_is_one_in_any_direction(planning):
+    """Catches a size at which 80 of 100 would be found if all directions were alike, and 57 to 70 are: what lies along
+    what the fit takes is missed. Beside it, what has one number is found as it always was."""
+    for one in planning.effect_powers:
+        if one.missing_columns or not np.isfinite(one.times):
+            continue
+        rng, own = np.random.default_rng(1), list(one.values.items())
+        found = []
+        for _ in range(300):
+            to = rng.normal(size=len(own))
+            to *= np.sqrt(len(own)) / np.linalg.norm(to)
+            found.append(planning.power(one.name, {name: v * at for (name, v), at in zip(own, to, strict=True)}))
+        assert np.mean(found) == pytest.approx(POWER, abs=0.04), one.name
+
+
 @pytest.mark.slow
 def test_the_promised_power_is_that_of_many_simulated_runs(planning):
-    """Catches what 200 runs cannot show: a power that is off by a few points."""
-    for one in study_power(planning, three(planning, (1.0, 0.8, 0.9)), runs=2000, seed=11, workers=2):
+    """Catches what 200 runs cannot show: a power that is off by a few points. Of robots near their drawing: beside
+    errors of plausible size the fit takes less of beams that are askew, which are found more often then (0.74)."""
+    for one in study_power(planning, three(planning, (1.0, 0.8, 0.9)), runs=2000, seed=11, errors=0.05, workers=2):
         print(f"{one.name}: promised {100 * one.power:.1f} %, found {100 * one.share:.1f} % of {one.runs}")
         assert abs(one.share - one.power) <= 0.025
 

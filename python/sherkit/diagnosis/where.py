@@ -14,6 +14,7 @@ from ..base.types import Floats
 from ..data.columns import bare
 from ..evidence.base import Base, chance_of, gain_asked, total
 from ..evidence.blocks import Block
+from ..evidence.design import squares_of, times_found
 from ..evidence.fitted_run import FittedRun
 from ..evidence.linearised import Linearised
 from ..evidence.run import Run
@@ -123,27 +124,23 @@ def _taken_up(whole: Floats, left: Floats, columns: Floats, fitted: Floats, name
 
 
 def smallest_found(base: Base, block: Block, level: float) -> tuple[float, float]:
-    """The effect that would have been found with 80 % power: in plausible sizes, and as the RMS of what it leaves.
-
-    All parameters at a random sign of the same multiple of their plausible sizes.
-    """
+    """The effect that would have been found with 80 % power, its parameters in any direction: in plausible sizes, and
+    as the RMS of what it leaves."""
     assert block.effect is not None, "shapes have no plausible size"
     family, run = base.family, base.family.run
     columns = run.flat(columns_at(run, block.effect, block.setting))
-    size = np.array([p.size for p in block.effect.parameters])
-    at_size = float(np.square(columns - base.basis @ (base.basis.T @ columns)).sum(axis=0) @ size**2)
-    whole = float(np.square(columns).sum(axis=0) @ size**2)
-    rank, free, count = float(len(size)), base.free, len(base.residual)
+    columns = columns * [p.size for p in block.effect.parameters]
+    left = columns - base.basis @ (base.basis.T @ columns)
+    squares = squares_of(left.T @ left)
+    rank, free, count = float(columns.shape[1]), base.free, len(base.residual)
     asked = -float(np.log(level) + family.log_weight[family.where(block)])
     gain = gain_asked(rank, free, count, asked)
-    if at_size <= ROUNDING * whole or np.isinf(gain):
+    if np.square(left).sum() <= ROUNDING * np.square(columns).sum() or np.isinf(gain):
         return float("inf"), float("inf")
-    needed = float(
-        scipy.optimize.brentq(lambda nc: 1.0 - POWER - scipy.special.chndtr(gain, rank, nc), 0.0, 4.0 * gain + 200.0)
-    )
+    times = times_found(POWER, squares, rank, float(scipy.special.chdtrc(rank, gain)))
     sigma = run.sigma[list(run.of.axes)]
-    rms = float(np.sqrt(needed / count) * np.sqrt(np.mean(sigma**2)))
-    return float(np.sqrt(needed / at_size)), rms * run.of.per_row
+    rms = times * float(np.sqrt(squares.mean() / count) * np.sqrt(np.mean(sigma**2)))
+    return times, rms * run.of.per_row
 
 
 # -- Whether what is left is steady, or wanders slowly, as no noise of single readings does ------------------------

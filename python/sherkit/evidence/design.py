@@ -22,34 +22,62 @@ from .thresholds import ROUNDING
 
 #: What is so much larger than noise is found.
 _LARGEST = 1e5
+#: Directions in which the numbers of an effect may lie.
+_DIRECTIONS = 64
 #: Rounds of exchanges.
 _ROUNDS = 50
 #: Variance of a direction that is not observed.
 _FREE = 1e8
 
 
-def power(square: float, rank: float, level: float, free: float = np.inf) -> float:
-    """Chance that a test at this ``level`` finds what changes the readings by this ``square``, in squared noises, along
-    ``rank`` directions: the tail of the non-central χ², or F where ``free`` readings besides tell the noise."""
+def squares_of(left: Floats) -> Floats:
+    """Squares (d,), in squared noises, that are left of an effect whose numbers have their plausible sizes in the mean
+    of squares, in directions that are all as likely; ``left`` (k, k) are the products of its columns at these sizes.
+
+    Of one number there is one. What has its numbers along what the fit takes is found at a far larger size, so that a
+    size that is found in the mean of directions is no mean of squares.
+    """
+    k = len(left)
+    if k < 2:
+        return np.diag(left)
+    to = np.random.default_rng(0).normal(size=(_DIRECTIONS, k))
+    to *= np.sqrt(k) / np.linalg.norm(to, axis=1, keepdims=True)
+    return np.asarray(np.einsum("dk,kl,dl->d", to, left, to).clip(0.0))
+
+
+def power(squares: Floats | float, rank: float, level: float, free: float = np.inf) -> float:
+    """Chance that a test at this ``level`` finds what changes the readings by one of these ``squares`` (d,), in squared
+    noises, each as likely, along ``rank`` directions: the tail of the non-central χ², or F where ``free`` readings
+    besides tell the noise."""
     if rank <= 0 or free <= 0:
         return 0.0
-    if square > _LARGEST:
-        return 1.0
+    some = np.minimum(np.atleast_1d(squares), _LARGEST)
+    # without readings besides, and where the series does not converge since there are so many
+    below = scipy.special.chndtr(float(scipy.special.chdtri(rank, level)), rank, some)
     if np.isfinite(free):
         limit = float(scipy.special.fdtri(rank, free, 1.0 - level))
-        below = float(scipy.special.ncfdtr(rank, free, square, limit))
-        if np.isfinite(below):
-            return 1.0 - below
-    # without those, and where the series does not converge since there are so many
-    limit = float(scipy.special.chdtri(rank, level))
-    return 1.0 - float(scipy.special.chndtr(limit, rank, square))
+        by_f = scipy.special.ncfdtr(rank, free, some, limit)
+        below = np.where(np.isfinite(by_f), by_f, below)
+    return float(np.mean(np.where(some >= _LARGEST, 1.0, 1.0 - below)))
 
 
-def needed(wanted: float, rank: float, level: float, free: float = np.inf) -> float:
-    """The square with which the chance of :func:`power` is so much; infinite where nothing can be found."""
-    if rank <= 0 or free <= 0:
-        return np.inf
-    return float(scipy.optimize.brentq(lambda square: power(square, rank, level, free) - wanted, 1e-6, _LARGEST))
+def times_found(wanted: float, squares: Floats, rank: float, level: float, free: float = np.inf) -> float:
+    """How many times as large as with these ``squares`` (d,) an effect is that is found with such a chance, as
+    :func:`power`; infinite where it never is."""
+    most = float(np.max(squares, initial=0.0))
+    if rank <= 0 or free <= 0 or most <= 0.0 or not np.isfinite(most):
+        return float("inf")
+
+    def short(log_times: float) -> float:
+        return power(np.exp(2.0 * log_times) * squares, rank, level, free) - wanted
+
+    low, high = 0.5 * np.log(1e-6 / most), 0.5 * np.log(_LARGEST / most)
+    # those of a direction that is hardly seen are found where the others have long been
+    for _ in range(_ROUNDS):
+        if short(high) > 0:
+            return float(np.exp(scipy.optimize.brentq(short, low, high, xtol=1e-6)))
+        high += 1.0
+    return float("inf")
 
 
 # -- How well all is known, and how much shows besides ---------------------------------------------------------------

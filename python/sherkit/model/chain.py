@@ -22,7 +22,7 @@ from ..base.types import Bools, Floats
 from ..data import Measurements
 from ..data.columns import TEMPERATURE, Layout, unit_in
 from ..errors import EffectError, FitError, ShapeError
-from .base import CandidateColumns, Derivatives, Reachable, column_slices
+from .base import CandidateColumns, Derivatives, Reachable, column_slices, missing_columns
 from .effect import WITHIN, Effect, Parameter, Setting, effects_of_row, freeing, parameters_of_core
 from .own_effects import EffectColumns, InnerColumns, ModelColumns, added_to, by_ends, carry
 from .rows import EffectRows
@@ -439,6 +439,14 @@ class ChainModel(SeenModel):
         """Raises :class:`FitError` for rows that the model cannot reach, with the reason for the first."""
         if len(missing) == 0:
             return
+        needed = {e.name: absent for e in self.effects if (absent := missing_columns(e, data))}
+        if needed:
+            columns = dict.fromkeys(column for absent in needed.values() for column in absent)
+            order = ", or time_s, whose order tells it" if "direction" in columns else ""
+            raise FitError(
+                f"{data.source}: {listed(needed)}, in the model, cannot be computed without the column "
+                f"{listed(columns)}{order}: give it, or leave out the effect"
+            )
         raise FitError(
             f"{data.place(missing)}: the model cannot reach these joint readings "
             f"({self.reason(data, int(missing[0]), values)}). "

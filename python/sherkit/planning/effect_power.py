@@ -21,7 +21,7 @@ from ..base.types import Floats
 from ..data import Measurements
 from ..errors import EffectError, FitError
 from ..evidence.base import gain_asked
-from ..evidence.design import needed, power
+from ..evidence.design import power, squares_of, times_found
 from ..evidence.family import EFFECTS
 from ..evidence.thresholds import DIFFERENCES, LEVEL, POWER, TWIN
 from ..evidence.whitening import independent
@@ -36,8 +36,8 @@ class EffectPower:
     """What the plan promises of one effect.
 
     ``power`` is the chance to find it at its plausible size, ``times`` the multiple of that size at which the chance is
-    0.8 (all parameters at the same multiple of their sizes, signs at random), ``values`` the parameters there,
-    ``left_um`` the root mean square that it then leaves of a row, in the unit that people read. ``absorbed`` is the
+    0.8 (the parameters in any direction, each of its size in the mean of squares), ``values`` these sizes, ``left_um``
+    the root mean square that it then leaves of a row, in the unit that people read. ``absorbed`` is the
     share of its squared displacements that the fitted parameters would take. ``indistinguishable`` name effects
     that would explain it as well: with one of them in the model, it is no longer found at its plausible size.
     ``missing_columns`` names columns without which it cannot be tried at all; the rest then says nothing.
@@ -167,7 +167,7 @@ class Planning:
         at, whole = (float(((columns @ share) ** 2).sum()) for columns in (left, self._raw[name]))
         # along a direction that the parameters take wholly, what is left is rounding
         seen = at > DIFFERENCES**2 * whole
-        times = float(np.sqrt(needed(POWER, *self._test(left, name)) / at)) if seen else float("inf")
+        times = times_found(POWER, np.array([at]), *self._test(left, name)) if seen else float("inf")
         return {name: times * value for name, value in values.items()}
 
     def _test(self, left: Floats, name: str, beside: int = 0) -> tuple[int, float, int]:
@@ -204,19 +204,19 @@ class Planning:
             return EffectPower(name, effect.link, nan, nan, {}, nan, nan, (), missing)
         raw, left = self._raw[name], self._left(name)
         test = self._test(left, name)
+        squares = squares_of(left.T @ left)
         at_size = float((left**2).sum()) if test[0] else 0.0
-        least = needed(POWER, *test)
-        times = float(np.sqrt(least / at_size)) if at_size > 0 else float("inf")
+        times = times_found(POWER, squares, *test)
         whole = float((raw**2).sum())
         # of rows, as errors are told
         unit = self.rows.layout.per_unit * float(np.sqrt(np.sum(self.sigma**2)))
         return EffectPower(
             name=name,
             link=effect.link,
-            power=power(at_size, *test),
+            power=power(squares, *test),
             times=times,
             values={p.name: times * p.size for p in effect.parameters},
-            left_um=unit * float(np.sqrt(least / self.readings)),
+            left_um=unit * times * float(np.sqrt(squares.mean() / self.readings)) if np.isfinite(times) else np.inf,
             absorbed=max(1.0 - at_size / whole, 0.0) if whole > 0 else 1.0,
             indistinguishable=self._ties(name) if times <= 1.0 else (),
             missing_columns=(),
@@ -232,7 +232,7 @@ class Planning:
                 continue
             basis = independent(others, DIFFERENCES)
             left = self._left(name, basis)
-            if power(float((left**2).sum()), *self._test(left, name, basis.shape[1])) < POWER:
+            if power(squares_of(left.T @ left), *self._test(left, name, basis.shape[1])) < POWER:
                 out.append(other)
         return tuple(out)
 

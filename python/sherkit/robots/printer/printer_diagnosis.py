@@ -393,8 +393,8 @@ class Examined:
             )
         heights = int((~self.plain.data.between_places).sum())
         if self.suspects and heights < _ENOUGH:
-            out.append(f"Probe a mesh of 7 by 7 points or more, and run this again: by {heights} heights one fault looks "
-                       "like another.")  # fmt: skip
+            one = f"by {heights} heights one fault looks like another"
+            out.append(f"Probe a mesh of 7 by 7 points or more, and run this again: {one}.")
         return out or ["Nothing more."]
 
     def to_json(self) -> dict[str, Any]:
