@@ -96,7 +96,8 @@ def test_the_promised_power_is_that_of_many_simulated_runs(planning):
     errors of plausible size the fit takes less of beams that are askew, which are found more often then (0.74)."""
     for one in study_power(planning, three(planning, (1.0, 0.8, 0.9)), runs=2000, seed=11, errors=0.05, workers=2):
         print(f"{one.name}: promised {100 * one.power:.1f} %, found {100 * one.share:.1f} % of {one.runs}")
-        assert abs(one.share - one.power) <= 0.025
+        # three standard deviations of the share
+        assert abs(one.share - one.power) <= 0.034
 
 
 @pytest.mark.parametrize("runs", [40, *slow(300)])

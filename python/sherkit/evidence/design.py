@@ -23,7 +23,7 @@ from .thresholds import ROUNDING
 #: What is so much larger than noise is found.
 _LARGEST = 1e5
 #: Directions in which the numbers of an effect may lie.
-_DIRECTIONS = 64
+_DIRECTIONS = 256
 #: Rounds of exchanges.
 _ROUNDS = 50
 #: Variance of a direction that is not observed.
@@ -75,7 +75,7 @@ def times_found(wanted: float, squares: Floats, rank: float, level: float, free:
     # those of a direction that is hardly seen are found where the others have long been
     for _ in range(_ROUNDS):
         if short(high) > 0:
-            return float(np.exp(scipy.optimize.brentq(short, low, high, xtol=1e-6)))
+            return float(np.exp(scipy.optimize.brentq(short, low, high, xtol=1e-3)))
         high += 1.0
     return float("inf")
 
