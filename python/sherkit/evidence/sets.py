@@ -220,7 +220,7 @@ class Sets:
 
     def _settled(self, singles: Sequence[EffectSet]) -> bool:
         """Whether one of them explains, and no pair would be less."""
-        return any(one.explains and self.counted(one) <= 2 for one in singles)
+        return any(self.counted(one) <= 2 for one in _whole(singles))
 
     def leading(self, sets: Sequence[EffectSet]) -> EffectSet:
         """The set that leads: of those that explain, plausible ones first; where shapes beside effects say clearly
@@ -340,7 +340,7 @@ class Sets:
                 pairs[names] = (worth, one, other)
 
         # what explains by itself is no half of a pair, but a part of it may be
-        whole = [one.blocks[0] for one in sets if one.explains]
+        whole = [one.blocks[0] for one in _whole(sets)]
         for one in [one for one in sets if not one.explains][:A_FEW]:
             for block in likeliest(self.family, one.each, _SECONDS, one.names, whole):
                 add(one.log_bf + float(one.each[self.family.where(block)]), one.blocks[0], block, again=True)
@@ -407,3 +407,10 @@ def likeliest(
             if len(best) == most:
                 break
     return list(best.values())
+
+
+def _whole(sets: Sequence[EffectSet]) -> list[EffectSet]:
+    """Those that explain and say as much as any: a wave may leave nothing that is asked for beside it, since that would
+    be another wave."""
+    most = max((one.value for one in sets), default=0.0) - TIED
+    return [one for one in sets if one.explains and one.value > most]
