@@ -891,3 +891,25 @@ def test_rows_before_their_machine_say_what_comes_first() -> None:
     """Catches "column 'q1_mm' is missing" alone, of the rows of a machine that is described only further down."""
     with apart(), pytest.raises(SherkitError, match=r"described \(sk.Machine\) before its rows are read"):
         sk.from_frame({"swing_deg": [1.0, 2.0], "boom_deg": [3.0, 4.0], "x_mm": [0.1, 0.2], "y_mm": [0.1, 0.3]})
+
+
+@pytest.mark.parametrize("seed", [0, *slow(*range(1, 8))])
+def test_a_scale_and_a_screw_are_both_named(seed: int) -> None:
+    """Catches a search that ends at a "wave" of half a period, which takes a scale and leaves nothing that is asked for
+    beside it, since that is a wave: scale and screw were "unexplained" in 9 of 20 runs."""
+    rng = np.random.default_rng(seed)
+    q = np.round(rng.uniform(0.0, [600.0, 400.0, 300.0], (80, 3)), 3)
+    order = np.concatenate([rng.permutation(80) for _ in range(2)])
+    scales, phase = rng.choice([-1, 1], 3) * rng.uniform(4e-5, 1e-4, 3), rng.uniform(0.0, 6.0, 3)
+    stood = q * (1.0 + scales) + 0.006 * np.sin(2.0 * np.pi * q / 10.0 + phase)
+    seen = Rotation.random(random_state=seed).apply(stood[order]) + np.array([500.0, -900.0, 200.0])
+    seen = seen + 0.003 * rng.normal(size=seen.shape)
+    machine = sk.Machine(
+        lambda q, p: np.stack([q[:, 0] + p.xy * q[:, 1], q[:, 1], q[:, 2]], axis=1),
+        joints={"x_axis_mm": (0.0, 600.0), "y_axis_mm": (0.0, 400.0), "z_axis_mm": (0.0, 300.0)},
+        readings=("x_mm", "y_mm", "z_mm"), parameters={"xy": ("rad", 2e-4)}, name="mill",
+    )  # fmt: skip
+    rows = dict(zip((*machine.layout.joints, "x_mm", "y_mm", "z_mm"), np.hstack([q[order], seen]).T, strict=True))
+    d = sk.diagnose(machine, rows | {"time_s": 9.0 * np.arange(160), "pose": order + 1})
+    assert d.verdict == "explained"
+    assert set(d.effects) == {"joint_scale", "encoder_cyclic"}
