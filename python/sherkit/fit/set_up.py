@@ -193,7 +193,10 @@ def _much_better(
     good: every coordinate that it touches gets better, and none worse."""
     every = list(hypotheses(model, data))
     first = [plausible_fit(one.model, thinned(one.data, _AT_FIRST), datum, rounds=1) for one in every]
-    likely = sorted((found.misfit, k) for k, found in enumerate(first) if found is not None)[:_LOOKED_AT]
+    likely = sorted((found.misfit, k) for k, found in enumerate(first) if found is not None)
+    # those that are the same to a run are all among them
+    near = likely[0][0] + _AS_GOOD if likely else np.inf
+    likely = [pair for place, pair in enumerate(likely) if place < _LOOKED_AT or pair[0] < near]
     fitted = [(every[k], plausible_fit(every[k].model, every[k].data, datum)) for _, k in likely]
     if model.stands_anywhere:
         fitted += [_anew(model, data, datum) if anew is None else anew]
