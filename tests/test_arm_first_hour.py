@@ -7,15 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 import sherkit as sk
-from running import slow
+from running import command, slow
 from sherkit.data.file_check import check_file
 from sherkit.errors import SherkitWarning
 from sherkit.fit.set_up import set_up_mistakes
 from sherkit.fit.set_up_zeros import several_joints
 from sherkit.model.kinds import model_of
+from sherkit.model.robot_file import save_robot
 from sherkit.robots.serial import postures
 from test_arm_counted import OwnArm, arm_in
 from test_serial import NOISE_MM
@@ -46,6 +48,20 @@ def test_rows_beyond_the_limits_of_the_robot_file_are_said(tmp_path: Path) -> No
     notes = sk.diagnose(replace(arm, joints=tuple(small)), run).notes
     assert any("stand outside its limits" in note for note in notes)
     assert not any("stand outside its limits" in note for note in sk.diagnose(arm, run).notes)
+
+
+def test_a_check_says_joints_beyond_their_limits(tmp_path: Path) -> None:
+    """Catches degrees under a name in radians, of which a check said nothing and a diagnosis everything."""
+    arm = arm_in(tmp_path)
+    arm = replace(arm, joints=tuple(replace(one, limits=(-175.0, 175.0)) for one in arm.joints))
+    save_robot(arm, tmp_path / "arm.toml")
+    run = OwnArm.made(1).run(arm, postures(arm, 30, 0.9, 1), 1, declared=True).to_frame()
+    name = arm.layout.joints[1]
+    for column, said in ((pl.col(name), False), (pl.col(name) * 180.0 / np.pi, True)):
+        run.with_columns(column).write_csv(tmp_path / "run.csv")
+        code, shown, wrong = command(tmp_path, "check", "run.csv", "arm.toml")
+        assert code == 0, wrong
+        assert ("rows stand outside its limits in the robot's file" in " ".join(shown.split())) == said
 
 
 @pytest.mark.parametrize(("numbers", "meant"), [("1,2,3,4", None), ("1,1,2,2", "Nr")])

@@ -12,6 +12,7 @@ from rich.markup import escape
 from ..data import Measurements
 from ..data.called import in_toml
 from ..data.file_check import FileCheck, check_file, said_of
+from ..fit.constant_columns import outside_limits
 from ..model.kinds import kind_of, model_of
 from ..model.robot_file import columns_of
 from ..robots.machine import is_machine, robot_at
@@ -45,19 +46,25 @@ def check(run: Path, robot: Path | None, destination: Path | None, as_json: bool
         layouts = kind_of(nominal).layouts
         whose = f"{robot} ({nominal.kind})"
 
+        def as_read(data: Measurements) -> Measurements:
+            return data.read_as(layouts[0]) if is_machine(robot) else data
+
         def require(data: Measurements) -> None:
-            model_of(nominal).require_own(data.read_as(layouts[0]) if is_machine(robot) else data)
+            model_of(nominal).require_own(as_read(data))
 
         found = check_file(run, columns=columns, layouts=layouts, whose=whose, require=require)
+        beyond = [] if found.data is None else list(outside_limits(model_of(nominal), as_read(found.data)))
     else:
-        found = check_file(run)
+        found, beyond = check_file(run), []
     written = destination is not None and found.data is not None and found.is_mended
     if written and destination is not None and found.data is not None:
         found.data.save(destination)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json({**found.to_json(), "outside_limits": beyond})
     else:
         _tell(found)
+        for said in beyond:
+            out.print(f"[yellow]{escape(said)}.[/]")
         _next(found, robot, destination if written else None)
     if not (written if destination is not None else found.is_good):
         what = (
