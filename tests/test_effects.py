@@ -216,7 +216,9 @@ def test_a_missing_column_is_named() -> None:
     bare = sk.from_frame(data.to_frame().drop("temperature_c"))
     model = model_of(("thermal_growth",))
     values = values_of(model, errors, {"thermal_growth": np.array([1e-4])})
-    with pytest.raises(sk.errors.FitError, match="needs a column that these rows lack"):
+    with pytest.raises(
+        sk.errors.FitError, match="thermal_growth, in the model, cannot be computed without the column temperature_c"
+    ):
         model.predict(bare, values)
     with pytest.raises(sk.errors.EffectError, match="temperature_c"):
         sk.Study(EXAMPLE, bare).add("thermal_growth")

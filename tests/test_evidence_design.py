@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sherkit.evidence.design import Rival, exchanged, needed, power, showing, telling
+from sherkit.evidence.design import Rival, exchanged, power, showing, squares_of, telling, times_found
 
 
 def test_power_is_that_of_the_test() -> None:
@@ -19,10 +19,24 @@ def test_power_is_that_of_the_test() -> None:
         null = null / (np.square(rng.normal(size=(200_000, 12))).sum(axis=1) / 12.0 if free < np.inf else 1.0)
         share = float((asked > np.quantile(null, 0.95)).mean())
         assert power(2.5**2, 3, 0.05, free) == pytest.approx(share, abs=0.02)
-        assert power(needed(0.8, 3, 0.05, free), 3, 0.05, free) == pytest.approx(0.8)
+        times = times_found(0.8, np.array([2.5**2]), 3, 0.05, free)
+        assert power((2.5 * times) ** 2, 3, 0.05, free) == pytest.approx(0.8)
         assert power(0.0, 3, 0.05, free) == pytest.approx(0.05)
     assert power(9.0, 0, 0.05) == power(9.0, 1, 0.05, 0) == 0.0
-    assert needed(0.8, 0, 0.05) == np.inf
+    assert times_found(0.8, np.array([2.5**2]), 0, 0.05) == np.inf
+
+
+def test_directions_of_an_effect_have_its_size_and_are_spread() -> None:
+    """Catches directions along the axes alone, a mean of squares that is another one, and a size that is found in 80 of
+    100 for directions that the fit takes as well as for those that it leaves."""
+    left = np.diag([4.0, 1.0, 0.0])
+    squares = squares_of(left)
+    assert squares.mean() == pytest.approx(5.0, rel=0.1)
+    assert squares.min() < 0.3
+    some = times_found(0.8, squares, 2, 0.01)
+    assert some > 1.2 * times_found(0.8, squares.mean(keepdims=True), 2, 0.01)
+    assert times_found(0.8, np.zeros(3), 2, 0.01) == np.inf
+    assert squares_of(np.array([[7.0]])) == pytest.approx([7.0])
 
 
 def test_an_exchange_ends_where_no_single_one_helps() -> None:

@@ -75,7 +75,7 @@ def times_found(wanted: float, squares: Floats, rank: float, level: float, free:
     # those of a direction that is hardly seen are found where the others have long been
     for _ in range(_ROUNDS):
         if short(high) > 0:
-            return float(np.exp(scipy.optimize.brentq(short, low, high, xtol=1e-3)))
+            return float(np.exp(scipy.optimize.brentq(short, low, high, xtol=1e-7)))
         high += 1.0
     return float("inf")
 

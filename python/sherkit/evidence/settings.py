@@ -21,8 +21,8 @@ from .shapes import stepped
 _MOMENTS, _LAGS, _WAVES = 90, 2.0 ** np.arange(-0.75, 0.76, 0.25), np.arange(-0.5, 0.51, 0.05)
 #: The same of a shape.
 _FINER = np.linspace(-0.5, 0.5, 33)
-#: Fewest waves over the range of a shape; of an effect, of which less than one is no wave but a scale.
-_FEWEST, _WHOLE = 0.2, 1.0 - 1e-9
+#: Fewest waves over the range of what waves.
+_FEWEST = 0.2
 
 
 def columns_at(run: Run, effect: Effect, setting: Setting | None) -> Floats:
@@ -115,4 +115,4 @@ def _near(view: Linearised, block: Block) -> list[float]:
     if effect.is_lagging:
         return np.asarray(setting * _LAGS).tolist()
     reach = max(float(np.ptp(view.stood[name])) for name in view.waving(effect))
-    return [reach / count for count in (reach / setting + _WAVES).tolist() if count > _WHOLE]
+    return [reach / count for count in (reach / setting + _WAVES).tolist() if count > _FEWEST]

@@ -117,7 +117,7 @@ def plan(
 
 
 @dataclass(frozen=True)
-class _Run:
+class _ToMeasure:
     """What is to be measured: the ``rows``, in words, how long they take where that is known, and the ``poses`` where
     they were chosen here."""
 
@@ -127,20 +127,24 @@ class _Run:
     poses: Sequence[Mapping[str, float]] = ()
 
 
-def _planned(path: Path, robot: Robot, planned: Path | None, count: int, repeats: int, pace_s: float | None) -> _Run:
+def _planned(
+    path: Path, robot: Robot, planned: Path | None, count: int, repeats: int, pace_s: float | None
+) -> _ToMeasure:
     """An experiment's, that of a table of poses, or one of poses that are chosen here."""
     if planned is not None and planned.suffix.lower() == ".toml":
         chosen = load_experiment(planned, robot=path, offline=True)
         long = f"{chosen.seconds / 60:.0f} minutes" if chosen.seconds >= 120 else f"{chosen.seconds:.0f} s"
-        return _Run(planned_rows(chosen), f"{chosen.source}: {len(chosen.plan)} steps, about {long}", chosen.seconds)
+        return _ToMeasure(
+            planned_rows(chosen), f"{chosen.source}: {len(chosen.plan)} steps, about {long}", chosen.seconds
+        )
     names = kind_of(robot).layout.joints
     if planned is not None:
-        return _Run(rows_at(_joints(planned, names), model_of(robot), pace_s), str(planned))
+        return _ToMeasure(rows_at(_joints(planned, names), model_of(robot), pace_s), str(planned))
     found = poses_to_measure(robot, count, repeats=repeats)
     joints = np.array([[one[name] for name in names] for one in found])
     often = {1: "once", 2: "twice"}.get(repeats, f"{repeats} times")
     said = f"{path}: {count} poses, each read {often}"
-    return _Run(rows_at(joints, model_of(robot), pace_s), said, poses=found)
+    return _ToMeasure(rows_at(joints, model_of(robot), pace_s), said, poses=found)
 
 
 def _joints(path: Path, names: Sequence[str]) -> Floats:
@@ -284,7 +288,7 @@ def _show_study(found: tuple[DetectionCount, ...]) -> None:
 
 
 def _json(
-    run: _Run, planning: Planning, effect_powers: tuple[EffectPower, ...], found: tuple[DetectionCount, ...]
+    run: _ToMeasure, planning: Planning, effect_powers: tuple[EffectPower, ...], found: tuple[DetectionCount, ...]
 ) -> dict[str, Any]:
     def number(value: float) -> float | None:
         return float(value) if np.isfinite(value) else None
