@@ -12,6 +12,8 @@ use crate::{Error, Result};
 pub struct Beam {
     length_mm: f64,
     stiffness: f64,
+    /// One over it: a loop does not divide.
+    pub(super) softness: f64,
 }
 
 /// Tip deflection for a unit force and its derivatives.
@@ -53,6 +55,7 @@ impl Beam {
         Ok(Self {
             length_mm,
             stiffness,
+            softness: 1.0 / stiffness,
         })
     }
 
@@ -62,6 +65,7 @@ impl Beam {
         Self {
             length_mm: 60.0,
             stiffness: 3.39e6 / 3.0,
+            softness: 3.0 / 3.39e6,
         }
     }
 
@@ -96,12 +100,5 @@ impl Beam {
             by_length: a * h / k,
             by_stiffness: -value / k,
         }
-    }
-
-    /// Deflection of the shaft at the contact itself per force, mm/mN: `a³/(3EI)`, what a calibration measures.
-    #[must_use]
-    pub fn contact_compliance(&self, depth_mm: f64) -> f64 {
-        let a = self.length_mm - held(depth_mm, self.length_mm);
-        a * a * a / (3.0 * self.stiffness)
     }
 }

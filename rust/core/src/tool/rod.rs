@@ -99,21 +99,47 @@ pub struct Shape {
 }
 
 impl Rod {
-    /// Angle's measure `q = (σ² F/EI)²`, held where no shaft would be whole.
-    fn q(&self, force: f64, arc: f64) -> f64 {
-        let p = force * arc * arc / self.beam.stiffness();
-        let q = p * p;
-        if q < FARTHEST { q } else { FARTHEST }
+    /// Angle's measure `q = (σ² F/EI)²` by the force squared, so that no root is taken; held where no shaft would be whole, and
+    /// nothing where bends are small: every series is its first term.
+    #[inline]
+    fn q(&self, force_squared: f64, arc: f64) -> f64 {
+        let p = arc * arc * self.beam.softness;
+        match self.bending {
+            Bending::Small => 0.0,
+            // the end for NaN
+            Bending::Exact => {
+                let q = force_squared * (p * p);
+                if q < FARTHEST { q } else { FARTHEST }
+            }
+        }
     }
 
     /// Moment at an arc from the contact (mm) over force times arc: 1 for small bends.
     #[must_use]
     #[inline]
     pub fn moment_share(&self, force_mn: f64, arc_mm: f64) -> f64 {
-        match self.bending {
-            Bending::Small => 1.0,
-            Bending::Exact => series(&CURVATURE, self.q(force_mn, arc_mm)),
-        }
+        series(&CURVATURE, self.q(force_mn * force_mn, arc_mm))
+    }
+
+    /// Force times arc (mm from the contact) over the moment there: the inverse of [`Rod::moment_share`].
+    #[inline]
+    pub(super) fn relief(&self, force_squared: f64, arc_mm: f64) -> f64 {
+        let q = self.q(force_squared, arc_mm);
+        let [a, b, c, d] = RELIEF;
+        a + q * (b + q * (c + q * d))
+    }
+
+    /// How much nearer to the clamp a contact stands than on the unbent shaft, mm, by the arc to it.
+    #[inline]
+    pub(super) fn short(&self, force_squared: f64, arc_mm: f64) -> f64 {
+        arc_mm * (1.0 - series(&AXIAL, self.q(force_squared, arc_mm)))
+    }
+
+    /// How far a contact gives way across the unbent shaft, mm/mN, by the arc to it.
+    #[inline]
+    pub(super) fn gives(&self, force_squared: f64, arc_mm: f64) -> f64 {
+        let lateral = series(&LATERAL, self.q(force_squared, arc_mm));
+        self.beam.softness * arc_mm * (arc_mm * arc_mm) * lateral
     }
 
     /// A load of a bench as it truly is: its force across the rod (mN) and the length of shaft beyond it (mm).
@@ -131,7 +157,7 @@ impl Rod {
                     force = force_mn / self.turn(force, arc).1;
                 }
                 if axial {
-                    let share = series(&AXIAL, self.q(force, arc));
+                    let share = series(&AXIAL, self.q(force * force, arc));
                     depth = self.beam.length_mm() - (self.beam.length_mm() - depth_mm) / share;
                 }
             }
@@ -141,7 +167,10 @@ impl Rod {
 
     /// Sine and cosine of the angle at the contact.
     fn turn(&self, force: f64, arc: f64) -> (f64, f64) {
-        let q = self.q(force, arc);
+        if self.bending == Bending::Small {
+            return (0.5 * force * arc * arc * self.beam.softness, 1.0);
+        }
+        let q = self.q(force * force, arc);
         let curvature = series(&CURVATURE, q);
         let sine = sqrt(q) * curvature * curvature / 2.0;
         (sine, sqrt(1.0 - sine * sine))
@@ -171,7 +200,7 @@ impl Rod {
 
     /// Length from the clamp to a contact at a depth, which lies on the shaft.
     #[inline]
-    fn arc(&self, depth_mm: f64) -> f64 {
+    pub(super) fn arc(&self, depth_mm: f64) -> f64 {
         let length = self.beam.length_mm();
         let depth = if depth_mm > 0.0 { depth_mm } else { 0.0 };
         if depth < length { length - depth } else { 0.0 }
@@ -182,13 +211,7 @@ impl Rod {
     #[must_use]
     #[inline]
     pub fn aside(&self, force_mn: f64, arc_mm: f64) -> f64 {
-        match self.bending {
-            Bending::Small => force_mn * arc_mm * arc_mm * arc_mm / (3.0 * self.beam.stiffness()),
-            Bending::Exact => {
-                let q = self.q(force_mn, arc_mm);
-                arc_mm * sqrt(q) * series(&LATERAL, q)
-            }
-        }
+        force_mn * self.gives(force_mn * force_mn, arc_mm)
     }
 
     /// Shape under a force across the rod (mN, zero or more) at a depth: the length of shaft beyond the contact (mm).
@@ -204,43 +227,14 @@ impl Rod {
     pub fn bent(&self, force_mn: f64, depth_mm: f64, beyond_mm: f64) -> Shape {
         let beyond = if beyond_mm > 0.0 { beyond_mm } else { 0.0 };
         let arc = self.arc(depth_mm);
-        match self.bending {
-            Bending::Small => {
-                let contact = force_mn * self.beam.contact_compliance(depth_mm);
-                let turn = force_mn * arc * arc / (2.0 * self.beam.stiffness());
-                Shape {
-                    contact_across: contact,
-                    contact_short: 0.0,
-                    across: contact + beyond * turn,
-                    short: 0.0,
-                }
-            }
-            Bending::Exact => {
-                let q = self.q(force_mn, arc);
-                let (sine, cosine) = self.turn(force_mn, arc);
-                let contact_across = self.aside(force_mn, arc);
-                let contact_short = arc * (1.0 - series(&AXIAL, q));
-                Shape {
-                    contact_across,
-                    contact_short,
-                    across: contact_across + beyond * sine,
-                    short: contact_short + beyond * (1.0 - cosine),
-                }
-            }
-        }
-    }
-
-    /// The same shaft for a loop.
-    #[must_use]
-    pub fn shaft(&self) -> Shaft {
-        let compliance = 1.0 / self.beam.stiffness();
-        Shaft {
-            length_mm: self.beam.length_mm(),
-            compliance,
-            squared: match self.bending {
-                Bending::Small => 0.0,
-                Bending::Exact => compliance * compliance,
-            },
+        let (sine, cosine) = self.turn(force_mn, arc);
+        let contact_across = self.aside(force_mn, arc);
+        let contact_short = self.short(force_mn * force_mn, arc);
+        Shape {
+            contact_across,
+            contact_short,
+            across: contact_across + beyond * sine,
+            short: contact_short + beyond * (1.0 - cosine),
         }
     }
 
@@ -252,61 +246,5 @@ impl Rod {
         let per_force = if size > 0.0 { shape.across / size } else { 0.0 };
         let bent = force_mn * per_force;
         tool.apply(&Vector3::new(bent.x, bent.y, -shape.short))
-    }
-}
-
-/// A [`Rod`] for a loop: by the force squared, so that no root is taken, and without a division. Where bends are small
-/// its `q` is zero, and every series its first term.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shaft {
-    length_mm: f64,
-    /// `1/EI`, and its square; zero for the latter where bends are small.
-    compliance: f64,
-    squared: f64,
-}
-
-impl Shaft {
-    #[inline]
-    fn q(&self, force_squared: f64, arc: f64) -> f64 {
-        let square = arc * arc;
-        let q = self.squared * force_squared * (square * square);
-        // false for NaN
-        if q < FARTHEST { q } else { FARTHEST }
-    }
-
-    /// Length from the clamp to a contact at a depth, which lies on the shaft.
-    #[must_use]
-    #[inline]
-    pub fn arc(&self, depth_mm: f64) -> f64 {
-        let depth = if depth_mm > 0.0 { depth_mm } else { 0.0 };
-        if depth < self.length_mm {
-            self.length_mm - depth
-        } else {
-            0.0
-        }
-    }
-
-    /// Force times arc (mm from the contact) over the moment there: the inverse of [`Rod::moment_share`].
-    #[must_use]
-    #[inline]
-    pub fn relief(&self, force_squared: f64, arc_mm: f64) -> f64 {
-        let q = self.q(force_squared, arc_mm);
-        let [a, b, c, d] = RELIEF;
-        a + q * (b + q * (c + q * d))
-    }
-
-    /// How much nearer to the clamp a contact stands than on the unbent shaft, mm, by the arc to it.
-    #[must_use]
-    #[inline]
-    pub fn short(&self, force_squared: f64, arc_mm: f64) -> f64 {
-        arc_mm * (1.0 - series(&AXIAL, self.q(force_squared, arc_mm)))
-    }
-
-    /// How far the contact gives way across the unbent shaft, mm/mN, by the arc to it.
-    #[must_use]
-    #[inline]
-    pub fn gives(&self, force_squared: f64, arc_mm: f64) -> f64 {
-        let lateral = series(&LATERAL, self.q(force_squared, arc_mm));
-        self.compliance * arc_mm * (arc_mm * arc_mm) * lateral
     }
 }

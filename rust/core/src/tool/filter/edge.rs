@@ -8,7 +8,7 @@ use super::reading::Said;
 use super::state::{CLEARANCE, GIVES, L, N, Row, State, TURN};
 use crate::numbers::math::sqrt;
 use crate::tool::poses::Posed;
-use crate::tool::rod::Shaft;
+use crate::tool::rod::Rod;
 use nalgebra::{Vector2, Vector3};
 
 /// Of the edge the first pace squared, (mm/s)², and for how long that counts, s.
@@ -244,7 +244,7 @@ impl Edge {
     pub(super) fn strayed(
         &self,
         felt: Option<&(f64, Said)>,
-        shaft: &Shaft,
+        shaft: &Rod,
         last: &State,
         s: &State,
     ) -> f64 {

@@ -31,7 +31,7 @@ pub use super::trusted::{Doubt, Trusted};
 pub use moments::Shifts;
 
 use super::poses::{Posed, Poses};
-use super::rod::Shaft;
+use super::rod::Rod;
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
 use crate::{Error, Result};
@@ -54,7 +54,7 @@ pub const LEARNT: usize = 13;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolFilter {
     trusted: Trusted,
-    shaft: Shaft,
+    shaft: Rod,
     gratings: moments::Gratings,
     poses: Poses,
     state: State,
@@ -124,7 +124,7 @@ impl ToolFilter {
         };
         Ok(Self {
             trusted: *t,
-            shaft: t.rod.shaft(),
+            shaft: t.rod,
             gratings,
             poses: Poses::new(start),
             state: State {

@@ -1,7 +1,7 @@
 //! One reading: force and depth from two moments, and what the filter makes of them.
 //!
 //! At the depth `d` expected the moments are `M_i = F c_i`, `c_i = (l_i - d)/ρ_i` with the elastica's relief `ρ`
-//! ([`Shaft::relief`](crate::tool::rod::Shaft)); were it deeper by `δ`, `M_i = F c_i - F δ/ρ_i`. Both are linear, so `F` and `δ`
+//! ([`Rod::relief`](crate::tool::rod::Rod)); were it deeper by `δ`, `M_i = F c_i - F δ/ρ_i`. Both are linear, so `F` and `δ`
 //! are least squares over what the gratings say: to first order the paper's Eqs. 1 and 2, but no ratio of two noisy numbers,
 //! and a section of which a grating is lost still counts.
 
@@ -10,7 +10,7 @@ use super::offsets::{APART_NM, Offsets};
 use super::state::{BENCH, DEEPER, L, N, OFFSETS, Row, Seen, State};
 use super::tip::Tip;
 use crate::numbers::math::sqrt;
-use crate::tool::rod::Shaft;
+use crate::tool::rod::Rod;
 use crate::tool::trusted::Trusted;
 use nalgebra::{Matrix2, Vector2};
 
@@ -81,7 +81,7 @@ fn deeper(
 #[inline]
 pub(super) fn say(
     trusted: &Trusted,
-    shaft: &Shaft,
+    shaft: &Rod,
     g: &Gratings,
     tip: &Tip,
     o: &Offsets,

@@ -10,7 +10,7 @@
 
 use crate::numbers::math::sqrt;
 use crate::numbers::rigid::Rigid;
-use crate::tool::rod::Shaft;
+use crate::tool::rod::Rod;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Numbers of the state, and their places: `l` (mm), clearance (mm), what the hole gives way (mm/mN), the gratings' turn
@@ -124,7 +124,7 @@ impl State {
 
     /// What shaft and hole give way for a force, mm/mN.
     #[inline]
-    pub(super) fn gives(&self, shaft: &Shaft) -> f64 {
+    pub(super) fn gives(&self, shaft: &Rod) -> f64 {
         shaft.gives(self.size * self.size, shaft.arc(self.arc())) + self.x[GIVES]
     }
 
@@ -169,7 +169,7 @@ impl State {
     }
 
     /// The force where the hole stands now: none within the clearance, in proportion beyond.
-    pub(super) fn lean(&mut self, shaft: &Shaft) {
+    pub(super) fn lean(&mut self, shaft: &Rod) {
         if !self.touched {
             return;
         }
