@@ -18,7 +18,6 @@ from ..errors import SherkitError, SherkitWarning
 from ..fit.error import axes_of
 from ..fit.identify import Fit, residuals
 from . import rule, told
-from .kept import Kept
 from .known import PLACES, FixedBefore
 from .look import InterimAnalysis, look
 from .noise import BEYOND
@@ -32,7 +31,7 @@ from .vouching import against
 _START = 12
 
 
-class BatchLooks(Kept):
+class BatchLooks(Task):
     """Looks wherever a batch is whole."""
 
     def _begin_anew(self) -> None:

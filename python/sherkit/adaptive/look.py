@@ -7,6 +7,7 @@ from one row to the next), and effects are searched, fitted in full and judged a
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from ..base.types import Floats, Ints
 from ..data import Measurements
+from ..errors import SherkitError
 from ..evidence.base import Base
 from ..evidence.blocks import Block
 from ..evidence.family import Family
@@ -23,7 +25,7 @@ from ..evidence.sets import EffectSet, Sets
 from ..evidence.thresholds import SURE, TIED, TWIN
 from ..fit.identify import Fit
 from .known import FixedBefore
-from .noise import ROUGH, LoopNoise, expected, left_by, rough_of, run_of_rows
+from .noise import ROUGH, LoopNoise, left_by, rough_of, run_of_rows
 
 _ROUNDS = 3
 
@@ -152,12 +154,13 @@ class InterimAnalysis:
 def look(known: FixedBefore, data: Measurements, before: InterimAnalysis | None = None) -> InterimAnalysis:
     """Looks at rows in the order of time; the noise that the look ``before`` found is where it begins. Raises
     :class:`~sherkit.errors.FitError` where nothing can be fitted."""
-    # where nobody knows from which side the first pose was approached, lost motion would make it another slip
-    unsure = np.flatnonzero((data.direction == 0.0).all(axis=1)) if moved(data) else np.zeros(0, dtype=np.int64)
+    unsure = of_no_side(data)
     now = LoopNoise(unsure, np.ones(len(known.axes)), 0.0)
     if before is not None:
-        # what explained best explains the new rows, as a rule
-        now = expected(known, data, before.noise, unsure, before.best_fit)
+        now = before.noise
+        with suppress(SherkitError):
+            # what explained best explains the new rows, as a rule
+            now = left_by(run_of_rows(known, data, now, before.best_fit), now, unsure)
     for _ in range(_ROUNDS):
         family = Family(run_of_rows(known, data, now), known.reference)
         sets = Sets(family, Base.of(family, family.run))
@@ -168,9 +171,11 @@ def look(known: FixedBefore, data: Measurements, before: InterimAnalysis | None 
     return InterimAnalysis(known, data, sets.base, tuple(sets.found), judged_names(sets), now)
 
 
-def moved(data: Measurements) -> bool:
-    """Whether any joint moved while the rows were read."""
-    return bool((data.direction != 0.0).any())
+def of_no_side(data: Measurements) -> Ints:
+    """Rows (k,) of which nobody knows from which side they were approached, as the first, where joints move: lost
+    motion would make another slip of them."""
+    still = (data.direction == 0.0).all(axis=1)
+    return np.flatnonzero(still & ~still.all())
 
 
 def called(block: Block) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +10,6 @@ from ..base.types import Bools, Floats, Ints
 from ..data import Measurements
 from ..data.noise import MAD, noise_of
 from ..data.noise import ReadingNoise as Weights
-from ..errors import SherkitError
 from ..evidence.base import Base, total
 from ..evidence.fitted_run import FittedRun
 from ..evidence.run import Run, in_time, one_after_another
@@ -157,24 +154,9 @@ def left_by(run: Run, now: LoopNoise, unsure: Ints) -> LoopNoise:
 def accidents(far: Bools) -> Bools:
     """Those of rows in the order of time that are ``far`` off (n,) that are no beginning and no end of the run: what
     nearly all rows do from a moment on is news."""
-    out = far.copy()
-    for rows in off_at_an_end(far, A_FEW, _NEARLY_ALL):
-        out[rows] = False
-    return out
-
-
-def expected(known: FixedBefore, data: Measurements, before: LoopNoise, unsure: Ints, best: Fit) -> LoopNoise:
-    """The noise of rows by what explained those before ``best``: as a rule it explains the new ones."""
-    with suppress(SherkitError):
-        return left_by(run_of_rows(known, data, before, best), before, unsure)
-    return before
-
-
-def off_at_an_end(off: Bools, fewest: int, part: float) -> Iterator[Ints]:
-    """The beginning and the end (k,) of rows (n,) in the order of time, as far as they are long enough and this part of
-    them is ``off`` at least."""
-    every = np.arange(len(off))
+    out, every = far.copy(), np.arange(len(far))
     for rows in (every, every[::-1]):
-        end = int(np.argmax(np.cumsum(np.where(off[rows], 1, -1)))) + 1
-        if end >= fewest and off[rows[:end]].mean() >= part:
-            yield np.sort(rows[:end])
+        end = int(np.argmax(np.cumsum(np.where(far[rows], 1, -1)))) + 1
+        if end >= A_FEW and far[rows[:end]].mean() >= _NEARLY_ALL:
+            out[rows[:end]] = False
+    return out
