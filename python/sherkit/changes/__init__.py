@@ -1,11 +1,9 @@
 """What has changed since: a machine before and after, over the years, and whether its calibration still holds."""
 
 from .change_model import ParameterChange
-from .check_poses import verifying_poses
 from .comparison import Comparison, compare
 from .history import Course, History, history
-from .verification import verify
-from .verified import Verification
+from .verification import Verification, verify, verifying_poses
 
 __all__ = [
     "Comparison", "Course", "History", "ParameterChange", "Verification", "compare", "history", "verify",

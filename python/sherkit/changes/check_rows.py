@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,7 @@ from ..evidence.whitening import MOST_IN_COMMON, InCommon, Whitening
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.kinds import required_um
-from ..robots.calibrated import Calibration
+from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
 from .change_model import About, Change, ChangeRows
 from .courses import ChangeSets, in_parts, zeros_at
@@ -51,7 +53,10 @@ class Known:
     root: Floats
 
     @classmethod
-    def of(cls, calibration: Calibration) -> Known:
+    def of(cls, calibration: Calibration | str | PathLike[str]) -> Known:
+        """Of a calibration, or its file."""
+        if isinstance(calibration, str | PathLike):
+            calibration = load_calibration(Path(calibration))
         part: Any = calibration.parts_made[0]
         model = part.model(calibration.robot)
         count = len(part.values)

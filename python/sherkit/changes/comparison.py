@@ -24,7 +24,7 @@ from ..evidence.thresholds import ALARM, ROUNDING
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, read_robot
 from .change_model import ParameterChange
-from .courses import Courses, change_verdict
+from .courses import MEASURE_MORE, Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
 from .pooled_fit import Joined
 from .vouching import errors_of
@@ -283,7 +283,7 @@ def _where(base: Base) -> str:
 
 def _advice(verdict: str, names: tuple[str, ...], tied: Sequence[tuple[str, ...]], proposed: bool, left: float) -> str:
     if verdict == "undecided":
-        return "measure more poses: these are too few to say whether anything has changed"
+        return MEASURE_MORE
     if verdict == "changed" and tied:
         more = "measure the poses below as well" if proposed else "measure other poses as well"
         return f"{more}: these runs cannot tell {' from '.join(tied[0][:3])}; or calibrate again"

@@ -79,6 +79,10 @@ class Courses:
         return ChangeSets(self.joined, self.courses, self.base)
 
 
+#: What to do where it is ``undecided``.
+MEASURE_MORE = "measure more poses: these are too few to say whether anything has changed"
+
+
 def change_verdict(named: Sequence[object], *, explains: bool) -> str:
     """What is said of changes of which there is evidence, by what may be ``named`` and whether it explains all."""
     return "unexplained" if not named else "changed" if explains else "partly explained"

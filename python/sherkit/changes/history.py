@@ -31,7 +31,7 @@ from ..evidence.thresholds import A_FEW, ALARM, SURE, TIED
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, read_robot
 from .change_model import About
-from .courses import Courses, change_verdict
+from .courses import MEASURE_MORE, Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, unchanged_advice
 from .pooled_fit import Joined
 from .vouching import errors_of
@@ -46,7 +46,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _CLOCK_S = 1e8
 #: What to do, by the verdict; of what was found it is said with it.
 _ADVICE = {
-    "undecided": "measure more poses: these are too few to say whether anything has changed",
+    "undecided": MEASURE_MORE,
     "changed": "calibrate again",
     "partly explained": "calibrate again, all of it: what is named does not explain all that is seen",
     "unexplained": "calibrate again, all of it: no change explains what is seen",
