@@ -31,7 +31,7 @@ from ..model.effect import Effect
 from ..model.kinds import Kind, Robot, draw_of, kind_of, model_of
 from .candidates import Atlas, Tile
 from .page import fresh_nonce, policy
-from .picture import number
+from .picture import number, spread_over
 from .residual_arrows import Change
 from .residual_map import still
 from .residuals import Residuals
@@ -199,11 +199,6 @@ def joints_over(robot: Any, kind: Kind) -> Floats:
         low, high = np.asarray(box).T
         return np.asarray(np.random.default_rng(0).uniform(low, high, (_POSES, len(low))))
     return np.asarray(robot.inverse(robot.middle))[None]
-
-
-def spread_over(rows: Any, most: int) -> Any:
-    """At most so many of the rows, evenly among them."""
-    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
 
 
 # -- As a scene -------------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ So one builder serves a notebook, the offline report (which holds the tables of 
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -293,6 +294,16 @@ def rows_to_draw(count: int, most: int, keep: Any = None, seed: int = 0) -> Any:
     return np.sort(rest[:most])
 
 
+def spread_over(rows: Any, most: int) -> Any:
+    """At most so many of the rows, evenly among them."""
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+
+
 def float32(values: Any) -> NDArray[np.float32]:
     """Half the bytes; a pixel needs no more."""
     return np.asarray(values, dtype=np.float32)
+
+
+def in_text(values: Any) -> str:
+    """Numbers as a page holds them: base64 of little-endian float32."""
+    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")

@@ -7,7 +7,6 @@ printed, and what readers without JavaScript see. Every text is escaped; nothing
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +27,7 @@ from ..model.kinds import draw_of, kind_of
 from ..model.sensor_pose import POSE, SPACE
 from ..robots.calibrated import Calibration
 from ..robots.deployed import BASE, SENSOR
-from .picture import rows_to_draw
+from .picture import in_text, rows_to_draw
 from .residual_arrows import round_number
 from .residuals import ModelState
 
@@ -139,13 +138,13 @@ class Scene:
             "width": _STILL_PX,
             "axes": ["x", "y", "z"],
             "parts": [[p.name, p.look, p.path_mm.shape[1]] for p in parts],
-            "frames": [{"at": at, "p": _packed(d.points_mm[0])} for at, d in self.frames],
+            "frames": [{"at": at, "p": in_text(d.points_mm[0])} for at, d in self.frames],
             "arrows": None if self.arrows is None else _told_arrows(self.arrows, size),
             "field": None
             if (f := self.field) is None
             else {
-                "where": _packed(f.where_mm),
-                "value": _packed(f.value),
+                "where": in_text(f.where_mm),
+                "value": in_text(f.value),
                 "low": f.low,
                 "high": f.high,
                 "unit": f.unit,
@@ -192,10 +191,6 @@ def script() -> str:
     return (files("sherkit.report") / "templates" / "scene.js").read_text(encoding="utf-8")
 
 
-def _packed(values: Any) -> str:
-    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")
-
-
 def _times(arrows: Arrows, size: float) -> float:
     """How much longer than the errors arrows are drawn: one of the bar's length is easily seen."""
     return 0.09 * size / arrows.bar_mm
@@ -225,8 +220,8 @@ def _still_parts(
 
 def _told_arrows(a: Arrows, size: float) -> dict[str, Any]:
     return {
-        "where": _packed(a.where_mm), "errors": [*map(_packed, a.errors_mm)], "titles": a.titles,
-        "line": _packed(a.line), "counted": a.counted, "worst": [*map(_packed, a.worst)], "slabs": a.slabs,
+        "where": in_text(a.where_mm), "errors": [*map(in_text, a.errors_mm)], "titles": a.titles,
+        "line": in_text(a.line), "counted": a.counted, "worst": [*map(in_text, a.worst)], "slabs": a.slabs,
         "height": a.height, "unit": a.unit, "perUnit": a.per_mm, "bar": a.bar_mm, "times": _times(a, size),
     }  # fmt: skip
 
