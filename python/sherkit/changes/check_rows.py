@@ -27,7 +27,7 @@ from ..model.kinds import required_um
 from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
 from .change_model import About, Change, ChangeRows
-from .courses import ChangeSets, in_parts, zeros_at
+from .courses import in_parts, zeros_at
 from .pooled_fit import rows_as_run
 from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, stand_of, zeros_of
 
@@ -221,10 +221,6 @@ class CheckRows(ChangeRows):
             for block, at in zip(every, zeros_at(self, every), strict=True)
         ]
         return Base.of(Family(run, made=(columns, made)), run)
-
-    def sets(self) -> ChangeSets:
-        """Sets of changes."""
-        return ChangeSets(self, SINCE[None], self.base)
 
     def required(self, promised: float) -> float:
         """What an error where the robot works must not be more than: what is needed, and what is promised."""

@@ -36,6 +36,7 @@ from ..planning.to_measure import showing_first
 from ..robots.calibrated import Calibration
 from .change_model import ParameterChange
 from .check_rows import SINCE, CheckRows, Known, noise_of
+from .courses import ChangeSets
 from .pool import predicted, rows_of, told_ties
 from .runs import change_candidates, change_columns, moved_in_words
 from .vouching import (
@@ -251,7 +252,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
             valid = None if mute is not None else valid
     # what the model lacks looks like a change as long as it is no larger than it was
     evidence = 0.0 if valid and lacked else base.evidence
-    judged = judged_names(rows.sets()) if evidence >= ALARM else None
+    judged = judged_names(ChangeSets(rows, SINCE[None], base)) if evidence >= ALARM else None
     # of too many things, or of none of these, nothing is named; two are, where each is needed as much as if there were
     # shapes to hold it against, which a dozen poses do not tell
     sure = judged is not None and (len(judged.told) < 2 or min(one.needed for one in judged.told) > NEEDED)

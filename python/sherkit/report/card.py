@@ -249,15 +249,17 @@ _PATTERN_PX = 220
 
 
 def effect_card(
-    effect: Effect, machine: Robot | Model | None, *, fit: Fit | None = None, found: Diagnosis | None = None,
+    effect: Effect, machine: Robot | Model | None = None, *, fit: Fit | None = None, found: Diagnosis | None = None,
     atlas: Atlas | None = None,
 ) -> str:  # fmt: skip
     """The card as HTML.
 
-    ``machine`` is drawn, a robot or what a model describes, None where neither is known; ``fit`` says its values where
-    the effect is in its model, and on which poses it is drawn; ``found`` what it would bring and what it ties with;
-    ``atlas`` its pattern.
+    ``machine`` is drawn, a robot or what a model describes, that of the fit unless it is given; nothing where none is
+    known. ``fit`` says its values where the effect is in its model, and on which poses it is drawn; ``found`` what it
+    would bring and what it ties with; ``atlas`` its pattern.
     """
+    if machine is None and fit is not None:
+        machine = fit.model.robot or getattr(fit.model, "plain", None)
     left = [drawing_of(effect, machine, fit)]
     right = [
         what_it_is(effect, fit),

@@ -166,8 +166,7 @@ def _cards(report: Report, atlas: Atlas | None) -> tuple[list[str], list[tuple[s
 
     def card(name: str, atlas: Atlas | None = None) -> str:
         fit = study.fit if name in inside else found.fit
-        machine = fit.model.robot or getattr(fit.model, "plain", None)
-        return effect_card(inside.get(name, every[name]), machine, fit=fit, found=found, atlas=atlas)
+        return effect_card(inside.get(name, every[name]), fit=fit, found=found, atlas=atlas)
 
     tied = [name for tie in found.indistinguishable for name in tie if name not in found.effects]
     others = [name for name in dict.fromkeys(tied) if name in every][:_MOST_TIED]

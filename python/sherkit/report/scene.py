@@ -34,6 +34,7 @@ from .residuals import ModelState
 _STILL_PX = 640
 #: Turn about the vertical and height of the eye above the horizon, rad.
 _VIEW = (0.3, 0.38)
+(_SIN_YAW, _COS_YAW), (_SIN, _COS) = ((np.sin(a), np.cos(a)) for a in _VIEW)
 #: Room around what is drawn.
 _ROOM = 1.16
 #: How far beyond the places of errors the machine around them is shown, by their width.
@@ -121,9 +122,8 @@ class Scene:
         low, high = seen.min(axis=0), seen.max(axis=0)
         # the middle of what is seen, in the plane that is looked at
         across, up = 0.5 * (low + high)
-        (sin_yaw, cos_yaw), (sin, cos) = ((np.sin(a), np.cos(a)) for a in _VIEW)
-        middle = middle + across * np.array([cos_yaw, sin_yaw, 0.0])
-        middle -= up * np.array([-sin * sin_yaw, sin * cos_yaw, cos])
+        middle = middle + across * np.array([_COS_YAW, _SIN_YAW, 0.0])
+        middle -= up * np.array([-_SIN * _SIN_YAW, _SIN * _COS_YAW, _COS])
         wide, tall = high - low
         return middle, _ROOM * max(float(tall), self.aspect * float(wide)) or 1.0
 
@@ -179,10 +179,9 @@ class Scene:
 def projected(points_mm: Floats, centre: Floats, scale: float, frame_px: tuple[float, float]) -> Floats:
     """Places (k, 3) as pixels (k, 2), as the canvas shows them at first."""
     x, y, z = (points_mm - centre).T
-    (sin_yaw, cos_yaw), (sin, cos) = ((np.sin(a), np.cos(a)) for a in _VIEW)
-    depth = -sin_yaw * x + cos_yaw * y
-    across = cos_yaw * x + sin_yaw * y
-    return np.column_stack([frame_px[0] / 2 + scale * across, frame_px[1] / 2 - scale * (cos * z + sin * depth)])
+    depth = -_SIN_YAW * x + _COS_YAW * y
+    across = _COS_YAW * x + _SIN_YAW * y
+    return np.column_stack([frame_px[0] / 2 + scale * across, frame_px[1] / 2 - scale * (_COS * z + _SIN * depth)])
 
 
 @cache
