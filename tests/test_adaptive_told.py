@@ -12,7 +12,7 @@ from scipy import stats
 import sherkit as sk
 from driven_worlds import DrivenDelta, Row, driven
 from running import slow
-from sherkit.adaptive.noise import Agreement, accidents
+from sherkit.adaptive.look import Agreement, accidents
 from sherkit.data.rows import directions
 from sherkit.errors import MeasurementError
 from sherkit.evidence.thresholds import SCALES

@@ -27,8 +27,7 @@ from ..evidence.sets import EffectSet
 from ..evidence.thresholds import A_FEW, ROUNDING, TIED
 from ..planning.region import CANDIDATES, PosesToDrive
 from .known import run_at
-from .look import InterimAnalysis, called
-from .noise import FEWEST
+from .look import FEWEST, InterimAnalysis, called
 from .rule import RuleState
 from .task import Task
 

@@ -21,8 +21,7 @@ from ..model.base import asked_for
 from . import rule, told
 from .choice import are_beyond
 from .held import BatchLooks, accuracy_um
-from .look import InterimAnalysis
-from .noise import FEWEST
+from .look import FEWEST, InterimAnalysis
 from .told import mistaken
 from .vouching import louder_than_told, set_aside, structure_of, told_of
 

@@ -19,8 +19,7 @@ from ..fit.error import axes_of
 from ..fit.identify import Fit, residuals
 from . import rule, told
 from .known import PLACES, FixedBefore
-from .look import InterimAnalysis, look
-from .noise import BEYOND
+from .look import BEYOND, InterimAnalysis, look
 from .task import Task
 from .told import mistaken, unread_cells
 from .vouching import against

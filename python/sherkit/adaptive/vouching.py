@@ -21,8 +21,7 @@ from ..diagnosis.gathered import gathered, said
 from ..evidence.plausible import farthest_parameter, times_plausible
 from ..evidence.thresholds import FAR_SIGMA, LOUDER, MOVES, NEARLY_ALWAYS, PLAUSIBLE, SAME_PLACE, WRONG
 from .gate import TIMES
-from .look import InterimAnalysis, of_no_side
-from .noise import BEYOND
+from .look import BEYOND, InterimAnalysis, of_no_side
 from .rule import Unseen, outlook
 
 
