@@ -3,7 +3,8 @@
 from .change_model import ParameterChange
 from .comparison import Comparison, compare
 from .history import Course, History, history
-from .verification import Verification, verify, verifying_poses
+from .verification import verify, verifying_poses
+from .verified import Verification
 
 __all__ = [
     "Comparison", "Course", "History", "ParameterChange", "Verification", "compare", "history", "verify",
