@@ -32,7 +32,8 @@ from test_serial import NOISE_MM, PLAIN, hidden_at, left_by_geometry, model_of, 
 from test_spherical_discovery import NOISE_PX, PLANS, ROBOT, real_robot
 
 Floats = NDArray[np.float64]
-Rows = list[dict[str, Any]]
+Row = dict[str, Any]
+Rows = list[Row]
 
 #: Over which time what lives in it is sized, s, and how long a reading takes.
 SPAN_S, PACE_S = 1800.0, 4.0
@@ -117,6 +118,23 @@ class World(ABC):
     def apart_mm(self, seen: Floats, told: Floats) -> Floats:
         """How far apart (n,) two sets of readings (n, m) are, mm."""
         return np.linalg.norm(seen - told, axis=1)
+
+
+#: Of a row as it was read, its number, and what was read before it: what is told of it.
+Change = Callable[[Any, Row, int, Rows], Row]
+
+
+def driven(world: World, change: Change = lambda _, row, k, before: row, **settings: Any) -> sk.Adaptive:
+    """A loop from its first row to its end, whose rows are changed before they are told."""
+    loop = sk.Adaptive(world.robot, **settings)
+    before: Rows = []
+    while not loop.done:
+        rows = []
+        for row in world.read(loop.ask()):
+            rows.append(change(world, row, len(before), before))
+            before.append(row)
+        loop.tell(rows)
+    return loop
 
 
 class DrivenDelta(World):

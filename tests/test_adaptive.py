@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +17,7 @@ import pytest
 from scipy import integrate, stats
 
 import sherkit as sk
-from driven_worlds import DrivenArm, DrivenDelta, DrivenSpherical, World
+from driven_worlds import DrivenArm, DrivenDelta, DrivenSpherical, World, driven
 from running import slow
 from sherkit.adaptive import told
 from sherkit.adaptive.known import FixedBefore, run_at
@@ -28,12 +29,7 @@ from sherkit.evidence.thresholds import SCALES
 Floats = np.ndarray
 
 
-def drive(world: World, **settings: Any) -> sk.Adaptive:
-    """A loop from its first row to its end."""
-    loop = sk.Adaptive(world.robot, **{"budget": 150, "span_min": 5.0, **settings})
-    while not loop.done:
-        loop.tell(world.read(loop.ask()))
-    return loop
+drive = partial(driven, budget=150, span_min=5.0)
 
 
 @pytest.fixture(scope="module")

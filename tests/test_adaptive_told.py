@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,20 +10,14 @@ import pytest
 from scipy import stats
 
 import sherkit as sk
-from driven_worlds import DrivenDelta
+from driven_worlds import DrivenDelta, Row, driven
 from running import slow
-from sherkit.adaptive.noise import Agreement, accidents
+from sherkit.adaptive.look import Agreement, accidents
 from sherkit.data.rows import directions
 from sherkit.errors import MeasurementError
 from sherkit.evidence.thresholds import SCALES
 
-
-def drive(world: DrivenDelta, change: Any = lambda row: row, **settings: Any) -> sk.Adaptive:
-    """A loop whose rows are changed before they are told."""
-    loop = sk.Adaptive(world.robot, **{"budget": 60, **settings})
-    while not loop.done:
-        loop.tell([change(row) for row in world.read(loop.ask())])
-    return loop
+drive = partial(driven, budget=60)
 
 
 def test_a_disagreement_of_poses_is_weighed_as_the_densities_say() -> None:
@@ -72,7 +67,7 @@ def test_physics_that_is_finer_than_the_poses_is_no_noise() -> None:
     of joints, of fifteen noises."""
     world = DrivenDelta(2)
 
-    def rippled(row: dict[str, Any]) -> dict[str, Any]:
+    def rippled(_: Any, row: Row, *more: Any) -> Row:
         ripple = 15.0 * world.noise * np.sin(40.0 * row["q1_mm"] * row["q2_mm"])
         return {**row, **{name: row[name] + ripple for name in ("x_mm", "y_mm", "z_mm")}}
 
@@ -85,7 +80,7 @@ def test_what_is_left_is_held_against_the_noise_that_is_declared(share: float, v
     """Catches praise at three times the noise that the sensor is said to have, and none at that noise."""
     world = DrivenDelta(4)
     sigma = {f"sigma_{a}_mm": share * world.noise for a in "xyz"}
-    loop = drive(world, lambda row: {**row, **sigma}, budget=80)
+    loop = drive(world, lambda _, row, *more: {**row, **sigma}, budget=80)
     assert loop.verdict == verdict, loop.why
     assert share == 1.0 or "where its column declares" in loop.why
 
@@ -120,7 +115,7 @@ def test_a_loop_warns_of_nothing_from_within() -> None:
     """Catches the warnings of a calibration, which the loop makes for itself at each look, in the middle of a drive."""
     world = DrivenDelta(1, ("backlash",), 8.0)
     # a warning is an error in these tests
-    loop = drive(world, lambda row: {**row, "x_mm": None}, required_um=20)
+    loop = drive(world, lambda _, row, *more: {**row, "x_mm": None}, required_um=20)
     assert loop.accuracy_um is not None
 
 
@@ -138,7 +133,7 @@ def test_a_cell_that_is_a_list_is_said_and_a_late_column_left_out() -> None:
 
 def test_a_repeat_that_is_not_numbered_is_the_next_one() -> None:
     """Catches a run that is refused because its owner calls every reading the first of its pose."""
-    loop = drive(DrivenDelta(6), lambda row: {**row, "repeat": 1}, span_min=0.0, budget=28)
+    loop = drive(DrivenDelta(6), lambda _, row, *more: {**row, "repeat": 1}, span_min=0.0, budget=28)
     assert loop.done
     assert loop.readings >= 24
 
@@ -194,7 +189,7 @@ def test_a_robot_that_may_be_off_by_more_than_is_required_is_not_adequate_early(
     world, waves = DrivenDelta(6), 0.06 * np.random.default_rng(6).normal(size=(3, 3))
     axes = ("x_mm", "y_mm", "z_mm")
 
-    def bent(row: dict[str, Any]) -> dict[str, Any]:
+    def bent(_: Any, row: Row, *more: Any) -> Row:
         at = np.array([row[name] for name in axes])
         return {**row, **dict(zip(axes, (at + 6.0 * world.noise * np.sin(waves @ at)).tolist(), strict=True))}
 

@@ -21,7 +21,6 @@ from changed_worlds import ArmPair, DeltaPair, SphericalPair, truth_of_change
 from running import command, slow
 from second_simulator import NOMINAL_CONFIG, Robot, make_plan, simulate
 from sherkit.base.figures import number
-from sherkit.cli import main
 from sherkit.errors import FitError, MeasurementError
 from sherkit.model.kinds import kind_of, robot_from_tables
 
@@ -306,26 +305,25 @@ def folder(bumped: DeltaPair, deployed: Any, tmp_path: Path, monkeypatch: pytest
     return tmp_path
 
 
-def said(capsys: pytest.CaptureFixture[str], code: int, *typed: str) -> str:
+def said(code: int, *typed: str) -> str:
     """What a command prints."""
-    with pytest.raises(SystemExit) as ended:
-        main(list(typed))
-    assert ended.value.code == code
-    return capsys.readouterr().out
+    ended, out, _ = command(Path(), *typed)
+    assert ended == code
+    return out
 
 
-def test_compare_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_compare_as_json(folder: Path) -> None:
     """Catches keys that programs count on and that are not there."""
-    found = json.loads(said(capsys, 0, "compare", "robot.toml", "before.csv", "after.csv", "--json"))
+    found = json.loads(said(0, "compare", "robot.toml", "before.csv", "after.csv", "--json"))
     assert {"verdict", "changed", "indistinguishable", "stand", "error", "parameters", "next_poses"} <= set(found)
     assert set(found["error"]) == {"before", "after", "needed"}
     assert found["changed"] == ["base_angle_2"]
 
 
 @pytest.mark.slow
-def test_the_page_of_a_comparison(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_of_a_comparison(folder: Path) -> None:
     """Catches a page that is not written."""
-    text = said(capsys, 0, "compare", "robot.toml", "before.csv", "after.csv", "--report", "page.html")
+    text = said(0, "compare", "robot.toml", "before.csv", "after.csv", "--report", "page.html")
     assert "base_angle_2 by" in text
     assert "<h1>" in (folder / "page.html").read_text(encoding="utf-8") or (folder / "page.html").stat().st_size > 1000
 
@@ -357,19 +355,19 @@ def test_a_beam_that_was_lost_is_said_before_a_calibration(folder: Path) -> None
     )
 
 
-def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], bumped: DeltaPair) -> None:
+def test_verify_and_its_poses(folder: Path, bumped: DeltaPair) -> None:
     """Catches a bumped machine that is called valid, one that is as it was called invalid, an exit code that a nightly
     job cannot use, a promise that is said to be all that calibrate prints, an instrument that was moved without a
     word, and poses outside of the workspace."""
-    found = json.loads(said(capsys, 3, "verify", "calibrated.toml", "after.csv", "--json", "--fail-if-invalid"))
+    found = json.loads(said(3, "verify", "calibrated.toml", "after.csv", "--json", "--fail-if-invalid"))
     assert found["verdict"] == "not valid"
     assert "base_angle_2" in {*found["changed"], *(name for tie in found["indistinguishable"] for name in tie)}
     # what it was made from says nothing of it
-    own = json.loads(said(capsys, 0, "verify", "calibrated.toml", "before.csv", "--json", "--fail-if-invalid"))
+    own = json.loads(said(0, "verify", "calibrated.toml", "before.csv", "--json", "--fail-if-invalid"))
     assert own["verdict"] == "undecided"
     assert "calibrated from" in own["silent"]
     pl.read_csv(folder / "before.csv")[:-9].write_csv(folder / "again.csv")
-    text = said(capsys, 0, "verify", "calibrated.toml", "again.csv", "--fail-if-invalid")
+    text = said(0, "verify", "calibrated.toml", "again.csv", "--fail-if-invalid")
     assert text.startswith("Verdict: valid: ")
     assert "would have been found" in text
     assert "would have shown" in text
@@ -383,13 +381,13 @@ def test_verify_and_its_poses(folder: Path, capsys: pytest.CaptureFixture[str], 
     assert "stands elsewhere than in the run" not in text
     moved = pl.read_csv(folder / "again.csv").with_columns(x_mm=pl.col("x_mm") + 0.5)
     moved.write_csv(folder / "moved.csv")
-    text = said(capsys, 0, "verify", "calibrated.toml", "moved.csv", "--fail-if-invalid")
+    text = said(0, "verify", "calibrated.toml", "moved.csv", "--fail-if-invalid")
     assert "the robot stands elsewhere than in the run of the calibration: shift_x 0.5 mm" in " ".join(text.split())
-    poses = json.loads(said(capsys, 0, "plan", "calibrated.toml", "--verify", "--poses", "9", "--json"))["poses"]
+    poses = json.loads(said(0, "plan", "calibrated.toml", "--verify", "--poses", "9", "--json"))["poses"]
     assert len(poses) == 9
     assert {"pose", "q1_mm", "q2_mm", "q3_mm", "x_mm", "y_mm", "z_mm"} == set(poses[0])
     assert max(np.hypot(p["x_mm"], p["y_mm"]) for p in poses) <= 30.0
-    assert "is a calibration" in _refused(capsys, "plan", "calibrated.toml")
+    assert "is a calibration" in command(Path(), "plan", "calibrated.toml")[2]
     assert kind_of(bumped.robot).name == "delta"
 
 
@@ -617,13 +615,6 @@ def test_an_error_in_no_catalogue_is_not_valid(monkeypatch: pytest.MonkeyPatch) 
     off = [verified((2.0, 2.0), {"unknown": "saddle", "repeats": 6}, 7300 + seed) for seed in range(6)]
     as_it_is = [verified((0.0, 0.0), {}, 7300 + seed) for seed in range(6)]
     assert [one.right for one in [*off, *as_it_is] if one is not None] == [True] * 12
-
-
-def _refused(capsys: pytest.CaptureFixture[str], *typed: str) -> str:
-    with pytest.raises(SystemExit) as ended:
-        main(list(typed))
-    assert ended.value.code != 0
-    return capsys.readouterr().err
 
 
 def test_pictures_of_what_has_changed() -> None:

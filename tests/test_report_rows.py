@@ -60,7 +60,7 @@ def test_running_means_are_those_of_a_plain_loop(fit: sk.fit.Fit) -> None:
     values[10:40, 0] = np.nan
     left = replace(left, values=values)
     windows = Windows.of(left, "q1_mm")
-    table = means(left, "q1_mm", windows)
+    table = means(left, windows)
     v = left.variables["q1_mm"]
     half = {at: np.unique(v[windows.row[windows.place == j]]) for j, at in enumerate(windows.at)}
     for j, at in enumerate(windows.at):

@@ -14,7 +14,7 @@ import pytest
 
 import sherkit as sk
 from plain_delta import CARELESS, JOINTS, ROBOT, Delta, Run, places, run
-from sherkit.cli import main
+from running import command
 from sherkit.errors import MeasurementError
 from sherkit.model.kinds import robot_from_tables
 
@@ -243,33 +243,31 @@ def folder(robot: Any, calibration: Any, tmp_path: Path, monkeypatch: pytest.Mon
     return tmp_path
 
 
-def said(capsys: pytest.CaptureFixture[str], *typed: str) -> tuple[int, str]:
+def said(*typed: str) -> tuple[int, str]:
     """Exit code and all that a command prints."""
-    with pytest.raises(SystemExit) as ended:
-        main(list(typed))
-    printed = capsys.readouterr()
-    return int(ended.value.code or 0), printed.out + printed.err
+    code, out, err = command(Path(), *typed)
+    return code, out + err
 
 
-def test_commands_pages_and_notebooks_say_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_pages_and_notebooks_say_the_same(folder: Path) -> None:
     """Catches a page or a terminal that says less than the verdict, and a run that is left out without its name."""
-    code, text = said(capsys, "compare", "robot.toml", "good.csv", "frozen.csv", "--report", "page.html")
+    code, text = said("compare", "robot.toml", "good.csv", "frozen.csv", "--report", "page.html")
     page = (folder / "page.html").read_text(encoding="utf-8")
     assert code == 0
     assert all(
         "frozen.csv: its encoders do not move" in one and "undecided" in one for one in (" ".join(text.split()), page)
     )
-    code, text = said(capsys, "history", "robot.toml", "good.csv", "frozen.csv", "after.csv", "--report", "page.html")
+    code, text = said("history", "robot.toml", "good.csv", "frozen.csv", "after.csv", "--report", "page.html")
     page = (folder / "page.html").read_text(encoding="utf-8")
     assert code == 0
     for one in (" ".join(text.split()), page):
         assert "frozen.csv: its encoders do not move" in one
         assert "would have been seen in 95 of 100 cases" in one
-    code, text = said(capsys, "verify", "calibrated.toml", "corner.csv")
+    code, text = said("verify", "calibrated.toml", "corner.csv")
     assert code == 0
     assert text.startswith("Verdict: undecided: ")
     assert "corner.csv: it would show" in text
-    code, text = said(capsys, "verify", "calibrated.toml", "after.csv")
+    code, text = said("verify", "calibrated.toml", "after.csv")
     # what the run can see stands beside what it saw
     assert re.match(r"Verdict: valid: [^\n]*\n *(These rows cannot tell|An error of)", text)
     assert "95 of 100" in " ".join(text.split())
@@ -283,9 +281,9 @@ def test_values_show_themselves_in_a_notebook(robot: Any, calibration: Any) -> N
         assert str(value).splitlines()[0].split()[0] in (value._repr_html_() or "")
 
 
-def test_a_plan_of_a_check_takes_no_experiment(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_of_a_check_takes_no_experiment(folder: Path) -> None:
     """Catches an experiment that is ignored without a word."""
-    code, text = said(capsys, "plan", "calibrated.toml", "experiment.toml", "--verify")
+    code, text = said("plan", "calibrated.toml", "experiment.toml", "--verify")
     assert code != 0
     assert "experiment.toml" in text
     assert "--verify" in text

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,28 +24,13 @@ import numpy as np
 import pytest
 
 import sherkit as sk
-from driven_worlds import DrivenDelta, DrivenSpherical
+from driven_worlds import Change, DrivenDelta, DrivenSpherical, Row, driven
 from running import slow
 from sherkit.adaptive import vouching
 from sherkit.errors import ExperimentError, MeasurementError
 
-Row = dict[str, Any]
-#: A row as it was read, its number, and what was read before it: what is told of it.
-Change = Callable[[DrivenDelta, Row, int, list[Row]], Row]
 REQUIRED_UM = 20.0
-
-
-def drive(world: DrivenDelta, change: Change = lambda _, row, k, before: row, **settings: Any) -> sk.Adaptive:
-    """A loop whose rows are changed before they are told."""
-    loop = sk.Adaptive(world.robot, **{"budget": 32, "required_um": REQUIRED_UM, **settings})
-    before: list[Row] = []
-    while not loop.done:
-        rows = []
-        for row in world.read(loop.ask()):
-            rows.append(change(world, row, len(before), before))
-            before.append(row)
-        loop.tell(rows)
-    return loop
+drive = partial(driven, budget=32, required_um=REQUIRED_UM)
 
 
 def only(row: Row, other: Row, names: tuple[str, ...]) -> Row:

@@ -27,8 +27,7 @@ from ..evidence.sets import EffectSet
 from ..evidence.thresholds import A_FEW, ROUNDING, TIED
 from ..planning.region import CANDIDATES, PosesToDrive
 from .known import run_at
-from .look import InterimAnalysis, called
-from .noise import FEWEST
+from .look import FEWEST, InterimAnalysis, called
 from .rule import RuleState
 from .task import Task
 
@@ -114,8 +113,9 @@ def _now(found: InterimAnalysis, blocks: Sequence[Block], most: float) -> tuple[
     own = run.flat(run.view.fitted(run.view.whole))
     more = found.raw(*blocks)
     columns = np.concatenate([own, more], axis=1)
-    info = _information(columns, ROUNDING)
-    k = own.shape[1]
+    info = columns.T @ columns
+    diagonal, k = np.diag(info), own.shape[1]
+    info = info + np.diag(ROUNDING * diagonal + 1e-300 + ROUNDING * diagonal.max(initial=0.0) * 1e-6)
     info[k:, k:] += np.eye(more.shape[1]) / most
     return columns, info
 
@@ -170,12 +170,6 @@ def are_beyond(found: InterimAnalysis, tied: Sequence[EffectSet], budget: int, l
         far = np.maximum(far, np.expm1([_apart(there, (tied[0].blocks, other.blocks)).max() for other in others]))
     # half of a squared distance is what a reading adds to the logarithm of their ratio
     return bool((ahead + 0.5 * far * (budget - found.readings) < margin * TIED).all())
-
-
-def _information(columns: Floats, ridge: float) -> Floats:
-    info = columns.T @ columns
-    diagonal = np.diag(info)
-    return np.asarray(info + np.diag(ridge * diagonal + 1e-300 + ridge * diagonal.max(initial=0.0) * 1e-6))
 
 
 # -- Batches -----------------------------------------------------------------------------------------------------------
@@ -239,7 +233,9 @@ class Batches:
         row: dict[str, Any] = {POSE: pose, REPEAT: repeat}
         row |= dict(zip(self.task.layout.joints, places.joints[0].tolist(), strict=True))
         row |= dict(zip(self.task.region.targets, places.targets[0].tolist(), strict=True))
-        row |= {name: 1 + pose % count for name, count in _apart_from(self.task.robot, self.task.layout.apart).items()}
+        targets = len(getattr(self.task.robot, "targets_mm", (0,)))
+        if "target" in self.task.layout.apart and targets > 1:
+            row["target"] = 1 + pose % targets
         return row | {REASON: reason, "not_before_s": 0.0}
 
     def _again(self, found: InterimAnalysis, taken: Taken, boundary: int, count: int, rng: np.random.Generator) -> Rows:
@@ -273,9 +269,3 @@ class Batches:
             pace = (span_s - driven) / max(_SPREAD_TO - self.task.batch - found.readings, self.task.batch)
             return (pace, True) if pace > own else (own, False)
         return own, False
-
-
-def _apart_from(robot: Any, names: tuple[str, ...]) -> dict[str, int]:
-    """Columns that number what is read, and how many there are, where there are several."""
-    targets = len(getattr(robot, "targets_mm", (0,)))
-    return {"target": targets} if "target" in names and targets > 1 else {}

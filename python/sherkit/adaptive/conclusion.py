@@ -21,8 +21,7 @@ from ..model.base import asked_for
 from . import rule, told
 from .choice import are_beyond
 from .held import BatchLooks, accuracy_um
-from .look import InterimAnalysis
-from .noise import FEWEST
+from .look import FEWEST, InterimAnalysis
 from .told import mistaken
 from .vouching import louder_than_told, set_aside, structure_of, told_of
 
@@ -161,13 +160,9 @@ def _is_beyond(loop: BatchLooks, found: InterimAnalysis, state: rule.RuleState) 
         return False
     # early only what is as good as the same everywhere
     margin = 1.0 if found.readings >= _LATE * loop.budget else 0.05
-    return len(found.ties) > 1 and are_beyond(found, found.ties, loop.budget, _longer(loop), margin)
-
-
-def _longer(loop: BatchLooks) -> float:
-    """Seconds to a moment that is late enough to tell what lives in time."""
-    left = 3600.0 if not loop.minutes else 60.0 * loop.minutes
-    return max(left, 120.0 * loop.span_min)
+    # a moment that is late enough to tell what lives in time
+    late_s = max(60.0 * (loop.minutes or 60.0), 120.0 * loop.span_min)
+    return len(found.ties) > 1 and are_beyond(found, found.ties, loop.budget, late_s, margin)
 
 
 def _at_the_end(

@@ -18,10 +18,8 @@ from ..errors import SherkitError, SherkitWarning
 from ..fit.error import axes_of
 from ..fit.identify import Fit, residuals
 from . import rule, told
-from .kept import Kept
 from .known import PLACES, FixedBefore
-from .look import InterimAnalysis, look
-from .noise import BEYOND
+from .look import BEYOND, InterimAnalysis, look
 from .task import Task
 from .told import mistaken, unread_cells
 from .vouching import against
@@ -32,7 +30,7 @@ from .vouching import against
 _START = 12
 
 
-class BatchLooks(Kept):
+class BatchLooks(Task):
     """Looks wherever a batch is whole."""
 
     def _begin_anew(self) -> None:

@@ -57,7 +57,7 @@ class FixedBefore:
         rows = replace(rows, readings=np.where(rows.taken, exact, np.nan))
         run = run_at(identify(model, rows), np.ones(len(data.layout.names)))
         reference, view = reference_of(run, _CUTS), run.view
-        tried = {e.name: e for e in (*(e for e, _ in (*view.effects, *view.in_time, *view.periodic)),)}
+        tried = {e.name: e for e, _ in (*view.effects, *view.in_time, *view.periodic)}
         effects = {name: e for name, e in tried.items() if name in reference.names}
         taken = {name: "what the model fits anyway takes all of it" for name in tried if name not in effects}
         beside = {TIME} | {name for name in data.covariates if name not in (*data.layout.apart, *data.layout.loads)}

@@ -197,5 +197,5 @@ class Adaptive(BatchLooks):
     def _more(self, count: int, boundary: int) -> list[dict[str, Any]]:
         """Rows anywhere in place of those that came back as others than were asked."""
         rng = np.random.default_rng([self.seed, boundary, self.readings])
-        first = max([next_pose(told.poses(self.frame)) - 1, *(one[POSE] for one in self._asked)]) + 1
+        first = next_pose([*told.poses(self.frame), *((one[POSE], one[REPEAT]) for one in self._asked)])
         return Batches(self).anywhere(count, first, rng)

@@ -19,8 +19,7 @@ import scipy
 
 from ..base.figures import listed
 from ..evidence.thresholds import LEFT, LOUDER, NEARLY_ALWAYS, PLAUSIBLE, SCALES, SURE, TIED
-from .look import InterimAnalysis
-from .noise import FEWEST, ROUGH, ROUGH_WEIGHT, agreement_of
+from .look import FEWEST, ROUGH, ROUGH_WEIGHT, InterimAnalysis, agreement_of
 
 # -- silence: which effects would have been seen by now, and from which size the others would -------------------------
 

@@ -21,8 +21,7 @@ from ..diagnosis.gathered import gathered, said
 from ..evidence.plausible import farthest_parameter, times_plausible
 from ..evidence.thresholds import FAR_SIGMA, LOUDER, MOVES, NEARLY_ALWAYS, PLAUSIBLE, SAME_PLACE, WRONG
 from .gate import TIMES
-from .look import InterimAnalysis, moved
-from .noise import BEYOND
+from .look import BEYOND, InterimAnalysis, of_no_side
 from .rule import Unseen, outlook
 
 
@@ -104,8 +103,7 @@ def _scattering(found: InterimAnalysis) -> str:
 
 def set_aside(found: InterimAnalysis) -> Ints:
     """Rows that stand apart, but for a first one of which only the side is not known."""
-    side = (found.data.direction == 0.0).all(axis=1) if moved(found.data) else np.zeros(len(found.data), dtype=bool)
-    return found.aside[~side[found.aside]]
+    return np.setdiff1d(found.aside, of_no_side(found.data))
 
 
 def told_of(found: InterimAnalysis) -> str:

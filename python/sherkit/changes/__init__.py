@@ -1,10 +1,9 @@
 """What has changed since: a machine before and after, over the years, and whether its calibration still holds."""
 
 from .change_model import ParameterChange
-from .check_poses import verifying_poses
 from .comparison import Comparison, compare
 from .history import Course, History, history
-from .verification import verify
+from .verification import verify, verifying_poses
 from .verified import Verification
 
 __all__ = [

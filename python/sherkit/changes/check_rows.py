@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,10 +24,10 @@ from ..evidence.whitening import MOST_IN_COMMON, InCommon, Whitening
 from ..model.base import ModelWithEffects
 from ..model.effect import Effect
 from ..model.kinds import required_um
-from ..robots.calibrated import Calibration
+from ..robots.calibrated import Calibration, load_calibration
 from ..robots.deployed import SENSOR
 from .change_model import About, Change, ChangeRows
-from .courses import ChangeSets, in_parts, zeros_at
+from .courses import in_parts, zeros_at
 from .pooled_fit import rows_as_run
 from .runs import RunPose, change_candidates, change_columns, noise_of_repeats, stand_of, zeros_of
 
@@ -51,7 +53,10 @@ class Known:
     root: Floats
 
     @classmethod
-    def of(cls, calibration: Calibration) -> Known:
+    def of(cls, calibration: Calibration | str | PathLike[str]) -> Known:
+        """Of a calibration, or its file."""
+        if isinstance(calibration, str | PathLike):
+            calibration = load_calibration(Path(calibration))
         part: Any = calibration.parts_made[0]
         model = part.model(calibration.robot)
         count = len(part.values)
@@ -216,10 +221,6 @@ class CheckRows(ChangeRows):
             for block, at in zip(every, zeros_at(self, every), strict=True)
         ]
         return Base.of(Family(run, made=(columns, made)), run)
-
-    def sets(self) -> ChangeSets:
-        """Sets of changes."""
-        return ChangeSets(self, SINCE[None], self.base)
 
     def required(self, promised: float) -> float:
         """What an error where the robot works must not be more than: what is needed, and what is promised."""

@@ -24,7 +24,7 @@ from ..evidence.thresholds import ALARM, ROUNDING
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, read_robot
 from .change_model import ParameterChange
-from .courses import Courses, change_verdict
+from .courses import MEASURE_MORE, ChangeSets, Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
 from .pooled_fit import Joined
 from .vouching import errors_of
@@ -172,7 +172,7 @@ def concluded(pool: Pool) -> Comparison:
     if made.quiet and (speaking := pool.speaking()) is not pool:
         # what says nothing may hide what others say
         return concluded(speaking)
-    sets = made.sets()
+    sets = ChangeSets(joined, made.courses, made.base)
     names = None if made.quiet else judged_names(sets)
     lead, named = (names.lead, names.named) if names else (None, ())
     verdict = made.quiet or change_verdict(named, explains=bool(names and names.explains))
@@ -191,7 +191,7 @@ def concluded(pool: Pool) -> Comparison:
     after = float(np.sqrt(np.average(np.square(later), weights=rows)))
     poses = next_poses(joined, ties) if len(ties) > 1 else ()
     error = {"before": first, "after": after, "needed": pool.needed}
-    called = [_called(one, number) for one, number in zip(data, pool.numbers, strict=True)]
+    called = [f"{number + 1}: {one.source}" for one, number in zip(data, pool.numbers, strict=True)]
     if verdict == "unchanged":
         to_do = _zeros_moved(joined) or [unchanged_advice(float(before.rms), pool.needed, before.unit, joined)]
     else:
@@ -212,7 +212,7 @@ def concluded(pool: Pool) -> Comparison:
         advice="; ".join([*to_do, *pool.to_measure]),
         smallest_found=pool.smallest if verdict == "unchanged" else None,
         unseen=pool.unseen if verdict == "unchanged" else (),
-        silent={name: str(one) for name, one in pool.silent.items()},
+        silent=pool.why_silent,
         aside={name: len(joined.runs[k].aside) + int(data[k].outlier.sum()) for k, name in enumerate(called)},
         known=joined.known,
         joined=joined,
@@ -264,12 +264,8 @@ def _nothing_said(pool: Pool) -> Comparison:
         verdict=pool.unsaid, changed=(), indistinguishable=(), stand={},
         error={"before": None, "after": None, "needed": pool.needed}, unit=pool.unit, parameters=(), next_poses=(),
         evidence=0.0, ranked=(), where="", advice="; ".join(pool.to_measure),
-        silent={name: str(one) for name, one in pool.silent.items()},
+        silent=pool.why_silent,
     )  # fmt: skip
-
-
-def _called(data: Measurements, number: int) -> str:
-    return f"{number + 1}: {data.source}"
 
 
 def _where(base: Base) -> str:
@@ -283,7 +279,7 @@ def _where(base: Base) -> str:
 
 def _advice(verdict: str, names: tuple[str, ...], tied: Sequence[tuple[str, ...]], proposed: bool, left: float) -> str:
     if verdict == "undecided":
-        return "measure more poses: these are too few to say whether anything has changed"
+        return MEASURE_MORE
     if verdict == "changed" and tied:
         more = "measure the poses below as well" if proposed else "measure other poses as well"
         return f"{more}: these runs cannot tell {' from '.join(tied[0][:3])}; or calibrate again"

@@ -74,9 +74,9 @@ class Courses:
         enough = min(readings, self.base.free) >= _FEWEST
         return "unchanged" if self.evidence < LEFT and enough else "undecided"
 
-    def sets(self) -> ChangeSets:
-        """Sets of changes."""
-        return ChangeSets(self.joined, self.courses, self.base)
+
+#: What to do where it is ``undecided``.
+MEASURE_MORE = "measure more poses: these are too few to say whether anything has changed"
 
 
 def change_verdict(named: Sequence[object], *, explains: bool) -> str:

@@ -31,7 +31,7 @@ from ..evidence.thresholds import A_FEW, ALARM, SURE, TIED
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, read_robot
 from .change_model import About
-from .courses import Courses, change_verdict
+from .courses import MEASURE_MORE, Courses, change_verdict
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, unchanged_advice
 from .pooled_fit import Joined
 from .vouching import errors_of
@@ -46,7 +46,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _CLOCK_S = 1e8
 #: What to do, by the verdict; of what was found it is said with it.
 _ADVICE = {
-    "undecided": "measure more poses: these are too few to say whether anything has changed",
+    "undecided": MEASURE_MORE,
     "changed": "calibrate again",
     "partly explained": "calibrate again, all of it: what is named does not explain all that is seen",
     "unexplained": "calibrate again, all of it: no change explains what is seen",
@@ -236,7 +236,7 @@ def concluded(pool: Pool, every: Sequence[Measurements], at_s: Floats, dates: Se
     if pool.joined is None:
         return History(
             verdict=pool.unsaid, changes=(), runs=_runs(pool, every, dates), unit=pool.unit, values={}, stood_still=(),
-            silent={name: str(one) for name, one in pool.silent.items()}, advice="; ".join(pool.to_measure),
+            silent=pool.why_silent, advice="; ".join(pool.to_measure),
         )  # fmt: skip
     found = _told(pool, at_s, dates)
     if found.verdict in ("unchanged", "undecided") and (speaking := pool.speaking()) is not pool:
@@ -306,7 +306,7 @@ def _told(pool: Pool, every_s: Floats, every_date: Sequence[str]) -> History:
     return History(
         verdict=verdict, changes=tuple(changes), runs=(), unit=pool.unit, values=values, stood_still=tuple(still),
         known=joined.known,
-        smallest_found=pool.smallest if quiet else None, silent={name: str(one) for name, one in pool.silent.items()},
+        smallest_found=pool.smallest if quiet else None, silent=pool.why_silent,
         advice="; ".join([advice, *pool.to_measure]),
     )  # fmt: skip
 
@@ -401,9 +401,9 @@ def _runs(pool: Pool, every: Sequence[Measurements], dates: Sequence[str]) -> tu
     )
     out = []
     for k, (given, when) in enumerate(zip(every, dates, strict=True)):
-        (run, error), silent = seen.get(k, (None, None)), pool.silent.get(pool.names[k])
+        run, error = seen.get(k, (None, None))
         out.append({"run": given.source, "date": when, "rows": len(given),
                     "error": None if error is None else finite(error),
                     "stand": {} if run is None else run.stand.moved,
-                    "left_out": "" if silent is None else str(silent)})  # fmt: skip
+                    "left_out": pool.why_silent.get(pool.names[k], "")})  # fmt: skip
     return tuple(out)

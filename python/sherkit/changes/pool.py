@@ -97,6 +97,11 @@ class Pool:
         return "unchanged" if copies else "undecided"
 
     @property
+    def why_silent(self) -> dict[str, str]:
+        """Why each of the silent runs is."""
+        return {name: one.why for name, one in self.silent.items()}
+
+    @property
     def to_measure(self) -> list[str]:
         """What would let each of the silent runs speak."""
         return [f"{name}: {one.measure}" for name, one in self.silent.items()]

@@ -69,12 +69,11 @@ def stand_of(
 ) -> RunPose:
     """The stand from which these rows were read, of a model at these values, ``corrected`` by so much (n, m). Raises
     :class:`~sherkit.errors.FitError` for rows that are too few to tell it."""
+    by = np.zeros(used.shape) if corrected is None else corrected
     if len(parts := _set_ups(data)) > 1:
-        by = np.zeros(used.shape) if corrected is None else corrected
         stands = [stand_of(model, data.select(rows), values, axes, used[rows], by[rows]) for rows in parts]
         return _each(parts, stands, used, values)
     chosen = list(axes)
-    by = np.zeros(used.shape) if corrected is None else corrected
     names = [data.layout.readings[a] for a in axes]
     at = [k for k, p in enumerate(model.parameters) if p.name in POSE]
     if len(axes) == 3 and all(unit_in(name) == "mm" for name in names):

@@ -1,4 +1,4 @@
-"""Interim checks: whether a calibration still holds, by a dozen poses (reverification, ISO 10360).
+"""Interim checks: whether a calibration still holds, by a dozen poses (reverification, ISO 10360), and by which.
 
 The calibration's parameters are known with its covariance; the sensor stands anew. What the deployed model then misses
 is held against what was promised, and every change that a machine can have against what is seen.
@@ -7,14 +7,14 @@ is held against what was promised, and every change that a machine can have agai
 from __future__ import annotations
 
 from os import PathLike
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
 
 from ..adaptive.gate import Silent, power_of, silence, still
 from ..base import linalg
-from ..base.arguments import validate_arguments
+from ..base.arguments import Count, Seed, validate_arguments
 from ..data.doubts import copied
 from ..data.reader import RunLike
 from ..errors import FitError
@@ -22,11 +22,14 @@ from ..evidence.names import judged_names
 from ..evidence.thresholds import ACCIDENT, ALARM, NEARLY_ALWAYS, NEEDED
 from ..evidence.whitening import InCommon, orthonormal
 from ..fit.error import axes_of
-from ..model.kinds import required_um
-from ..robots.calibrated import Calibration, load_calibration
+from ..model.kinds import kind_of, required_um
+from ..planning.region import CANDIDATES, Region, planned
+from ..planning.to_measure import showing_first
+from ..robots.calibrated import Calibration
 from .check_rows import SINCE, CheckRows, Known, noise_of
+from .courses import ChangeSets
 from .pool import predicted, rows_of
-from .runs import change_candidates
+from .runs import change_candidates, change_columns
 from .verified import Verification, advice_of
 from .vouching import (
     broken,
@@ -35,6 +38,7 @@ from .vouching import (
     mistaken,
     sights_of,
     smooth_fields,
+    stand_columns,
     unable,
 )
 
@@ -52,8 +56,8 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         found = sk.verify("demo/calibrated.toml", "demo/local.csv")
         print(found.headline)
     """
-    made = load_calibration(Path(calibration)) if isinstance(calibration, str | PathLike) else calibration
-    known = Known.of(made)
+    known = Known.of(calibration)
+    made = known.calibration
     # as of a robot's file, its names are those of files
     called = made.columns if isinstance(run, str | PathLike) else {}
     data = rows_of(made.robot, known.model, run, called or None)
@@ -95,13 +99,13 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
     valid, least = None, np.inf
     if promised is not None:
         fields = [] if lacked else smooth_fields(model, data.select(rows.rows), rows.values, axes)
-        found = broken(base, flat, promised / unit, _CHANGED, fields)
-        least = promised * found.least
-        if found.chance <= _CHANGED:
+        chance, found_from = broken(base, flat, promised / unit, _CHANGED, fields)
+        least = promised * found_from
+        if chance <= _CHANGED:
             # repeats may have what has changed in them, and then pass it off as noise
             seen = max(seen, unit * error_of_lead(base, flat))
         allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(ACCIDENT, freedom, noise_freedom))
-        valid = bool(square <= allowed and (found.chance > _CHANGED or seen <= promised))
+        valid = bool(square <= allowed and (chance > _CHANGED or seen <= promised))
         if valid:
             power = power_of(sights, rows.required(promised), base.free, ALARM)
             if not power.speaks:
@@ -112,7 +116,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
             valid = None if mute is not None else valid
     # what the model lacks looks like a change as long as it is no larger than it was
     evidence = 0.0 if valid and lacked else base.evidence
-    judged = judged_names(rows.sets()) if evidence >= ALARM else None
+    judged = judged_names(ChangeSets(rows, SINCE[None], base)) if evidence >= ALARM else None
     # of too many things, or of none of these, nothing is named; two are, where each is needed as much as if there were
     # shapes to hold it against, which a dozen poses do not tell
     sure = judged is not None and (len(judged.told) < 2 or min(one.needed for one in judged.told) > NEEDED)
@@ -142,3 +146,35 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         required_um=required_um(made.robot),
         set_aside=tuple(f"{data.counted} {data.line[row]}" for row in wild),
     )
+
+
+@validate_arguments
+@linalg.one_thread()
+def verifying_poses(
+    calibration: Calibration | str | PathLike[str], count: Count = 12, *, seed: Seed = 0
+) -> list[dict[str, float]]:
+    """The poses that would see most: chosen one after another so that all changes of plausible size show beside the
+    stand of the sensor; in a random order. Raises :class:`~sherkit.errors.ExperimentError` for a robot whose file does
+    not say how far it may go."""
+    known = Known.of(calibration)
+    made = known.calibration
+    layout = kind_of(made.robot).layout
+    region = Region.of(known.model, layout)
+    places = region.spread(CANDIDATES, seed)
+    rng = np.random.default_rng(seed)
+    ways = {f"direction_{k + 1}": rng.choice([-1.0, 1.0], len(places)) for k in range(places.joints.shape[1])}
+    rows = planned(places.joints, layout, ways)
+    axes = axes_of(rows)
+    candidates = change_candidates(known.model, [rows])
+    columns = change_columns(known.model, known.values, rows, axes, candidates)
+    stand = stand_columns(known.model, rows, known.values, axes)
+    part: Any = made.parts_made[0]
+    noise = float(np.sqrt(np.diag(part.residual_covariance + part.scatter).mean())) or 1.0
+    sized = [columns[one.name] / noise for one in candidates]
+    # of where the sensor stands next to nothing is known, of a change that it is of plausible size
+    order = showing_first(stand, sized, int(count), stand.shape[2], rng)
+    names = dict(zip(layout.joints, places.joints.T, strict=True))
+    names |= dict(zip(region.targets, places.targets.T, strict=True))
+    return [
+        {"pose": k + 1, **{name: float(values[row]) for name, values in names.items()}} for k, row in enumerate(order)
+    ]

@@ -7,7 +7,6 @@ what goes on elsewhere. The sensor's stand is free there as well.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -49,23 +48,18 @@ _FIELDS = 0.5
 _TOLD = (1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
 
 
-@dataclass(frozen=True)
-class Broken:
-    """The ``chance`` that noise alone looks as much like a broken promise as these readings, and the least error, in
-    promises, that would have been found at a level (infinite where none would)."""
+def broken(base: Base, stand: Floats, promised: float, level: float, fields: Sequence[Floats]) -> tuple[float, float]:
+    """The chance that noise alone looks as much like a broken promise as these readings, and the least error, in
+    promises, that would have been found at a ``level`` (infinite where none would).
 
-    chance: float
-    least: float
-
-
-def broken(base: Base, stand: Floats, promised: float, level: float, fields: Sequence[Floats]) -> Broken:
-    """Tests a promise of a reading (root mean square, in noises) with the blocks of ``base``, whose first rows are the
-    readings, and with ``fields`` (n, m, k) of their rows; ``stand`` (n·m, s) are the columns of where the
-    sensor stands."""
+    The promise is one of a reading (root mean square, in noises). It is tested with the blocks of ``base``, whose first
+    rows are the readings, and with ``fields`` (n, m, k) of their rows; ``stand`` (n·m, s) are the columns of where the
+    sensor stands.
+    """
     columns, ways, share = _ways(base, stand, promised, fields)
     residual, free = base.residual, base.free
     if not len(share) or free < 2 or not residual.any():
-        return Broken(1.0, np.inf)
+        return 1.0, np.inf
     gram = ways.T @ (columns.T @ columns) @ ways
     answers, held, left = (np.zeros((k, _DRAWS)) for k in (columns.shape[1], base.basis.shape[1], 1))
     rng = np.random.default_rng(0)
@@ -99,9 +93,9 @@ def broken(base: Base, stand: Floats, promised: float, level: float, fields: Seq
         found = _ratio(squares, share, answers + size * signs * gram[:, which], moved, free)
         share_found = float(np.mean(found > limit))
         if share_found >= NEARLY_ALWAYS:
-            return Broken(chance, before + (size - before) * (NEARLY_ALWAYS - less) / (share_found - less))
+            return chance, before + (size - before) * (NEARLY_ALWAYS - less) / (share_found - less)
         before, less = size, share_found
-    return Broken(chance, np.inf)
+    return chance, np.inf
 
 
 def smooth_fields(model: Any, rows: Measurements, values: Floats, axes: Sequence[int]) -> list[Floats]:
@@ -267,17 +261,14 @@ class Gate:
         )  # fmt: skip
 
     def mute(self) -> dict[int, Silent]:
-        """Runs, by their numbers, that say nothing since something is wrong with them."""
-        return self._mistaken() or self._stuck()
-
-    def _mistaken(self) -> dict[int, Silent]:
-        """Later runs in which a usual mistake of the set-up is seen."""
+        """Runs, by their numbers, that say nothing since something is wrong with them: later ones in which a usual
+        mistake of the set-up is seen, or those in which a joint is stuck."""
         joined = self.joined
         found = {
             k: mistaken(joined.model, run.data, joined.axes, error_in_another(run))
             for k, run in enumerate(joined.runs[1:], 1)
         }
-        return {k: one for k, one in found.items() if one is not None}
+        return {k: one for k, one in found.items() if one is not None} or self._stuck()
 
     def _stuck(self) -> dict[int, Silent]:
         """Runs, by their numbers, that are far off where a joint stands still that moves in others."""

@@ -50,12 +50,9 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
     tell apart stand together behind a bracket. Dashed: the error without any of them; dotted: the noise.
     """
     sources = sources_of(_tables(found))
-    names = _names(found)
-    low, high = _reach(found)
     made = figure(
-        f"RMS error {found.error.in_words} on poses held out with it in the model, {found.unit}",
-        height=_ROW_HEIGHT * len(names) + _AROUND, x_axis_type="log", y_range=FactorRange(*names[::-1]),
-        x_range=Range1d(low, high),
+        f"RMS error {found.error.in_words} on poses held out with it in the model, {found.unit}", x_axis_type="log",
+        y_range=FactorRange(), x_range=Range1d(),
     )  # fmt: skip
     made.add_layout(
         Whisker(base="effect", lower="low", upper="high", source=sources["effects"], dimension="width",
@@ -76,14 +73,15 @@ def candidates(found: Diagnosis) -> Picture[Diagnosis]:
               ("p", "@p{0.0e}"), ("largest parameter", "@largest"), ("size", "@size"))
     )  # fmt: skip
     made.ygrid.grid_line_color = None
-    made.xaxis.ticker.ticks = ticks_between(low, high)
 
     def tune(new: Diagnosis) -> None:
-        made.y_range.factors = _names(new)[::-1]
-        made.x_range.start, made.x_range.end = _reach(new)
-        made.xaxis.ticker.ticks = ticks_between(*_reach(new))
-        made.height = _ROW_HEIGHT * len(_names(new)) + _AROUND
+        names = [c.effect for c in _order(new)]
+        made.y_range.factors = names[::-1]
+        made.height = _ROW_HEIGHT * len(names) + _AROUND
+        made.x_range.start, made.x_range.end = reach = _reach(new)
+        made.xaxis.ticker.ticks = ticks_between(*reach)
 
+    tune(found)
     note = (
         "Error with two standard errors. Blue: named by the diagnosis; grey: tried; a cross: only at an implausible "
         f"size. Dashed: the error without any of them.{' Dotted: the noise.' if noise else ''}"
@@ -100,10 +98,6 @@ def _order(found: Diagnosis) -> list[Any]:
         tied = next((t for t in found.indistinguishable if c.effect in t), (c.effect,))
         out += [name for name in tied if name in reports and name not in out]
     return [reports[name] for name in out]
-
-
-def _names(found: Diagnosis) -> list[str]:
-    return [c.effect for c in _order(found)]
 
 
 def _noise(found: Diagnosis) -> float:
@@ -137,29 +131,25 @@ def _tables(found: Diagnosis) -> Tables:
             "largest": largest(found, c), "size": "plausible" if c.plausible else "implausible",
             "fill": colour if kept else "white", "line": colour, "marker": "circle" if kept else "x",
         })  # fmt: skip
-    names = [c.effect for c in order]
-    return {"effects": {key: [row[key] for row in rows] for key in rows[0]}} | _brackets(found, names)
+    return {"effects": {key: [row[key] for row in rows] for key in rows[0]}} | _brackets(found, order)
 
 
-def _brackets(found: Diagnosis, order: list[str]) -> Tables:
+def _brackets(found: Diagnosis, order: list[Any]) -> Tables:
     """A bracket at the right edge for every group that the rows cannot tell apart."""
     low, high = _reach(found)
     stem, tick = (low * (high / low) ** part for part in (0.89, 0.875))
-    brackets: Tables = {"brackets": {key: [] for key in ("x0", "y0", "x1", "y1")},
-                        "tied": {key: [] for key in ("x", "y", "text")}}  # fmt: skip
-
-    def add(name: str, *values: Any) -> None:
-        for column, one in zip(brackets[name].values(), values, strict=True):
-            column.append(one)
-
+    lines: list[tuple[float, str, float, str]] = []
+    tied: list[str] = []
     for tie in found.indistinguishable:
-        here = [name for name in order if name in tie]
+        here = [c.effect for c in order if c.effect in tie]
         if len(here) > 1:
-            add("brackets", stem, here[0], stem, here[-1])
-            for name in here:
-                add("brackets", tick, name, stem, name)
-            add("tied", stem, here[0], "tied")
-    return brackets
+            lines += [(stem, here[0], stem, here[-1]), *((tick, name, stem, name) for name in here)]
+            tied.append(here[0])
+    columns = zip(*lines, strict=True) if lines else ((),) * 4
+    return {
+        "brackets": {key: [*column] for key, column in zip(("x0", "y0", "x1", "y1"), columns, strict=True)},
+        "tied": {"x": [stem] * len(tied), "y": tied, "text": ["tied"] * len(tied)},
+    }
 
 
 # -- What each effect looks like --------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ from ..model.effect import Effect
 from ..model.kinds import Kind, Robot, draw_of, kind_of, model_of
 from .candidates import Atlas, Tile
 from .page import fresh_nonce, policy
-from .picture import number
+from .picture import number, spread_over
 from .residual_arrows import Change
 from .residual_map import still
 from .residuals import Residuals
@@ -201,11 +201,6 @@ def joints_over(robot: Any, kind: Kind) -> Floats:
     return np.asarray(robot.inverse(robot.middle))[None]
 
 
-def spread_over(rows: Any, most: int) -> Any:
-    """At most so many of the rows, evenly among them."""
-    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
-
-
 # -- As a scene -------------------------------------------------------------------------------------------------------
 
 
@@ -254,20 +249,21 @@ _PATTERN_PX = 220
 
 
 def effect_card(
-    effect: Effect, machine: Robot | Model | None, *, fit: Fit | None = None, found: Diagnosis | None = None,
-    atlas: Atlas | None = None, without: float | None = None,
+    effect: Effect, machine: Robot | Model | None = None, *, fit: Fit | None = None, found: Diagnosis | None = None,
+    atlas: Atlas | None = None,
 ) -> str:  # fmt: skip
     """The card as HTML.
 
-    ``machine`` is drawn, a robot or what a model describes, None where neither is known; ``fit`` says its values where
-    the effect is in its model, and on which poses it is drawn; ``found`` what it would bring and what it ties with;
-    ``atlas`` its pattern; ``without`` is the error on poses held out, in the unit of the diagnosis, that a model would
-    leave without it.
+    ``machine`` is drawn, a robot or what a model describes, that of the fit unless it is given; nothing where none is
+    known. ``fit`` says its values where the effect is in its model, and on which poses it is drawn; ``found`` what it
+    would bring and what it ties with; ``atlas`` its pattern.
     """
+    if machine is None and fit is not None:
+        machine = fit.model.robot or getattr(fit.model, "plain", None)
     left = [drawing_of(effect, machine, fit)]
     right = [
         what_it_is(effect, fit),
-        _brings(effect, found, without),
+        _brings(effect, found),
         its_numbers(effect, fit),
         indistinguishable(effect, found),
     ]
@@ -347,7 +343,7 @@ def _read(shown: Exaggerated, *, fitted: bool) -> str:
     )
 
 
-def _brings(effect: Effect, found: Diagnosis | None, without: float | None) -> str:
+def _brings(effect: Effect, found: Diagnosis | None) -> str:
     said = ""
     if found is None:
         return said
@@ -356,8 +352,6 @@ def _brings(effect: Effect, found: Diagnosis | None, without: float | None) -> s
         if k:
             before, after = found.steps[k - 1].error.rms, found.steps[k].error.rms
             said = f"Without it {number(before)} {found.unit}, with it {number(after)} {found.unit}"
-    elif without is not None:
-        said = f"Without it {number(without)} {found.unit}"
     elif (one := next((c for c in found.candidates if c.effect == effect.name), None)) is not None:
         said = (
             f"Added alone it would leave {number(one.held_out_rms)} of {number(found.steps[0].error.rms)} {found.unit}"

@@ -22,7 +22,6 @@ from ..diagnosis.findings import plausibility
 from ..diagnosis.result import APART, NEXT
 from ..errors import SherkitError
 from ..fit.forms import known
-from ..fit.identify import Fit
 from ..model.kinds import required_um
 from ..robots.calibrated import Calibration, calibration_class
 from ..robots.calibration_run import CalibrationRun
@@ -167,8 +166,7 @@ def _cards(report: Report, atlas: Atlas | None) -> tuple[list[str], list[tuple[s
 
     def card(name: str, atlas: Atlas | None = None) -> str:
         fit = study.fit if name in inside else found.fit
-        machine = fit.model.robot or getattr(fit.model, "plain", None)
-        return effect_card(inside.get(name, every[name]), machine, fit=fit, found=found, atlas=atlas)
+        return effect_card(inside.get(name, every[name]), fit=fit, found=found, atlas=atlas)
 
     tied = [name for tie in found.indistinguishable for name in tie if name not in found.effects]
     others = [name for name in dict.fromkeys(tied) if name in every][:_MOST_TIED]
@@ -190,7 +188,9 @@ def _pictures(report: Report) -> tuple[dict[str, Picture[Any]], dict[str, Any] |
     before, after = (residuals_of(one).with_noise_of(found) for one in (base, last))
     out: dict[str, Picture[Any]] = {}
     swaps, atlas = None, None
-    states, now = _states(report, base)
+    states = states_of(study, found, base)
+    # the first one where nothing was added to the model that was diagnosed
+    now = next((k for k, s in enumerate(states) if s.title == state_with(study.effects)), 0)
     chosen = states[now]
     change = Change(before, chosen.left, states[0].title, chosen.title)
     out["residual_map"] = residual_map(change, planes_across=True, width_px=_MAPS_PX, alone=_nothing_added(report))
@@ -224,13 +224,6 @@ def _in_time(found: Diagnosis) -> bool:
     """Whether the run in time shows more than noise."""
     wanders = any(one.holds is False for one in found.checks if one.name in ("steady", "nothing_left"))
     return wanders or bool(found.correlation_in_time) or bool(len(found.outliers))
-
-
-def _states(report: Report, base: Fit) -> tuple[list[ModelState], int]:
-    """What a reader can switch between, and which of them the study stands at: the first one where nothing was added
-    to the model that was diagnosed, ``base`` on the rows that are drawn."""
-    states = states_of(report.study, report.found, base)
-    return states, next((k for k, s in enumerate(states) if s.title == state_with(report.study.effects)), 0)
 
 
 def _leading(found: Diagnosis, left: Residuals) -> str:

@@ -134,13 +134,8 @@ def cell(value: Any) -> str | None:
 
 def _cards(found: Diagnosis) -> str:
     """The cards of what a diagnosis names."""
-    fit = found.fit
-    machine = fit.model.robot or getattr(fit.model, "plain", None)
-    return "".join(
-        effect_card(effect, machine, fit=fit, found=found)
-        for effect in fit.model.effects
-        if effect.name in found.effects
-    )
+    named = (effect for effect in found.fit.model.effects if effect.name in found.effects)
+    return "".join(effect_card(effect, fit=found.fit, found=found) for effect in named)
 
 
 def _with_bokeh(value: Any, pictures: list[Picture[Any]], cards: str = "") -> str:

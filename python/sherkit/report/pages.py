@@ -17,9 +17,9 @@ from ..changes.vouching import errors_of
 from ..errors import FitError, SherkitError
 from ..model.drawing import drawing_of_readings
 from ..model.kinds import draw_of
-from .card import growing, spread_over
+from .card import growing
 from .page import Made, Section, html_sentences, html_table, write_page
-from .picture import COLOURS, MUTED, Picture, Tables, figure, legend, padded, quantity, sources_of
+from .picture import COLOURS, MUTED, Picture, Tables, figure, legend, padded, quantity, sources_of, spread_over
 from .scene import Scene
 
 _HEIGHT, _WIDE = 260, 460

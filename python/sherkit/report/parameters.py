@@ -59,10 +59,7 @@ def parameters(fit: Fit) -> Picture[Fit]:
     figures = []
     for unit in _units(fit):
         source = sources[f"unit_{unit}"]
-        made = figure(
-            f"identified error, {unit or 'relative'}", height=_ROW_HEIGHT * len(source.data["name"]) + _AROUND,
-            y_range=FactorRange(*source.data["name"][::-1]), x_range=_reach(source.data),
-        )  # fmt: skip
+        made = figure(f"identified error, {unit or 'relative'}", y_range=FactorRange(), x_range=Range1d())
         rule(made, "height", 0)
         for low, high, colour, width in (("low_all", "high_all", "#b5d3ea", 7), ("low", "high", ADDED, 3)):
             made.add_layout(
@@ -77,21 +74,17 @@ def parameters(fit: Fit) -> Picture[Fit]:
         figures.append(made)
 
     def tune(new: Fit) -> None:
-        for unit, made in zip(_units(new), figures, strict=False):
-            table = _tables(new)[f"unit_{unit}"]
-            names, reach = table["name"], _reach(table)
+        for table, made in zip(_tables(new).values(), figures, strict=False):
+            names, reach = table["name"], padded(min(0.0, *table["low_all"]), max(0.0, *table["high_all"]))
             made.x_range.start, made.x_range.end = reach.start, reach.end
             made.y_range.factors = names[::-1]
             made.height = _ROW_HEIGHT * len(names) + _AROUND
 
+    tune(fit)
     note = (
         "95 % intervals. Dark: what the readings leave. Pale: with what they do not tell at all, from plausible sizes."
     )
     return Picture.of("parameters", figures, sources, _tables, tune, note=note)
-
-
-def _reach(table: Table) -> Range1d:
-    return padded(min(0.0, *table["low_all"]), max(0.0, *table["high_all"]))
 
 
 def _shown(unit: str) -> tuple[str, float]:

@@ -5,6 +5,7 @@ So one builder serves a notebook, the offline report (which holds the tables of 
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -12,7 +13,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from bokeh.core.properties import value
 from bokeh.document import Document
-from bokeh.layouts import column, gridplot
+from bokeh.layouts import gridplot
 from bokeh.models import (
     BasicTickFormatter,
     ColorBar,
@@ -26,7 +27,6 @@ from bokeh.models import (
     Range1d,
     Span,
     Title,
-    UIElement,
 )
 from bokeh.palettes import interp_palette
 from bokeh.plotting import figure as bokeh_figure
@@ -223,9 +223,7 @@ def sources_of(tables: Tables) -> dict[str, ColumnDataSource]:
     return {name: ColumnDataSource(table, name=name) for name, table in tables.items()}
 
 
-def stacked(
-    name: str, figures: list[Any], *, columns: int = 1, heading: UIElement | None = None, sizing_mode: Any = None
-) -> LayoutDOM:
+def stacked(name: str, figures: list[Any], *, columns: int = 1, sizing_mode: Any = None) -> LayoutDOM:
     """Figures in a grid, or None for a free place, with one toolbar, which saves the whole picture as PNG and SVG."""
     for one in filter(None, figures):
         _lean(one)
@@ -236,9 +234,8 @@ def stacked(
         toolbar_location="above",
         toolbar_options={"logo": None},
     )
-    root: LayoutDOM = grid if heading is None else column(heading, grid, sizing_mode=sizing_mode)
-    grid.toolbar.tools = [*grid.toolbar.tools, *_save_actions(name, root)]
-    return root
+    grid.toolbar.tools = [*grid.toolbar.tools, *_save_actions(name, grid)]
+    return grid
 
 
 def in_one_document(roots: Mapping[str, LayoutDOM]) -> dict[str, LayoutDOM]:
@@ -283,16 +280,26 @@ _ICON = (
 )
 
 
-def rows_to_draw(count: int, most: int, keep: Any = None, seed: int = 0) -> Any:
+def rows_to_draw(count: int, most: int, keep: Any = None) -> Any:
     """Indices of rows to draw: all, or ``most`` of them at random (the same ones each time), ``keep`` among them."""
     if count <= most:
         return np.arange(count)
-    rest = np.random.default_rng(seed).permutation(count)
+    rest = np.random.default_rng(0).permutation(count)
     if keep is not None and len(keep):
         rest = np.concatenate([np.asarray(keep)[:most], rest[~np.isin(rest, keep)]])
     return np.sort(rest[:most])
 
 
+def spread_over(rows: Any, most: int) -> Any:
+    """At most so many of the rows, evenly among them."""
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+
+
 def float32(values: Any) -> NDArray[np.float32]:
     """Half the bytes; a pixel needs no more."""
     return np.asarray(values, dtype=np.float32)
+
+
+def in_text(values: Any) -> str:
+    """Numbers as a page holds them: base64 of little-endian float32."""
+    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")

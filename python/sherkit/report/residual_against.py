@@ -94,21 +94,17 @@ def note(left: Residuals) -> str:
 def tables(state: ResidualAgainst) -> Tables:
     """Points, running mean, noise and legend text for a variable."""
     left = state.now
-    out = {"points": points(left), "mean": means(left, state.variable), "noise": noise_band(left)}
-    out["points"]["v"] = float32(left.variables[state.variable][shown(left)])
-    out["gained"] = gained(state.before, left, state.variable)
-    out["earlier"] = earlier(state.before, left)
-    if len(out["earlier"]["r0"]):
-        out["earlier"]["v"] = out["points"]["v"]
+    windows, rows = Windows.of(left, state.variable), shown(left)
+    out = {"points": points(left), "mean": means(left, windows), "noise": noise_band(left)}
+    at = out["points"]["v"] = float32(left.variables[state.variable][rows])
+    before = state.before
+    # where nothing was added there is nothing to see of it
+    if before is None or before is left or len(before) != len(left):
+        before, rows, at = left, rows[:0], at[:0]
+    out["gained"] = gained(before, left, windows)
+    values = at_the_rim(left, before.values)[0]
+    out["earlier"] = {"v": at} | {f"r{k}": float32(values[rows, k]) for k in range(len(left.names))}
     return out
-
-
-def earlier(before: Residuals | None, now: Residuals) -> Table:
-    """Error of the drawn rows before the effects were added; empty where nothing was."""
-    if before is None or before is now or len(before) != len(now):
-        return {"v": float32([])} | {f"r{k}": float32([]) for k in range(len(now.names))}
-    values = at_the_rim(now, before.values)[0]
-    return {f"r{k}": float32(values[shown(now), k]) for k in range(len(now.names))}
 
 
 def shown(left: Residuals) -> NDArray[np.int64]:
@@ -129,9 +125,8 @@ def points(left: Residuals) -> Table:
     return out
 
 
-def means(left: Residuals, variable: str, windows: Windows | None = None) -> Table:
-    """Running mean with its band of two standard errors, in windows that were made before or are made here."""
-    windows = windows or Windows.of(left, variable)
+def means(left: Residuals, windows: Windows) -> Table:
+    """Running mean with its band of two standard errors."""
     out: Table = {"v": float32(windows.at)}
     for k in range(len(left.names)):
         mean, error = windows.mean(left.values[:, k])
@@ -139,12 +134,11 @@ def means(left: Residuals, variable: str, windows: Windows | None = None) -> Tab
     return out
 
 
-def gained(before: Residuals | None, now: Residuals, variable: str, windows: Windows | None = None) -> Table:
+def gained(before: Residuals, now: Residuals, windows: Windows) -> Table:
     """Running mean of what the model explains now and did not explain before; empty where nothing was added."""
     names = [f"g{k}" for k in range(len(now.names))]
-    if before is None or before is now or len(before) != len(now):
+    if before is now or len(before) != len(now):
         return {"v": float32([])} | {name: float32([]) for name in names}
-    windows = windows or Windows.of(now, variable)
     change = before.values - now.values
     return {"v": float32(windows.at)} | {name: float32(windows.mean(change[:, k])[0]) for k, name in enumerate(names)}
 

@@ -17,6 +17,7 @@ from ..data.noise import ReadingNoise
 from ..diagnosis import Diagnosis
 from ..evidence.fitted_run import FittedRun
 from ..fit.identify import Fit
+from .picture import spread_over
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +175,7 @@ def drawn_rows(data: Measurements, most: int) -> Ints:
     columns += [] if data.time_s is None else [data.time_s]
     extremes = [at for v in columns if np.isfinite(v).any() for at in (np.nanargmin(v), np.nanargmax(v))]
     marked = np.flatnonzero(data.outlier)
-    keep = [*extremes, *marked[np.linspace(0, len(marked) - 1, min(len(marked), most // 4)).astype(int)]]
+    keep = [*extremes, *spread_over(marked, most // 4)]
     _, pose, size = np.unique(data.groups, return_inverse=True, return_counts=True)
     random = np.random.default_rng(0)
     if size.max() > most // 4:  # few poses, read over and over: single readings of them

@@ -7,7 +7,6 @@ printed, and what readers without JavaScript see. Every text is escaped; nothing
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,13 +27,14 @@ from ..model.kinds import draw_of, kind_of
 from ..model.sensor_pose import POSE, SPACE
 from ..robots.calibrated import Calibration
 from ..robots.deployed import BASE, SENSOR
-from .picture import rows_to_draw
+from .picture import in_text, rows_to_draw
 from .residual_arrows import round_number
 from .residuals import ModelState
 
 _STILL_PX = 640
 #: Turn about the vertical and height of the eye above the horizon, rad.
 _VIEW = (0.3, 0.38)
+(_SIN_YAW, _COS_YAW), (_SIN, _COS) = ((np.sin(a), np.cos(a)) for a in _VIEW)
 #: Room around what is drawn.
 _ROOM = 1.16
 #: How far beyond the places of errors the machine around them is shown, by their width.
@@ -122,9 +122,8 @@ class Scene:
         low, high = seen.min(axis=0), seen.max(axis=0)
         # the middle of what is seen, in the plane that is looked at
         across, up = 0.5 * (low + high)
-        (sin_yaw, cos_yaw), (sin, cos) = ((np.sin(a), np.cos(a)) for a in _VIEW)
-        middle = middle + across * np.array([cos_yaw, sin_yaw, 0.0])
-        middle -= up * np.array([-sin * sin_yaw, sin * cos_yaw, cos])
+        middle = middle + across * np.array([_COS_YAW, _SIN_YAW, 0.0])
+        middle -= up * np.array([-_SIN * _SIN_YAW, _SIN * _COS_YAW, _COS])
         wide, tall = high - low
         return middle, _ROOM * max(float(tall), self.aspect * float(wide)) or 1.0
 
@@ -139,13 +138,13 @@ class Scene:
             "width": _STILL_PX,
             "axes": ["x", "y", "z"],
             "parts": [[p.name, p.look, p.path_mm.shape[1]] for p in parts],
-            "frames": [{"at": at, "p": _packed(d.points_mm[0])} for at, d in self.frames],
+            "frames": [{"at": at, "p": in_text(d.points_mm[0])} for at, d in self.frames],
             "arrows": None if self.arrows is None else _told_arrows(self.arrows, size),
             "field": None
             if (f := self.field) is None
             else {
-                "where": _packed(f.where_mm),
-                "value": _packed(f.value),
+                "where": in_text(f.where_mm),
+                "value": in_text(f.value),
                 "low": f.low,
                 "high": f.high,
                 "unit": f.unit,
@@ -180,20 +179,15 @@ class Scene:
 def projected(points_mm: Floats, centre: Floats, scale: float, frame_px: tuple[float, float]) -> Floats:
     """Places (k, 3) as pixels (k, 2), as the canvas shows them at first."""
     x, y, z = (points_mm - centre).T
-    (sin_yaw, cos_yaw), (sin, cos) = ((np.sin(a), np.cos(a)) for a in _VIEW)
-    depth = -sin_yaw * x + cos_yaw * y
-    across = cos_yaw * x + sin_yaw * y
-    return np.column_stack([frame_px[0] / 2 + scale * across, frame_px[1] / 2 - scale * (cos * z + sin * depth)])
+    depth = -_SIN_YAW * x + _COS_YAW * y
+    across = _COS_YAW * x + _SIN_YAW * y
+    return np.column_stack([frame_px[0] / 2 + scale * across, frame_px[1] / 2 - scale * (_COS * z + _SIN * depth)])
 
 
 @cache
 def script() -> str:
     """The script that brings scenes to life; a page needs it once."""
     return (files("sherkit.report") / "templates" / "scene.js").read_text(encoding="utf-8")
-
-
-def _packed(values: Any) -> str:
-    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
 def _times(arrows: Arrows, size: float) -> float:
@@ -225,8 +219,8 @@ def _still_parts(
 
 def _told_arrows(a: Arrows, size: float) -> dict[str, Any]:
     return {
-        "where": _packed(a.where_mm), "errors": [*map(_packed, a.errors_mm)], "titles": a.titles,
-        "line": _packed(a.line), "counted": a.counted, "worst": [*map(_packed, a.worst)], "slabs": a.slabs,
+        "where": in_text(a.where_mm), "errors": [*map(in_text, a.errors_mm)], "titles": a.titles,
+        "line": in_text(a.line), "counted": a.counted, "worst": [*map(in_text, a.worst)], "slabs": a.slabs,
         "height": a.height, "unit": a.unit, "perUnit": a.per_mm, "bar": a.bar_mm, "times": _times(a, size),
     }  # fmt: skip
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +31,7 @@ from .picture import (
     Tables,
     figure,
     hover,
+    in_text,
     legend,
     rule,
     sources_of,
@@ -79,15 +79,15 @@ def packed(states: Sequence[ModelState], maps: Picture[Change]) -> dict[str, Any
     out: dict[str, Any] = {"titles": [s.title for s in states], "variables": variables, "states": []}
     windows = {name: Windows.of(base, name) for name in variables}
     rows = shown(base)
-    out["values"] = {name: _numbers(values[rows]) for name, values in base.variables.items()}
+    out["values"] = {name: in_text(values[rows]) for name, values in base.variables.items()}
     for state in states:
         change = Change(base, state.left, states[0].title, state.title)
         tables = {name: _text(t) for name, t in maps.tables(change).items() if name.startswith("after")}
         drawn_now = points(state.left).items()
-        tables["points"] = {key: _numbers(v) for key, v in drawn_now if key.startswith("r") and key != "row"}
+        tables["points"] = {key: in_text(v) for key, v in drawn_now if key.startswith("r") and key != "row"}
         by_variable = {}
         for name, along in windows.items():
-            lines = {"mean": means(state.left, name, along), "gained": gained(base, state.left, name, along)}
+            lines = {"mean": means(state.left, along), "gained": gained(base, state.left, along)}
             by_variable[name] = {key: _text(table) for key, table in lines.items()}
         out["states"].append({"tables": tables, "against": by_variable})
     return out
@@ -100,12 +100,8 @@ def _text(table: Table) -> dict[str, Any]:
         if key in ("rows", "lines", "n"):
             continue
         words = len(column) and isinstance(column[0], str)
-        out[key] = list(column) if words else _numbers(column)
+        out[key] = list(column) if words else in_text(column)
     return out
-
-
-def _numbers(values: Any) -> str:
-    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
 # -- How the error fell along them ------------------------------------------------------------------------------------
@@ -201,10 +197,8 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int
     error = state.steps[-1].held_out
     sources = sources_of(_step_tables(state))
     made = figure(
-        up=f"error, {state.unit}", height=height_px, y_axis_type="log", x_range=FactorRange(*_steps(state)),
-        y_range=Range1d(*_reach(state)),
-    )  # fmt: skip
-    made.xaxis.major_label_orientation = _slant(state, room_px)
+        up=f"error, {state.unit}", height=height_px, y_axis_type="log", x_range=FactorRange(), y_range=Range1d()
+    )
     renderers = []
     for k, name in enumerate([*names, _ERROR]):
         last = k == len(names)
@@ -243,6 +237,7 @@ def error_history(state: ErrorHistory, *, height_px: int = _HEIGHT, room_px: int
         made.y_range.start, made.y_range.end = _reach(new)
         made.xaxis.major_label_orientation = _slant(new, room_px)
 
+    tune(state)
     note = (
         "Filled: RMS on blocks of poses that the fit had not seen. Open: on the rows it was fitted to."
         f" Black: the error {error.in_words}, its bar what 95 of 100 rows stay within, which is what is needed."

@@ -162,7 +162,8 @@ def read_rows(folder: Path, state: Table) -> Measurements:
     if not sensible or sum(count for _, count in stretches) != len(data):
         raise state.fail("line", f"first and count of stretches that make {len(data)} rows")
     # rows keep the numbers by which people know them
-    return replace(data, line=_unpacked(stretches), counted=counted)
+    line = np.concatenate([np.arange(count, dtype=np.int64) + first for first, count in stretches])
+    return replace(data, line=line, counted=counted)
 
 
 def _packed(line: Ints) -> list[list[int]]:
@@ -170,10 +171,6 @@ def _packed(line: Ints) -> list[list[int]]:
     starts = np.flatnonzero(np.diff(line, prepend=line[0] - 2) != 1)
     counts = np.diff(np.append(starts, len(line)))
     return [[int(line[start]), int(count)] for start, count in zip(starts, counts, strict=True)]
-
-
-def _unpacked(stretches: list[tuple[int, int]]) -> Ints:
-    return np.concatenate([np.arange(count, dtype=np.int64) + first for first, count in stretches])
 
 
 def finite(figures: Mapping[str, float]) -> dict[str, float]:
@@ -263,13 +260,12 @@ def step_from(one: Table) -> StudyStep:
     """A step of the history, without its fit."""
     with one.table("parameters") as t:
         parameters = {name: t.number(name) for name in t.names()}
-    fitted, error = (error_from(one, key) for key in ("fitted", "error"))
     return StudyStep(
         action=one.words("action"),
         effects=one.texts("effects"),
         rows=one.whole("rows", least=0),
         fit=None,
-        fitted=fitted,
-        error=error,
+        fitted=error_from(one, "fitted"),
+        error=error_from(one, "error"),
         parameters=parameters,
     )

@@ -123,19 +123,17 @@ class Study(Shown):
         return replace(self.data, outlier=marked)
 
     def _record(self, action: str) -> StudyStep:
-        step, fit = self._looked_at(self.model, action)
-        return self._take(step, fit)
+        return self._take(*self._looked_at(self.model, action))
 
     def _looked_at(self, model: ChainModel, action: str) -> tuple[StudyStep, Fit]:
         """What a model leaves of the rows of today, and its fit."""
         fit = identify(model, self.data, loss=self.loss)
-        names = [p.name for p in fit.parameters]
         step = StudyStep(
             action=action,
             effects=tuple(e.name for e in model.effects),
             fitted=of_residuals(self.data, fit.residuals, held_out=False),
             error=fit.error_by(self.seed),
-            parameters=dict(zip(names, fit.values.tolist(), strict=True)),
+            parameters={p.name: value for p, value in zip(fit.parameters, fit.values.tolist(), strict=True)},
             rows=len(self.data),
             fit=fit,
         )
@@ -251,25 +249,23 @@ class Study(Shown):
         """Takes the last change back. Raises :class:`~sherkit.errors.EffectError` where there is none."""
         if not self._undone:
             raise EffectError("there is nothing to undo")
-        action = self.undoes
-        before = self._undone.pop()
-        self._redone.append(Before(self.model, self.data, self.history[-1], action))
-        return self._return_to(before, f"undone: {action}")
+        return self._return_to(self._undone, self._redone, self.undoes, "undone")
 
     def redo(self) -> StudyStep:
         """Makes the change again that was taken back last, until something else is changed or the study is saved and
         read. Raises :class:`~sherkit.errors.EffectError` where there is none."""
         if not self._redone:
             raise EffectError("there is nothing to do again")
-        after = self._redone.pop()
-        self._undone.append(Before(self.model, self.data, self.history[-1], after.action))
-        return self._return_to(after, f"redone: {after.action}")
+        return self._return_to(self._redone, self._undone, self.redoes, "redone")
 
-    def _return_to(self, state: Before, action: str) -> StudyStep:
+    def _return_to(self, there: list[Before], back: list[Before], action: str, done: str) -> StudyStep:
+        """Takes the state that lies ``there`` last, from which ``back`` leads to that of now."""
+        state, said = there.pop(), f"{done}: {action}"
+        back.append(Before(self.model, self.data, self.history[-1], action))
         self.model, self.data = state.model, state.data
         if state.step is None or state.step.fit is None:
-            return self._record(action)
-        return self._take(replace(state.step, action=action), state.step.fit)
+            return self._record(said)
+        return self._take(replace(state.step, action=said), state.step.fit)
 
     @validate_arguments
     def extend(self, more: RunLike) -> StudyStep:
@@ -330,9 +326,8 @@ class Study(Shown):
         :class:`~sherkit.errors.MeasurementError` where the rows so far are not the first ones of ``data``.
         """
         known = len(self.data)
-        first = data.select(np.arange(min(known, len(data))))
-        same = len(first) == known and np.array_equal(first.joints, self.data.joints)
-        if not same or not np.array_equal(first.readings, self.data.readings):
+        both = (data.joints, self.data.joints), (data.readings, self.data.readings)
+        if not all(np.array_equal(now[:known], before) for now, before in both):
             raise MeasurementError(f"{data.source}: its first {known} rows are no longer those that were read before")
         marked = data.mark_outliers(np.flatnonzero(self.data.outlier))
         if self.history[-1].action.startswith(_FOLLOWED):
@@ -357,9 +352,8 @@ class Study(Shown):
         made.require(self.robot)
         held = hold_out(self.model, self.data, seed=self.seed, loss=self.loss, start=self.fit.values)
         correction = made.correct(self.fit, seed=self.seed) if made.may_correct(self.fit) else None
-        return made.from_runs(
-            CalibrationRun(self.fit, held.residuals, correction, made.in_region(self.fit), self.left_out, held.block)
-        )
+        region = made.in_region(self.fit)
+        return made.from_runs(CalibrationRun(self.fit, held.residuals, correction, region, self.left_out, held.block))
 
     @validate_arguments
     def register(self, effect: Effect) -> None:
