@@ -113,6 +113,7 @@ def test_poses_of_ones_own_are_planned_with_and_bad_ones_are_refused(tmp_path: P
     assert "has no column 'q3_mm'" in command(tmp_path, "plan", "robot.toml", "bad.csv")[2]
     (tmp_path / "bad.csv").write_text("q1_mm,q2_mm,q3_mm\n")
     assert "has no row" in command(tmp_path, "plan", "robot.toml", "bad.csv")[2]
+    assert "nosuch.csv: there is no such file" in command(tmp_path, "plan", "robot.toml", "nosuch.csv")[2]
     refused = command(tmp_path, "plan", "robot.toml", "poses.csv", "-o", "more.csv")
     assert refused[0] == 2
     assert "-o is of poses that are chosen here" in refused[2]

@@ -21,6 +21,7 @@ from ...cli.output import out, table
 from ...cli.paths import InputFile, OutputFile
 from ...data import Measurements
 from ...data.columns import TIME, Layout
+from ...data.reader import checked
 from ...data.tables import read_table, write_table
 from ...diagnosis.sensor_pose import pose_in_words, taken_by_pose
 from ...errors import SherkitError
@@ -150,7 +151,7 @@ def _planned(
 def _joints(path: Path, names: Sequence[str]) -> Floats:
     """Joint readings (n, k) of a table of poses."""
     try:
-        frame = read_table(path)
+        frame = read_table(checked(path))
     except pl.exceptions.PolarsError as error:
         raise SherkitError(f"{path}: is no table of poses: {str(error).splitlines()[0]}") from None
     for name in names:
