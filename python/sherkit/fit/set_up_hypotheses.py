@@ -363,16 +363,16 @@ def _other_lengths(tables: dict[str, Any]) -> Iterator[tuple[str, str, str, Any]
             # nobody writes a robot in micrometres
             continue
         like = f"in the robot file {{}} like {called}"
-        ways = [(with_and(list(lengths)), lengths)] if len(lengths) > 1 else []
+        longer = {key: factor * own for key, own in lengths.items()}
+        ways = [(with_and(list(longer)), longer)] if len(longer) > 1 else []
         for key, own in lengths.items():
-            ways.append((key, {key: own}))
-            ways += [(f"number {k + 1} of {key}", {key: own}) for k in range(own.size) if own.size > 1 and own[k]]
+            ways.append((key, {key: longer[key]}))
+            for at in range(own.size) if own.size > 1 else ():
+                if own[at]:
+                    made = np.where(np.arange(own.size) == at, longer[key], own)
+                    ways.append((f"number {at + 1} of {key}", {key: made}))
         for names, keys in ways:
-            which = int(names.split()[1]) - 1 if names.startswith("number ") else ...
-            longer = {key: own.copy() for key, own in keys.items()}
-            for own in longer.values():
-                own[which] *= factor
-            meant = {key: own.tolist() for key, own in longer.items()}
+            meant = {key: own.tolist() for key, own in keys.items()}
             look = "look" if len(keys) > 1 else "looks"
             yield f"{names} {like.format(look)}", f"write {_written(meant)}", "geometry", meant
         for k, joint in enumerate(joints):

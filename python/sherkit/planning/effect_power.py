@@ -97,9 +97,9 @@ class Planning:
     @cached_property
     def _basis(self) -> Floats:
         """An orthonormal basis (readings, rank) of what the free parameters can move."""
-        return independent(self._columns(self.model), DIFFERENCES)
+        return independent(self.columns_of(self.model), DIFFERENCES)
 
-    def _columns(self, model: ChainModel) -> Floats:
+    def columns_of(self, model: ChainModel) -> Floats:
         """Derivatives (readings, p) in units of the noise, by plausible sizes."""
         by = model.derivatives(self.rows, np.zeros(len(model.parameters)))[:, : self.rows.coordinates]
         size = np.array([p.size for p in model.parameters])
@@ -131,18 +131,18 @@ class Planning:
         return self.model.with_effect(effect, at=at)
 
     @cached_property
-    def _raw(self) -> dict[str, Floats]:
+    def effect_columns(self) -> dict[str, Floats]:
         """Columns of every effect that can be tried, by plausible sizes and in units of the noise."""
         out = {}
         for name, effect in self.candidates.items():
             if not missing_columns(effect, self.rows):
                 model = self.with_effect(effect)
-                out[name] = self._columns(model)[:, model.owns(effect)]
+                out[name] = self.columns_of(model)[:, model.owns(effect)]
         return out
 
     def _left(self, name: str, beside: Floats | None = None) -> Floats:
         """What the free parameters (and ``beside``, an orthonormal basis) leave of an effect's columns."""
-        raw = columns = self._raw[name]
+        raw = columns = self.effect_columns[name]
         # twice: the first leaves some rounding
         for basis in 2 * [self._basis] + (2 * [beside] if beside is not None else []):
             columns = columns - basis @ (basis.T @ columns)
@@ -164,7 +164,7 @@ class Planning:
         effect = self.effect(name)
         left = self._left(name)
         share = np.array([values.get(p.name, 0.0) / p.size for p in effect.parameters])
-        at, whole = (float(((columns @ share) ** 2).sum()) for columns in (left, self._raw[name]))
+        at, whole = (float(((columns @ share) ** 2).sum()) for columns in (left, self.effect_columns[name]))
         # along a direction that the parameters take wholly, what is left is rounding
         seen = at > DIFFERENCES**2 * whole
         times = times_found(POWER, np.array([at]), *self._test(left, name)) if seen else float("inf")
@@ -172,7 +172,7 @@ class Planning:
 
     def _test(self, left: Floats, name: str, beside: int = 0) -> tuple[int, float, int]:
         """Of the test the degrees of freedom of the effect, the level, and the degrees of freedom of the noise."""
-        rank = _rank(left, self._raw[name])
+        rank = _rank(left, self.effect_columns[name])
         free = self.readings - self._basis.shape[1] - beside
         return rank, self._level_of(rank, free), free - rank
 
@@ -202,7 +202,7 @@ class Planning:
         if missing:
             nan = float("nan")
             return EffectPower(name, effect.link, nan, nan, {}, nan, nan, (), missing)
-        raw, left = self._raw[name], self._left(name)
+        raw, left = self.effect_columns[name], self._left(name)
         test = self._test(left, name)
         squares = squares_of(left.T @ left)
         at_size = float((left**2).sum()) if test[0] else 0.0
@@ -224,11 +224,11 @@ class Planning:
 
     def _ties(self, name: str) -> tuple[str, ...]:
         out = []
-        for other in self._raw:
+        for other in self.effect_columns:
             if other == name:
                 continue
             others = self._left(other)
-            if _rank(others, self._raw[other]) == 0:
+            if _rank(others, self.effect_columns[other]) == 0:
                 continue
             basis = independent(others, DIFFERENCES)
             left = self._left(name, basis)

@@ -13,10 +13,12 @@ from ..base.arguments import Count, Seed, validate_arguments
 from ..base.types import Floats, Ints
 from ..data import Measurements
 from ..data.columns import TIME
+from ..data.in_time import directions
 from ..evidence.design import showing
 from ..model.chain import ChainModel
 from ..model.kinds import kind_of, model_of
 from ..model.robot_file import RobotLike, read_robot
+from .effect_power import planning_of
 from .region import CANDIDATES, Region, planned
 
 #: What is known from the outset of what is fitted is next to nothing.
@@ -53,8 +55,8 @@ def poses_to_measure(
 def rows_at(joints: Floats, model: ChainModel, pace_s: float | None = None) -> Measurements:
     """Rows that will be read at these joints (n, k), one after another, each ``pace_s`` after the one before; each
     joint comes from where it was there."""
-    moved = np.sign(np.diff(joints, axis=0, prepend=joints[:1] - 1.0))
-    ways = {f"direction_{k + 1}": column for k, column in enumerate(np.where(moved == 0.0, 1.0, moved).T)}
+    came = directions(joints, np.arange(len(joints)), begins=1.0)
+    ways = {f"direction_{k + 1}": column for k, column in enumerate(came.T)}
     if pace_s is not None:
         ways[TIME] = pace_s * np.arange(len(joints))
     return planned(joints, kind_of(model.robot).layout, ways)
@@ -73,15 +75,9 @@ def showing_first(free: Floats, effects: Sequence[Floats], count: int, first: in
 
 def _telling(model: ChainModel, rows: Measurements, count: int, rng: np.random.Generator) -> Ints:
     """Rows (k,) that tell the model's parameters, and every effect that these rows can show beside them."""
-    still = np.zeros(len(model.parameters))
-    axes = range(rows.coordinates)
-    sizes = np.array([p.size for p in model.parameters])
-    free = model.derivatives(rows, still)[:, axes] * sizes
-    tried, _ = model.is_testable(tuple(model.known_effects.values()), rows)
-    tried = [e for e in tried if not e.is_periodic or model.setting_of(e) is not None]
-    every = model.tried(rows, still, tried)
-    columns = every.columns(slice(None))[:, axes]
-    own = {effect.name: columns[:, :, at] * [p.size for p in effect.parameters] for effect, at in every.effects}
+    planning, shape = planning_of(model, rows, 1.0), (len(rows), rows.coordinates, -1)
+    free = planning.columns_of(model).reshape(shape)
+    own = [columns.reshape(shape) for columns in planning.effect_columns.values()]
     # a tenth of what its plausible size moves in the mean is what an effect is looked for with
-    noise = 0.1 * float(np.sqrt(np.mean([np.square(z.sum(axis=2)).mean() for z in own.values()]))) if own else 1.0
-    return showing_first(free, [z / noise for z in own.values()], count, -(-len(sizes) // rows.coordinates), rng)
+    noise = 0.1 * float(np.sqrt(np.mean([np.square(z.sum(axis=2)).mean() for z in own]))) if own else 1.0
+    return showing_first(free, [z / noise for z in own], count, -(-free.shape[2] // rows.coordinates), rng)

@@ -190,13 +190,13 @@ def piled(data: Measurements) -> Iterator[DataWarning]:
     Where a plan stands in a plane, or an instrument has few digits, many readings are equal as well; but then they are
     where the joints put them.
     """
-    if len(data) < FEWEST or not data.layout.follows or is_artefact(data):
+    if len(data) < FEWEST or not data.layout.follows:
         return
     few = some(data)
     lost: list[list[tuple[str, float, Bools]]] = []
     for k, name in enumerate(data.layout.coordinates):
         found = _piled(few, few.readings[:, k], few.used[:, k])
-        if found is None:
+        if found is None or is_artefact(data):
             continue
         how, value = found
         here = data.used[:, k] & (data.readings[:, k] == value)

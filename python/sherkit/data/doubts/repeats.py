@@ -72,7 +72,7 @@ def averaged(data: Measurements) -> Iterator[DataWarning]:
     rows = np.flatnonzero(every)
     group = np.unique(data.groups[rows], return_inverse=True)[1].ravel()
     count = np.bincount(group)
-    if (count > 1).sum() < _FEWEST or is_artefact(data):
+    if (count > 1).sum() < _FEWEST:
         return
     order = np.argsort(group, kind="stable")
     starts = np.concatenate([[0], np.cumsum(count[:-1])])
@@ -84,7 +84,7 @@ def averaged(data: Measurements) -> Iterator[DataWarning]:
         if equal.any() and len(shown) and np.ptp(shown) > 0:
             fine |= np.ptp(shown) > _DIGITS * step_of(shown)
     part = float(equal[count > 1].mean())
-    if fine and part >= _EQUAL:
+    if fine and part >= _EQUAL and not is_artefact(data):
         yield DataWarning(
             f"repeats are equal to the last digit at {int(equal[count > 1].sum())} of {int((count > 1).sum())} poses: "
             "averages written as repeats, or copies, it seems; give each reading as it was taken, or one row for each "

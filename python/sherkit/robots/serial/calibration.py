@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -104,7 +105,7 @@ class SerialCalibration(Calibration):
         """
         now = self._now(temperature_c, direction, payload_kg)
         core, place = self.core_in(frame), self._place(coordinates)
-        near = self._found_near(place[None], core, now) if start is None else None
+        near = self._found_near(place[None], frame, now) if start is None else None
         if near is not None and near.reached[0]:
             made: Floats = near.values[0]
         else:
@@ -122,24 +123,29 @@ class SerialCalibration(Calibration):
         places = self._places(coordinates)
         if starts is not None:
             return Batch(*self.robot.all_found_from(lambda x, q: core.inverse_batch(x, now, q), places, starts))
-        made = self._found_near(places, core, now)
+        made = self._found_near(places, frame, now)
         missing = np.flatnonzero(~made.reached)
         if len(missing):
             others = self.robot.all_found_from(lambda x, q: core.inverse_batch(x, now, q), places[missing], None)
             made.values[missing], made.reached[missing] = others
         return made
 
-    def _found_near(self, places: Floats, core: _core.SerialCalibrated, now: list[float]) -> Batch:
+    def _found_near(self, places: Floats, frame: str | None, now: list[float]) -> Batch:
         """Joints (n, k) to places (n, 3) from the poses of the run whose places are nearest, the nearest first."""
-        poses = self.whole.poses
+        poses, core = self.whole.poses, self.core_in(frame)
         joints, reached = np.full((len(places), self._joints), np.nan), np.zeros(len(places), dtype=bool)
         if len(poses):
-            there, _, _ = core.forward_batch(poses, now)
-            nearest = scipy.spatial.KDTree(there).query(places, k=range(1, min(_NEAREST, len(poses)) + 1))[1]
+            there = self.from_sensor(places) if self.frame_of(frame) == SENSOR else places
+            nearest = self._places_of_run.query(there, k=range(1, min(_NEAREST, len(poses)) + 1))[1]
             for begin in nearest.T:
                 rows = np.flatnonzero(~reached)
                 joints[rows], reached[rows] = core.inverse_batch(places[rows], now, poses[begin[rows]])
         return Batch(joints, reached)
+
+    @cached_property
+    def _places_of_run(self) -> scipy.spatial.KDTree:
+        """Where the poses of the run are, base frame."""
+        return scipy.spatial.KDTree(self.forward_batch(self.whole.poses).values)
 
     # -- accuracy ----------------------------------------------------------------------------------------
 
