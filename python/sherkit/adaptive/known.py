@@ -96,7 +96,7 @@ class FixedBefore:
         by = fit.model.derivatives(rows, fit.values)[-len(places) :, axes]
         each = np.einsum("nmp,pq,nkq->nmk", by, fit.covariance + fit.unobserved_covariance, by)
         largest = float(linalg.eigvalsh(each)[:, -1].max())
-        return float(1e3 * np.sqrt(scipy.stats.chi2.ppf(NEARLY_ALWAYS, len(axes)) * max(largest, 0.0)))
+        return float(1e3 * np.sqrt(scipy.special.chdtri(len(axes), 1.0 - NEARLY_ALWAYS) * max(largest, 0.0)))
 
 
 def run_at(fit: Fit, sigma: Floats) -> Run:

@@ -65,7 +65,8 @@ def _outlook(found: InterimAnalysis, name: str, noise: float, level: float) -> U
     grown = [float(np.linalg.slogdet(np.eye(len(squares)) + s**2 * squares)[1]) for s in SCALES]
     least = min(2.0 * (np.log(len(SCALES) / level) - reference.log_weight[sort]) + one for one in grown)
     sizes = np.geomspace(0.1, 1e3, 31)
-    powers = scipy.stats.ncx2.sf(least, len(squares), np.square(sizes)[:, None] * shown.clip(1e-12)).mean(axis=1)
+    seen = 1.0 - scipy.special.chndtr(least, len(squares), np.square(sizes)[:, None] * shown.clip(1e-12))
+    powers = seen.mean(axis=1)
     at_noise = float(np.interp(0.0, np.log(sizes), powers))
     enough = powers >= NEARLY_ALWAYS
     first = int(np.argmax(enough))
@@ -77,7 +78,7 @@ def _outlook(found: InterimAnalysis, name: str, noise: float, level: float) -> U
 def _outlook_rough(found: InterimAnalysis, noise: float, level: float) -> Unseen:
     """From which size on an error would have been seen that is another one at each pose."""
     now, needed = agreement_of(found.base), -float(np.log(level)) - ROUGH_WEIGHT
-    quantiles = scipy.stats.chi2.ppf((np.arange(40) + 0.5) / 40, max(now.within_free, 1))
+    quantiles = scipy.special.chdtri(max(now.within_free, 1), (np.arange(40) + 0.5) / 40)
 
     def power(size: float) -> float:
         between = now.between_free * (1.0 + size**2 * now.times)

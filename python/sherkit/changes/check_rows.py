@@ -106,13 +106,13 @@ class Known:
         # what the model lacked, beyond what a run tells of that by chance, was as large on average; at these places, a
         # few shapes of it, it may be larger
         left = np.sqrt(np.maximum(left**2 - (_BY_CHANCE * noise) ** 2, 0.0)) if noise > 0 else np.zeros(len(left))
-        more = float(scipy.stats.f.isf(ACCIDENT, _SHAPES, _OF_CALIBRATION)) - 1.0
+        more = float(scipy.special.fdtri(_SHAPES, _OF_CALIBRATION, 1.0 - ACCIDENT)) - 1.0
         left, radius = left[np.isfinite(radius)], radius[np.isfinite(radius)]
         if not len(radius):
             return None, False
         lacked = bool(np.mean(left**2) > 0.5 * np.mean(radius**2))
         radius = np.sqrt(radius**2 + more * np.minimum(left, radius) ** 2)
-        per_axis = float(np.sqrt(np.mean(radius**2) / scipy.stats.chi2.ppf(NEARLY_ALWAYS, 3)))
+        per_axis = float(np.sqrt(np.mean(radius**2) / scipy.special.chdtri(3, 1.0 - NEARLY_ALWAYS)))
         if data.layout.unit == "µm":
             return per_axis, lacked
         # where readings are no lengths, by how far a joint moves either

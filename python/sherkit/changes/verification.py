@@ -104,7 +104,7 @@ def verify(calibration: Calibration | str | PathLike[str], run: RunLike) -> Veri
         if chance <= _CHANGED:
             # repeats may have what has changed in them, and then pass it off as noise
             seen = max(seen, unit * error_of_lead(base, flat))
-        allowed = (noise**2 + promised**2) * float(scipy.stats.f.isf(ACCIDENT, freedom, noise_freedom))
+        allowed = (noise**2 + promised**2) * float(scipy.special.fdtri(freedom, noise_freedom, 1.0 - ACCIDENT))
         valid = bool(square <= allowed and (chance > _CHANGED or seen <= promised))
         if valid:
             power = power_of(sights, rows.required(promised), base.free, ALARM)

@@ -92,7 +92,7 @@ class Verification(Shown):
         if self.set_aside:
             told.insert(0, f"Set aside, far off from all others: {listed(self.set_aside)}; read it once more")
         if self.unit == "µm" and (promised := self.error["promised"]) is not None:
-            within = promised * float(np.sqrt(scipy.stats.chi2.ppf(NEARLY_ALWAYS, 3) / 3))
+            within = promised * float(np.sqrt(scipy.special.chdtri(3, 1.0 - NEARLY_ALWAYS) / 3))
             # what could hide between the poses of the calibration no check by a few other poses can be held to
             told.append(
                 "The promise is what the run of the calibration shows of its accuracy at these places: within "

@@ -81,7 +81,7 @@ def broken(base: Base, stand: Floats, promised: float, level: float, fields: Seq
     # what would have been found is asked of the noise alone, as large as these rows allow it to be: of checks whose
     # noise happens to look small, too many would claim to have found it
     told = float((np.square(seen) / squares[:, 0]).max())
-    scale = np.sqrt(max(whole - told, 1e-12 * whole) / scipy.stats.chi2.ppf(1.0 - NEARLY_ALWAYS, free - 1))
+    scale = np.sqrt(max(whole - told, 1e-12 * whole) / scipy.special.chdtri(free - 1, NEARLY_ALWAYS))
     answers, left = scale * answers, scale**2 * left
     limit = float(np.quantile(_ratio(squares, share, answers, left, free), 1.0 - level))
     which = rng.choice(len(share), _DRAWS, p=share / share.sum())

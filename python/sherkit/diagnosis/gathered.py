@@ -97,8 +97,8 @@ def _stretch(name: str, unit: Ints, values: Floats, every: Ints, off: Bools) -> 
         length = last[size - 1 :] - first[: k - size + 1]
         begin = int(np.argmin(length))
         if length[begin] <= _LONGEST * n:
-            p = scipy.stats.hypergeom.sf(size - 2, n - 1, k - 1, length[begin] - 1)
-            best = min(best, (float(p), float(at[begin]), float(at[begin + size - 1])))
+            p = _at_least(int(size) - 1, n - 1, k - 1, int(length[begin]) - 1)
+            best = min(best, (p, float(at[begin]), float(at[begin + size - 1])))
     chance, low, high = best
     if chance == 1.0:
         return None
@@ -161,3 +161,15 @@ def places_of(run: FittedRun) -> dict[str, Floats]:
     data = run.data
     joints = {name: data.joints[:, k] for k, name in enumerate(data.layout.joints)}
     return joints | run.model.place(data, run.fit.predicted, run.fit.values)
+
+
+def _at_least(few: int, n: int, k: int, drawn: int) -> float:
+    """Chance that of ``n``, ``k`` of them wrong, so many ``drawn`` hold a ``few`` wrong ones or more: hypergeometric,
+    without scipy.stats, which takes longer to import than most diagnoses."""
+    some = np.arange(max(few, drawn - (n - k)), min(k, drawn) + 1)
+
+    def ways(a: int, b: Ints | int) -> Floats:
+        return -np.log(a + 1.0) - scipy.special.betaln(a - b + 1.0, b + 1.0)
+
+    each = ways(k, some) + ways(n - k, drawn - some) - ways(n, drawn)
+    return min(float(np.exp(each).sum()), 1.0)

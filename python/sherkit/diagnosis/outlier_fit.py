@@ -148,7 +148,7 @@ class OutlierFit:
         )
         spread = np.maximum(variance + self.within**2 / (len(off) * (len(off) - 1)), self.floor**2)
         square = float((off[~furthest].mean(axis=0) ** 2 / spread).sum())
-        return furthest | (_chi2_tail(square, len(variance)) < _OTHERS_OFF[self._has_tails])
+        return furthest | (scipy.special.chdtrc(len(variance), square) < _OTHERS_OFF[self._has_tails])
 
     @cached_property
     def _has_tails(self) -> bool:
@@ -186,7 +186,7 @@ class OutlierFit:
             variance = float(tame @ tame) / (len(q) - q.shape[1])
             now = np.square(free).sum(axis=0)
             gain = np.where(now > least, np.square(tame @ free) / np.maximum(now, 1e-300), 0.0)
-            chance = _chi2_log_tail(float(gain.max(initial=0.0)) / variance, 1) + math.log(max(len(gain), 1))
+            chance = float(_chi2_log_tail(gain.max(initial=0.0) / variance, 1)) + math.log(max(len(gain), 1))
             stretch = self._stretch(left, seen, q, within, variance, moments)
             if min(chance, stretch[0]) >= math.log(LEVEL):
                 break
@@ -294,7 +294,7 @@ class OutlierFit:
             free = size - stride * np.square(inside[:, :, 2:]).sum(axis=2)
             gain = np.where(free > HELD_SHAPE * size, inside[:, :, 0] ** 2 / np.maximum(free, 1e-12), 0.0).sum(axis=1)
             ways = np.log(np.where(b == last, n, WRONG * n * n))
-            chance = [_chi2_log_tail(one, m) for one in (gain / variance).tolist()] + ways
+            chance = _chi2_log_tail(gain / variance, m) + ways
             k = int(np.argmin(chance))
             best = min(best, (float(chance[k]), int(a[k]), int(b[k])))
             apart = int(np.diff(starts).max(initial=1))
@@ -411,12 +411,9 @@ class OutlierFit:
         return (out / self.root[items][:, :, None]).reshape(out.shape[0] * out.shape[1], out.shape[2])
 
 
-def _chi2_tail(x: float, freedom: int) -> float:
-    """Chance that χ² with ``freedom`` is beyond ``x``."""
-    return float(scipy.special.chdtrc(freedom, max(x, 0.0)))
-
-
-def _chi2_log_tail(x: float, freedom: int) -> float:
-    """Its logarithm, from its asymptote where the chance is no number any more."""
-    p = _chi2_tail(x, freedom)
-    return math.log(p) if p > 0 else (0.5 * freedom - 1.0) * math.log(0.5 * x) - 0.5 * x - math.lgamma(0.5 * freedom)
+def _chi2_log_tail(x: float | Floats, freedom: int) -> Floats:
+    """Logarithm of the chance that χ² with ``freedom`` is beyond ``x`` (…), from its asymptote where the chance is no
+    number any more."""
+    p, half = scipy.special.chdtrc(freedom, x), 0.5 * np.maximum(x, 1.0)
+    beyond = (0.5 * freedom - 1.0) * np.log(half) - half - math.lgamma(0.5 * freedom)
+    return np.where(p > 0, np.log(np.maximum(p, 1e-320)), beyond)

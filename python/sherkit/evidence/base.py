@@ -309,11 +309,11 @@ class Base:
         elif in_common is not None:
             residual = in_common.back(residual)
         mean = np.stack([np.bincount(pose, residual[:, a]) / count for a in range(m)], axis=1)
-        within = np.square(residual - mean[pose]).sum(axis=0)
-        between = np.square(residual).sum(axis=0) - within
+        within, whole = np.square(residual - mean[pose]).sum(axis=0), np.square(residual).sum(axis=0)
+        between = whole - within
         free_within = float(len(pose) - len(count))
         free_between = self.free / m - free_within
-        if min(free_within, free_between) < _FREE or not within.all():
+        if min(free_within, free_between) < _FREE or not (within > ROUNDING**2 * whole).all():
             return None
         times, noise = len(pose) / len(count), within / free_within
         own = (between / free_between - noise) / times - declared

@@ -20,8 +20,8 @@ from .thresholds import FEW_VISITS, ROUNDING
 
 # -- Columns and blocks ------------------------------------------------------------------------------------------------
 
-#: Numbers that are made at a time.
-_TOGETHER = 2_000_000
+#: Numbers that are made at a time: as many as a processor keeps near.
+_TOGETHER = 250_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ class ColumnPart:
     """Columns: each of ``functions`` (r, f) times each of the ``carriers``, of r rows, or poses where it is ``posed``.
 
     Carriers are (r, c), each on every one of ``axes`` axes alone, or (r, m, c), on all axes at once. Numbers run over
-    functions, then carriers, then axes.
+    functions, then carriers, then axes. Both are kept column by column.
     """
 
     functions: Floats
@@ -125,6 +125,10 @@ class ColumnPart:
         """Whether a column is on one axis."""
         return self.carriers.ndim == 2
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "functions", np.asfortranarray(self.functions))
+        object.__setattr__(self, "carriers", np.asfortranarray(self.carriers))
+
     def __len__(self) -> int:
         return self.functions.shape[1] * self.carriers.shape[-1] * (self.axes if self.alone else 1)
 
@@ -135,10 +139,10 @@ class ColumnPart:
             carried = self.carriers[:, :, None] * x.reshape(r, 1, m * k)
         elif self.functions.shape[1] == 1:
             # one function is a weight of the rows: many carriers are one product of matrices
-            weighed = (x * self.functions[:, :, None]).reshape(r * m, k)
-            return np.asarray(self.carriers.reshape(r * m, -1).T @ weighed)
+            weighed = (x * self.functions[:, :, None]).transpose(1, 0, 2).reshape(m * r, k)
+            return np.asarray(self.carriers.T.reshape(-1, m * r) @ weighed)
         else:
-            carried = np.matmul(self.carriers.transpose(0, 2, 1), x)
+            carried = np.einsum("rmc,rmk->rck", self.carriers, x)
         return np.asarray((self.functions.T @ carried.reshape(r, -1)).reshape(len(self), k))
 
     def split(self, number: Ints) -> tuple[Ints, Ints, Ints]:
@@ -148,11 +152,10 @@ class ColumnPart:
         return function, carrier, axis
 
     def values(self, number: Ints) -> Floats:
-        """Columns (r, 1, …), on their own axis, or (r, m, …) on all, of these numbers (…)."""
+        """Columns (…, 1, r), on their own axis, or (…, m, r) on all, of these numbers (…)."""
         function, carrier, _ = self.split(number)
-        if self.alone:
-            return np.asarray((self.functions[:, function] * self.carriers[:, carrier])[:, None])
-        return np.asarray(self.functions[:, function][:, None] * self.carriers[:, :, carrier])
+        carried = self.carriers.T[carrier]
+        return np.asarray(self.functions.T[function][..., None, :] * (carried[..., None, :] if self.alone else carried))
 
 
 class Columns:
@@ -183,40 +186,21 @@ class Columns:
 
     def raw(self, numbers: Ints) -> Floats:
         """Columns (n, m, k) by number (k,), as they were made."""
-        out = np.zeros((len(self.run), self.run.axes, len(numbers)))
-        of = np.searchsorted(self.starts, numbers, side="right") - 1
+        out = np.zeros((len(numbers), self.run.axes, len(self.run)))
+        of = self._part_of(numbers)
         for p in np.unique(of):
-            part, at = self.parts[p], np.flatnonzero(of == p)
-            local = numbers[at] - self.starts[p]
-            values = part.values(local)
-            values = values[self.visits.pose] if part.posed else values
-            if part.alone:
-                out[:, part.split(local)[2], at] = values[:, 0]
-            else:
-                out[:, :, at] = values
-        return out
+            self._fill(out, np.flatnonzero(of == p), numbers[of == p], p, posed=False)
+        return out.T
 
     def grams(self, numbers: Ints) -> Floats:
         """Products (b, k, k) within blocks of columns, by number (b, k)."""
-        blocks, k = numbers.shape
-        out = np.empty((blocks, k, k))
-        of = np.searchsorted(self.starts, numbers, side="right") - 1
-        mixed = (of != of[:, :1]).any(axis=1)
-        every = np.flatnonzero(mixed)
-        whole = len(self.run) * self.run.axes * k
-        for few in np.array_split(every, max(-(-len(every) * whole // _TOGETHER), 1)) if len(every) else ():
-            columns = self.of(numbers[few].ravel()).reshape(-1, len(few), k).transpose(1, 2, 0)
-            out[few] = columns @ columns.transpose(0, 2, 1)
-        for p in np.unique(of[~mixed, 0]) if k else ():
-            part, some = self.parts[p], np.flatnonzero(~mixed & (of[:, 0] == p))
-            rows = (self._rows(part)) * (1 if part.alone else part.axes)
-            for few in np.array_split(some, max(-(-len(some) * k * rows // _TOGETHER), 1)):
-                local = numbers[few] - self.starts[p]
-                x = self._weighed(part, part.values(local)).reshape(rows, len(few), k).transpose(1, 2, 0)
-                axis = part.split(local)[2]
-                per = self._per_length[numbers[few]]
-                out[few] = (x @ x.transpose(0, 2, 1)) * (axis[:, :, None] == axis[:, None, :])
-                out[few] *= per[:, :, None] * per[:, None, :]
+        out = np.empty((*numbers.shape, numbers.shape[1]))
+        sorts, which = np.unique(self._part_of(numbers), axis=0, return_inverse=True)
+        for s, parts in enumerate(sorts):
+            some = np.flatnonzero(which.ravel() == s)
+            out[some] = self._grams(numbers[some], parts)
+        per = self._per_length[numbers]
+        out *= per[:, :, None] * per[:, None, :]
         return out
 
     # -- within ---------------------------------------------------------------------------------------------------
@@ -225,18 +209,45 @@ class Columns:
     def _per_length(self) -> Floats:
         return np.where(self.length > 0, 1.0 / np.where(self.length > 0, self.length, 1.0), 0.0)
 
-    def _rows(self, part: ColumnPart) -> int:
-        return len(self.visits) if part.posed and self.run.white.is_plain else len(self.run)
+    def _part_of(self, numbers: Ints) -> Ints:
+        return np.searchsorted(self.starts, numbers, side="right") - 1
 
-    def _white(self, part: ColumnPart, values: Floats) -> Floats:
-        """Of values (r, …) at rows or poses, those of all rows under the filter."""
-        return self.run.white(values[self.visits.pose] if part.posed else values)
+    def _grams(self, numbers: Ints, parts: Ints) -> Floats:
+        """The same of columns as they were made, the k-th of each block in the k-th of these ``parts`` (k,)."""
+        blocks, k = numbers.shape
+        own, m = [self.parts[p] for p in parts], self.run.axes
+        posed, alone = self.run.white.is_plain and all(p.posed for p in own), all(p.alone for p in own)
+        out, each = np.zeros((blocks, k, k)), 1
+        if alone:
+            axis = (numbers - self.starts[parts]) % m
+            if k % m == 0 and (axis.reshape(blocks, -1, m) == np.arange(m)).all():
+                # each column on all axes: one says what the others do
+                numbers, parts, each = numbers[:, ::m], parts[::m], m
+        wide, rows = numbers.shape[1], (len(self.visits) if posed else len(self.run)) * (1 if alone else m)
+        for few in np.array_split(np.arange(blocks), max(-(-blocks * wide * rows // _TOGETHER), 1)):
+            x = np.zeros((len(few) * wide, 1 if alone else m, rows // (1 if alone else m)))
+            for p in np.unique(parts):
+                at = np.flatnonzero(np.tile(parts == p, len(few)))
+                self._fill(x, at, numbers[few][:, parts == p].ravel(), p, posed=posed)
+            x = x * np.sqrt(self.visits.count) if posed else self.run.white(x.T).T
+            x = x.reshape(len(few), wide, rows)
+            small = x @ x.transpose(0, 2, 1)
+            if each > 1:
+                for a in range(m):
+                    out[few[:, None, None], np.arange(a, k, m)[:, None], np.arange(a, k, m)] = small
+            else:
+                out[few] = small * (axis[few, :, None] == axis[few, None, :]) if alone else small
+        return out
 
-    def _weighed(self, part: ColumnPart, values: Floats) -> Floats:
-        """Values whose products are those of all rows under the filter, one for each pose where that is enough."""
-        if part.posed and self.run.white.is_plain:
-            return np.asarray(values * np.sqrt(self.visits.count).reshape((-1,) + (1,) * (values.ndim - 1)))
-        return self._white(part, values)
+    def _fill(self, out: Floats, at: Ints, numbers: Ints, p: int, *, posed: bool) -> None:
+        """Puts columns of a part at their places (k,) of ``out`` (…, m, r), or (…, 1, r) where all are on one axis."""
+        part, local = self.parts[p], numbers - self.starts[p]
+        values = part.values(local)
+        values = values[..., self.visits.pose] if part.posed and not posed else values
+        if part.alone:
+            out[at, part.split(local)[2] if out.shape[1] > 1 else 0] = values[:, 0]
+        else:
+            out[at] = values
 
     def _lengths(self, part: ColumnPart) -> Floats:
         """Lengths of a part's columns, zero where they are rounding."""
@@ -249,7 +260,9 @@ class Columns:
         else:
             squares, rows = np.empty(len(part)), len(self.run) * (1 if part.alone else part.axes)
             for few in np.array_split(np.arange(len(part)), max(-(-len(part) * rows // _TOGETHER), 1)):
-                squares[few] = np.square(self._white(part, part.values(few))).sum(axis=(0, 1))
+                values = part.values(few)
+                values = values[..., self.visits.pose] if part.posed else values
+                squares[few] = np.square(self.run.white(values.T)).sum(axis=(0, 1))
         return np.sqrt(np.where(squares > ROUNDING * power, squares, 0.0))
 
 

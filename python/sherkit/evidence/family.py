@@ -53,7 +53,7 @@ class Family:
         waves: Sequence[Waves] = (),
     ) -> None:
         self.run, self.reference, self.waves = run, reference, waves
-        self.columns, blocks = made or everything(run, reference, waves, shapes=shapes)
+        self.columns, blocks = made or everything(run, reference, shapes=shapes)
         there = self.columns.length > 0
         if reference is None:
             every = [b if there[b.at].all() else replace(b, at=b.at[there[b.at]]) for b in blocks]
@@ -71,6 +71,18 @@ class Family:
             log_weights(self.blocks, self.is_effect) if reference is None or not reference.scale
             else np.array([reference.log_weight[sort] for _, sort in known])
         )  # fmt: skip
+
+    def having(self, waves: Sequence[Waves]) -> Family:
+        """The same with a block for each of these waves, where there are any."""
+        if not waves:
+            return self
+        made = Maker(self.run, self.columns.visits, self.reference)
+        for one in waves:
+            one.add_to(made)
+        parts, blocks = made.done()
+        columns = Columns(self.run, self.columns.visits, [*self.columns.parts, *parts])
+        more = [replace(block, at=block.at + len(self.columns)) for block in blocks]
+        return Family(self.run, self.reference, made=(columns, [*self.blocks, *more]), waves=waves)
 
     def __len__(self) -> int:
         return len(self.blocks)
@@ -161,13 +173,11 @@ class Family:
 
 
 def everything(
-    run: Run, reference: ReferenceRows | None = None, waves: Sequence[Waves] = (), *, shapes: bool = True
+    run: Run, reference: ReferenceRows | None = None, *, shapes: bool = True
 ) -> tuple[Columns, Sequence[Block]]:
     """All effects and shapes of a run: their columns, and the blocks."""
     made = Maker(run, Visits.of(run), reference)
     blocks_of_effects(made)
-    for one in waves:
-        one.add_to(made)
     if shapes:
         blocks_of_shapes(made)
     parts, blocks = made.done()

@@ -76,14 +76,18 @@ def distinguishable_waves(values: Floats, counts: Floats) -> Bools:
     distance is next to nothing, or what any slow bend is."""
     some = np.sort(values)[:: max(len(values) // _LOOKED_AT, 1)]
     u = (some - some[0]) / (some[-1] - some[0])
-    out = np.ones(len(counts), dtype=bool)
-    for k, count in enumerate(counts.tolist()):
-        half = np.arange(0, 2.0 * _STANDS_IN * count + 1e-9)
-        if 2 * len(half) < len(some):
-            basis = orthonormal(np.cos(np.pi * np.outer(u, half)), 1e-6)
-            waves = np.stack([np.sin(2 * np.pi * count * u), np.cos(2 * np.pi * count * u)], axis=1)
-            left = waves - basis @ (basis.T @ waves)
-            out[k] = (left**2).sum() >= (1.0 - _STANDS_IN) * (waves**2).sum()
+    out, slower, known = np.ones(len(counts), dtype=bool), np.zeros((len(u), 0)), 0
+    # what is slower than one wave is slower than all after it
+    for k in np.argsort(counts):
+        half = np.arange(0, 2.0 * _STANDS_IN * counts[k] + 1e-9)
+        if 2 * len(half) >= len(some):
+            break
+        more = np.cos(np.pi * np.outer(u, half[known:]))
+        more = more - slower @ (slower.T @ more)
+        more = orthonormal(more[:, np.square(more).sum(axis=0) > 1e-12 * len(u)], 1e-6)
+        slower, known = np.concatenate([slower, more - slower @ (slower.T @ more)], axis=1), len(half)
+        wave = np.exp(2j * np.pi * counts[k] * u)
+        out[k] = np.square(np.abs(wave - slower @ (slower.T @ wave))).sum() >= (1.0 - _STANDS_IN) * len(u)
     return out
 
 

@@ -38,7 +38,7 @@ def base_of(run: Run, effects: Sequence[Effect]) -> Base:
     if not waves:
         return base
     own = base.family.run
-    return Base.of(Family(own, waves=waves), own)
+    return Base.of(base.family.having(waves), own)
 
 
 def _weighed(run: Run, effects: Sequence[Effect]) -> Base:

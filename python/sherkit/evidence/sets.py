@@ -152,9 +152,8 @@ class Sets:
     @cached_property
     def _of_effects(self) -> Base:
         """The base of effects alone: what shapes say of pairs is not asked."""
-        return Base.of(
-            Family(self.family.run, self.family.reference, shapes=False, waves=self.family.waves), self.family.run
-        )
+        alone = Family(self.family.run, self.family.reference, shapes=False)
+        return Base.of(alone.having(self.family.waves), self.family.run)
 
     def fitted(self, blocks: Sequence[Block]) -> EffectSet | None:
         """The set in a full fit; None where it cannot be fitted."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -355,7 +356,7 @@ def _anew(model: ModelWithEffects, data: Measurements, datum: Bools) -> tuple[Se
 
 def _datum(model: ModelWithEffects, data: Measurements) -> Bools | None:
     """Parameters that only shift readings; by the first set-up that can be computed."""
-    for one in (SetUpHypothesis("", "", model, data), *hypotheses(model, data)):
+    for one in chain([SetUpHypothesis("", "", model, data)], hypotheses(model, data)):
         try:
             return may_be_anything(one.model, one.data)
         except NOT_COMPUTED:
