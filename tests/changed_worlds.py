@@ -59,7 +59,7 @@ class DeltaPair:
     def __init__(
         self, seed: int, changed: tuple[str, ...] = (), ratio: float = 2.0, *, poses: tuple[int, int] = (60, 40),
         stationed: bool = True, warmer_c: float = 0.0, unknown: str = "", noise_um: float = 2.0, growth: bool = False,
-        places: Sequence[Mapping[str, float]] = (), repeats: int = 2,
+        places: Sequence[Mapping[str, float]] = (), repeats: int = 2, ratio_unknown: float | None = None,
     ) -> None:  # fmt: skip
         rng = np.random.default_rng([seed, 21])
         self.robot = robot_from_tables(deepcopy(NOMINAL_CONFIG), "nominal")
@@ -101,7 +101,8 @@ class DeltaPair:
         if unknown:
             at = truth(self.real, plans[1], after, effects)
             moved = UNKNOWN[unknown](np.random.default_rng([seed, 3]))(plans[1], at)
-            self.unknown = moved * ratio * self.noise / self._left(plans[1], moved)
+            of_unknown = ratio if ratio_unknown is None else ratio_unknown
+            self.unknown = moved * of_unknown * self.noise / self._left(plans[1], moved)
             exact[1] = exact[1] + Rotation.from_rotvec(self.stands[1][:3]).apply(self.unknown)
         self.runs = []
         for k, (plan, seen) in enumerate(zip(plans, exact, strict=True)):

@@ -301,10 +301,11 @@ def test_grid_is_as_careful_as_scattered(what: str) -> None:
 # -- the choice ----------------------------------------------------------------------------------------------
 
 
-def measured(error: Any, seed: int, sigma_mm: float = 0.005, repeats: int = 2) -> Fit:
-    """A fit of the sensor's place alone to the drawing's robot plus an error by position: what is left is the error."""
+def measured(error: Any, seed: int, sigma_mm: float = 0.005, repeats: int = 2, at: Floats | None = None) -> Fit:
+    """A fit of the sensor's place alone to the drawing's robot plus an error by position: what is left is the error, on
+    a grid of three planes unless places (n, 3) are given."""
     rng = np.random.default_rng([seed, 1])
-    x = np.repeat(grid(20.0, 9, (-20.0, 0.0, 20.0)), repeats, axis=0)
+    x = np.repeat(grid(20.0, 9, (-20.0, 0.0, 20.0)) if at is None else at, repeats, axis=0)
     q = EXAMPLE.inverse_batch(x).require()
     readings = x + error(x) + sigma_mm * rng.normal(size=x.shape)
     columns = {f"q{k + 1}_mm": q[:, k] for k in range(3)} | {f"{a}_mm": readings[:, k] for k, a in enumerate("xyz")}
@@ -411,6 +412,25 @@ def test_choice_can_be_told_to_correct() -> None:
     assert {orders for orders, _, _ in choice.tried} == {(2, 2, 0), (3, 3, 0)}
     with pytest.raises(FitError, match="do not determine a polynomial of order 8"):
         choose_correction(_few(fit), orders=(8,), keep_none=False)
+
+
+def test_heights_of_all_sorts_are_heights() -> None:
+    """Catches a polynomial of x and y alone where heights were drawn at random instead of in planes: of an error of 60
+    µm that goes with z 24 were left, where a plain polynomial of three coordinates left 2."""
+
+    def leaning(x: Floats) -> Floats:
+        u, v, w = (x / 10.0).T
+        return 0.06 * np.stack([u * w, np.sin(w) * v, w**2], axis=1)
+
+    for seed in range(3):
+        rng = np.random.default_rng([seed, 2])
+        choice = choose_correction(measured(leaning, seed, at=rng.uniform(-10.0, 10.0, (80, 3))), seed=seed)
+        assert choice.correction is not None
+        x = rng.uniform(-9.0, 9.0, (200, 3))
+        left = leaning(x) - choice.correction(x)
+        assert 1e3 * np.sqrt(((left - left.mean(axis=0)) ** 2).sum(axis=1).mean()) < 6.0
+    flat = measured(leaning, 0, at=rng.uniform(-10.0, 10.0, (80, 3)) * [1.0, 1.0, 0.1])
+    assert all(orders is None or orders[2] == 0 for orders, _, _ in choose_correction(flat).tried)
 
 
 def test_held_out_errors_have_not_seen_their_block() -> None:

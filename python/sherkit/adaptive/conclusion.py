@@ -10,7 +10,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ..base.figures import listed
+from ..base.figures import listed, number
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.next_poses import SEPARATION, next_poses
 from ..diagnosis.result import Check
@@ -20,6 +20,7 @@ from ..fit.identify import identify
 from ..model.base import asked_for
 from . import rule, told
 from .choice import are_beyond
+from .gate import TIMES
 from .held import BatchLooks, accuracy_um
 from .look import FEWEST, InterimAnalysis
 from .told import mistaken
@@ -80,7 +81,7 @@ def conclude(loop: BatchLooks) -> Conclusion:
     apart = told_of(found)
     first = [*([apart] if apart else []), *loop.stuck, *loop.against]
     notes: list[str] = []
-    accuracy = None
+    accuracy, hides = None, ""
     if not done and (spent or _is_beyond(loop, found, state)):
         verdict, effects, tied, why = _at_the_end(loop, found, spent)
         done = True
@@ -105,7 +106,8 @@ def conclude(loop: BatchLooks) -> Conclusion:
     if (verdict == "explained" and (done or state.done)) or (verdict == "adequate" and done):
         lead = found.lead if verdict == "explained" else None
         if lead is not None or verdict == "adequate":
-            accuracy = accuracy_um(loop, found, lead.names if lead else (), found.best_fit if lead else found.fit)
+            names, fit = (lead.names, found.best_fit) if lead else ((), found.fit)
+            accuracy, hides = accuracy_um(loop, found, names, fit)
         needed = loop.required_um
         if state.done and not spent and needed is not None and accuracy is not None and accuracy > needed:
             more = found.readings * (accuracy / needed) ** 2
@@ -115,6 +117,12 @@ def conclude(loop: BatchLooks) -> Conclusion:
             else:
                 short = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
                 notes.insert(0, f"{short} would not bring it{_told_the_side(loop, found)}")
+        if done and verdict == "adequate" and needed is not None and accuracy is not None and accuracy > TIMES * needed:
+            verdict = "undecided"
+            why = (
+                f"nothing is seen to be missing, but calibrated it may be off by {number(accuracy)} µm where the target "
+                f"is {needed:g}{f': by {hides}, which these poses cannot show' if hides else ''}"
+            )
     if done:
         # a verdict of silence rests on what would have been seen; beside a name it is only told
         layout = found.data.layout
@@ -136,7 +144,7 @@ def _told_the_side(loop: BatchLooks, found: InterimAnalysis) -> str:
     lead = found.lead
     if lead is None or not any(block.effect and "direction" in block.effect.needs for block in lead.blocks):
         return ""
-    told = accuracy_um(loop, found, lead.names, found.best_fit, from_one_side=True)
+    told, _ = accuracy_um(loop, found, lead.names, found.best_fit, from_one_side=True)
     if told is None:
         return ""
     return (

@@ -150,12 +150,15 @@ class BatchLooks(Task):
 @linalg.one_thread()
 def accuracy_um(
     task: Task, found: InterimAnalysis, effects: tuple[str, ...], fit: Fit, *, from_one_side: bool = False
-) -> float | None:
-    """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases, µm: the largest over places.
+) -> tuple[float | None, str]:
+    """How far off the calibrated robot may be anywhere in the region, in 95 of 100 cases, µm: the largest over places;
+    and the effect that does most of it which these poses cannot show, empty where that is none of it.
 
     As a calibration of these rows promises it (:class:`~sherkit.robots.predicted_accuracy.PredictedAccuracy`); of a
     kind without one, or an effect that a calibration cannot hold, by the covariance of the fit. None where that is in
-    no length. ``from_one_side`` is how far it is off where it is told that each joint came upwards.
+    no length. What effects could do that these poses cannot show is part of it where readings are no lengths: else
+    :mod:`.vouching` asks from which size on they would have been seen. ``from_one_side`` is how far it is off where it
+    is told that each joint came upwards.
     """
     places = found.known.region.spread(PLACES, task.seed + 1)
     try:
@@ -165,14 +168,17 @@ def accuracy_um(
             made = calibrate(task.robot, found.data, effects=effects, correction="none").calibration
         # the region is one of the drawing: where its poses are in the calibration's frame is the calibration's to say
         there = made.forward_batch(places.joints)
-        promised = made.predicted_accuracies(
+        made_there = made.predicted_accuracies(
             there.values[there.reached], direction=np.ones(len(found.data.layout.joints)) if from_one_side else None
-        ).radius_mm
+        )
+        all_of_it = found.data.layout.unit != "µm"
+        promised = made_there.total_mm if all_of_it else made_there.radius_mm
         if np.isfinite(promised).any():
-            return float(1e3 * np.nanmax(promised))
+            worst = int(np.nanargmax(promised))
+            return float(1e3 * promised[worst]), made_there[worst].effect if all_of_it else ""
     except SherkitError:
         pass
-    return found.known.accuracy_um(found.data, fit, task.seed)
+    return found.known.accuracy_um(found.data, fit, task.seed), ""
 
 
 @dataclass(frozen=True)

@@ -18,13 +18,12 @@ from ..data.columns import bare, unit_in
 from ..data.reader import RunLike
 from ..errors import FitError
 from ..evidence.base import Base
-from ..evidence.names import judged_names
 from ..evidence.sets import EffectSet
 from ..evidence.thresholds import ALARM, ROUNDING
 from ..model.effect import Effect
 from ..model.robot_file import RobotLike, read_robot
 from .change_model import ParameterChange
-from .courses import MEASURE_MORE, ChangeSets, Courses, change_verdict
+from .courses import MEASURE_MORE, ChangeSets, Courses, change_verdict, named_changes
 from .pool import Pool, calibrate_again, left_out, read_runs, sees_of, told_ties, unchanged_advice
 from .pooled_fit import Joined
 from .vouching import errors_of
@@ -173,7 +172,7 @@ def concluded(pool: Pool) -> Comparison:
         # what says nothing may hide what others say
         return concluded(speaking)
     sets = ChangeSets(joined, made.courses, made.base)
-    names = None if made.quiet else judged_names(sets)
+    names = None if made.quiet else named_changes(sets)
     lead, named = (names.lead, names.named) if names else (None, ())
     verdict = made.quiet or change_verdict(named, explains=bool(names and names.explains))
     ties = names.alike if names else ()

@@ -45,7 +45,7 @@ _WAYS, _DRAWS = 24, 800
 #: The weight of all smooth fields beside that of all candidates.
 _FIELDS = 0.5
 #: Errors, in promises, of which it is told whether they would have been found.
-_TOLD = (1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
+_TOLD = (1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0, 100.0, 300.0)
 
 
 def broken(base: Base, stand: Floats, promised: float, level: float, fields: Sequence[Floats]) -> tuple[float, float]:

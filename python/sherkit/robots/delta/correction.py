@@ -27,6 +27,8 @@ from ...fit.identify import Fit
 Orders = tuple[int, int, int]
 
 MAX_ORDER = 8
+#: Heights that lie so far apart are two.
+_APART_MM = 3.0
 #: Fewer full positions than this carry no polynomial worth having.
 _FEWEST = 20
 #: Below this, some coefficients are not determined by the poses.
@@ -234,21 +236,23 @@ def choose_correction(
     fit: Fit,
     *,
     orders: Sequence[int] = (1, 2, 3, 4, 5, 6),
-    heights: int = 3,
+    heights: int = 4,
     keep_none: bool = True,
     folds: int = 6,
     seed: int = 0,
 ) -> Choice:
     """Orders by blocked cross-validation: the simplest within one standard error of the best.
 
-    Tries each order in x and y with order 0 to ``heights`` - 1 in z, as far as the poses have heights. No
+    Tries each order in x and y with order 0 to ``heights`` - 1 in z, as far as the poses have heights: planes, or
+    heights of all sorts. No
     correction at all is among the candidates unless ``keep_none`` is false. The geometric fit has seen every
     row, with a dozen parameters; the polynomials have not. Raises :class:`FitError` where nothing can be fitted.
     """
     left = leftover(fit)
     data = fit.data.select(left.rows)
     n_groups = len(np.unique(data.groups))
-    found = len(levels_of(left.positions_mm[:, 2]))
+    # heights of all sorts are as many as would lie apart
+    found = sum(1 + int(np.ptp(level) // _APART_MM) for level in _levels(left.positions_mm[:, 2]))
     block = spatial_blocks(data, left.positions_mm, folds, seed)
     blocks = np.unique(block)
     candidates: list[Orders | None] = [None] if keep_none else []
@@ -294,8 +298,11 @@ def _held_out(left: Leftover, block: NDArray[np.int64], orders: Orders | None) -
     return held if weakest > _DETERMINED else None
 
 
-def levels_of(heights: Floats, gap_mm: float = 3.0) -> Floats:
+def levels_of(heights: Floats) -> Floats:
     """Heights of the planes: means of runs of sorted heights without a gap."""
+    return np.array([float(level.mean()) for level in _levels(heights)])
+
+
+def _levels(heights: Floats) -> list[Floats]:
     ordered = np.sort(heights)
-    parts = np.split(ordered, np.flatnonzero(np.diff(ordered) > gap_mm) + 1)
-    return np.array([float(p.mean()) for p in parts])
+    return np.split(ordered, np.flatnonzero(np.diff(ordered) > _APART_MM) + 1)
