@@ -427,7 +427,8 @@ def test_an_instrument_of_more_noise_tells_larger_errors() -> None:
     found = sk.verify(made, same)
     assert found.verdict == "valid", found.advice
     promised, smallest = found.error["promised"], found.error["smallest_found"]
-    assert promised is not None and smallest is not None
+    assert promised is not None
+    assert smallest is not None
     assert smallest > 3.0 * promised
     assert sk.verify(made, DeltaPair(3, ("rod_length_2",), 8.0, noise_um=5.0).runs[1]).verdict == "not valid"
 

@@ -25,6 +25,7 @@ from .fit.constant_columns import outside_limits, unread
 from .fit.hold_out import hold_out
 from .fit.identify import identify
 from .fit.known_stand import known_stand
+from .fit.set_up import set_up_mistakes
 from .model.base import missing_columns
 from .model.effect import Effect, named_effects
 from .model.kinds import model_of
@@ -137,6 +138,9 @@ def calibrate(
             at = setting_for(identify(model, data), effect) if effect.search else None
             model = model.adopting(effect, at=at)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
+        for mistake in set_up_mistakes(fit.model, data, fit.values):
+            if np.isfinite(mistake.after):
+                warnings.warn(f"{data.source}: {mistake}", SherkitWarning, stacklevel=2)
         refuse_absurd(fit, [effect.name for effect in added])
         if (stand := known_stand(fit)) is not None and not stand.holds:
             said = f"{data.source}: the {stand.called} stands {stand}{_OFF_STAND}"

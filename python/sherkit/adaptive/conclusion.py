@@ -120,8 +120,8 @@ def conclude(loop: BatchLooks) -> Conclusion:
         if done and verdict == "adequate" and needed is not None and accuracy is not None and accuracy > TIMES * needed:
             verdict = "undecided"
             why = (
-                f"nothing is seen to be missing, but calibrated it may be off by {number(accuracy)} µm where the target "
-                f"is {needed:g}{f': by {hides}, which these poses cannot show' if hides else ''}"
+                f"nothing is seen to be missing, but calibrated it may be off by {number(accuracy)} µm where the "
+                f"target is {needed:g}{f': by {hides}, which these poses cannot show' if hides else ''}"
             )
     if done:
         # a verdict of silence rests on what would have been seen; beside a name it is only told

@@ -31,8 +31,8 @@ _MOST_BESIDE = 3
 _FEWEST = 12
 #: Steps of a fit in full.
 _REFITS = 3
-#: Part of what is seen that one change leaves at most that says nearly all of it; any other alone leaves so many times as
-#: much. Of robots that bent where no catalogue has it the nearest left 0.35 and more, none of true ones above 0.03.
+#: Part of what is seen that one change leaves at most that says nearly all of it; any other alone leaves so many times
+#: as much. Of robots that bent where no catalogue has it the nearest left 0.35 and more, none of true ones above 0.03.
 _LEAVES, _OTHERS_LEAVE = 0.05, 3.0
 
 
