@@ -19,6 +19,7 @@ from ..model.effect import Effect
 from .deployed import BASE, SENSOR, Deployed
 from .identified_model import BiasBound, IdentifiedModel, at_rest, by_effect
 from .linear_fit import AccuracyQuery, Counted
+from .poses_hull import MARGIN
 from .predicted_accuracy import Hiding, PredictedAccuracies, PredictedAccuracy
 
 #: Places at which a calibration is asked what it could not see.
@@ -246,7 +247,7 @@ class Accurate(Deployed):
         # asked of several parts, for the moment of the last
         now = self.moment_of(ruled[-1][0], given) if ruled else given
         when, outside = self._when([part for part, _ in ruled], now), np.full(len(x), np.nan)
-        outside[rows] = far
+        outside[rows] = np.where(far > MARGIN, far, 0.0)
         return PredictedAccuracies(
             radius, addition, visit, tuple(worst), inverse.reached, inverse.why, self.coordinates, *when,
             self.accuracy_unit, outside,

@@ -20,7 +20,7 @@ from ..errors import CalibrationError, SherkitWarning
 from ..model.batch import Batch, matrix, vector
 from ..model.kinds import Robot
 from .identified_model import IdentifiedModel
-from .poses_hull import beyond
+from .poses_hull import MARGIN, beyond
 
 #: Where places are counted from: the base of the robot, as its drawing has it; or the instrument, where that stood.
 BASE, SENSOR = "base", "sensor"
@@ -224,7 +224,7 @@ class Deployed(Saved, ABC):
             there = self.inverse_batch(np.ascontiguousarray(x[asked]))
             inside[asked] = there.reached
             reached = np.flatnonzero(there.reached)
-            inside[asked[reached]] = self.beyond_poses(x[asked[reached]], there.values[reached]) == 0.0
+            inside[asked[reached]] = self.beyond_poses(x[asked[reached]], there.values[reached]) <= MARGIN
         return inside
 
     def beyond_poses(self, coordinates: Floats, joints: Floats) -> Floats:
@@ -236,10 +236,11 @@ class Deployed(Saved, ABC):
         return out
 
     def grown(self, part: IdentifiedModel, far: Floats) -> Floats:
-        """By what factor (n,) the covariance of what a part leaves grows so ``far`` (n,) outside the poses: there it is
-        at least what regions show that were left out whole, and farther out it grows with the distance, as that of
-        differences does of what has no scale of its own (a linear variogram: Matheron, Economic Geology 1963)."""
-        return np.where(far > 0.0, part.elsewhere**2 * (1.0 + far), 1.0)
+        """By what factor (n,) the covariance of what a part leaves grows so ``far`` (n,) outside the poses: from a tenth
+        of the range on it is at least what regions show that were left out whole, and farther out it grows with the
+        distance, as that of differences does of what has no scale of its own (a linear variogram: Matheron, Economic
+        Geology 1963)."""
+        return 1.0 + np.minimum(far / MARGIN, 1.0) * (part.elsewhere**2 * (1.0 + far) - 1.0)
 
     def part_at(self, coordinates: Floats) -> IdentifiedModel:
         """The part that rules at ``coordinates`` (k,)."""

@@ -19,8 +19,10 @@ _KEPT, _DIRECTIONS = 300, 3000
 _DIGITS = 6
 #: A joint that moves less than this part of the one that moves most stands still; by so much of that it may be off.
 _STILL = 0.01
-#: So far outside counts as inside, in half ranges: a tenth of the range, as for a box.
-_MARGIN = 0.2
+#: So far outside counts as measured, in half ranges: a tenth of the range, as for a box.
+MARGIN = 0.2
+#: What is rounding of it.
+_ROUNDING = 1e-6
 #: By which the sum of weights is held at one, in units of the other equations.
 _ONE = 1e3
 
@@ -40,15 +42,15 @@ def outermost(joints: Floats) -> Floats:
 
 
 def beyond(poses: Floats, joints: Floats) -> Floats:
-    """How far each posture (n, j) lies outside the hull of ``poses`` (k, j), in half ranges (n,); zero inside it, give
-    or take a tenth of the range, and where no poses are known."""
+    """How far each posture (n, j) lies outside the hull of ``poses`` (k, j), in half ranges (n,); zero inside it, and
+    where no poses are known."""
     out = np.zeros(len(joints))
     if not poses.size:  # no poses, or nothing that moves
         return out
     middle, half = 0.5 * (poses.max(axis=0) + poses.min(axis=0)), 0.5 * np.ptp(poses, axis=0)
-    half = np.maximum(half, _STILL * max(float(half.max()), 1e-12) / _MARGIN)
+    half = np.maximum(half, _STILL * max(float(half.max()), 1e-12) / MARGIN)
     there, asked = (poses - middle) / half, (joints - middle) / half
     equations = np.vstack([there.T, np.full(len(there), _ONE)])
     for k, q in enumerate(asked):
         out[k] = scipy.optimize.nnls(equations, np.append(q, _ONE))[1] if np.isfinite(q).all() else np.inf
-    return np.where(out <= _MARGIN, 0.0, out)
+    return np.where(out <= _ROUNDING, 0.0, out)
