@@ -126,6 +126,13 @@ class About:
         every = [(p, float(v * p.size), float(s * p.size)) for p, v, s in zip(self.parameters, value, std, strict=True)]
         return [[one for one in every[self.of(k)] if one[2] > 0] for k in range(len(self.changes))]
 
+    def moved_by(self, which: Sequence[int]) -> float:
+        """By how much changes, by their numbers, move the readings together beside what is free, in noises (root of the
+        sum of squares)."""
+        at = np.concatenate([np.arange(self.columns.shape[1])[self.of(k)] for k in which])
+        moved, basis = self.columns[:, at] @ self._found[0][at], orthonormal(self.free)
+        return float(np.linalg.norm(moved - basis @ (basis.T @ moved)))
+
     def of(self, number: int) -> slice:
         """Where the parameters of a change stand among them, by its number."""
         ends = np.cumsum([0, *(len(effect.parameters) for effect, _ in self.changes)]).tolist()

@@ -22,7 +22,7 @@ from ..evidence.names import Names, Told, judged_names
 from ..evidence.plausible import is_plausible
 from ..evidence.sets import ONE_MORE, EffectSet, Sets, ShapeDescription
 from ..evidence.thresholds import ALARM, LEFT, MOST, TIED
-from .change_model import ChangeRows
+from .change_model import About, ChangeRows
 from .pooled_fit import Joined
 
 #: Changes beside which it is looked for what all runs lack alike.
@@ -34,6 +34,8 @@ _REFITS = 3
 #: Part of what is seen that one change leaves at most that says nearly all of it; any other alone leaves so many times
 #: as much. Of robots that bent where no catalogue has it the nearest left 0.35 and more, none of true ones above 0.03.
 _LEAVES, _OTHERS_LEAVE = 0.05, 3.0
+#: Times as much as a change that where it has its zero may move readings by: rails lean about a foot far below.
+_ZEROS = 12.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,6 +260,17 @@ class ChangeSets(Sets):
         own = max(float(self.base.common[self.family.blocks.index(found.shapes[0])]), 0.0)
         return replace(found, evidence=found.evidence + own - self._still)
 
+    def _is_zero_alone(self, about: About, number: int) -> bool:
+        """Whether it is where a change, by its number, has its zero that says all, and not itself: a zero as far away
+        as any is moves readings no more than so many times what the change does among them."""
+        effect, course = about.changes[number]
+        names = {one.name for one in self.rows.zeros(effect)}
+        zeros = [
+            k for k, (one, factors) in enumerate(about.changes)
+            if one.name in names and np.array_equal(factors, course)
+        ]  # fmt: skip
+        return not about.told[number] or about.moved_by(zeros) > _ZEROS * about.moved_by([number])
+
     @cached_property
     def _still(self) -> float:
         return float(self.base.common.max(initial=0.0)) if isinstance(self.base, Changed) else 0.0
@@ -275,7 +288,7 @@ class ChangeSets(Sets):
             except (SherkitError, np.linalg.LinAlgError):
                 # as far as that the robot does not reach its own poses
                 break
-            if any(rows.zeros(effect) and not told for (effect, _), told in zip(changes, about.told, strict=False)):
+            if any(self._is_zero_alone(about, k) for k, (effect, _) in enumerate(changes) if rows.zeros(effect)):
                 # where it has its zero says all: that is no change of it
                 return None
             if best is None or base.rss < best[0]:
@@ -283,7 +296,8 @@ class ChangeSets(Sets):
                 part = np.array([1.0 - base.rss / self.base.rss])
                 # all against what says most without a change
                 bf = log_bayes_of_fit(part, rank, self.base.free, len(base.residual)) - self._still
-                value = bf + weight + ONE_MORE * (len(blocks) - 1)
+                # zeros that moved are one change more
+                value = bf + weight + ONE_MORE * (len(blocks) - 1 + any(about.told[len(changes) :]))
                 plausible = all(is_plausible(about, effect) for effect, _ in changes)  # type: ignore[arg-type]
                 best = base.rss, EffectSet(blocks, run, base, bf, value, plausible)
             if k < _REFITS:

@@ -236,10 +236,10 @@ class Deployed(Saved, ABC):
         return out
 
     def grown(self, part: IdentifiedModel, far: Floats) -> Floats:
-        """By what factor (n,) the covariance of what a part leaves grows so ``far`` (n,) outside the poses: from a tenth
-        of the range on it is at least what regions show that were left out whole, and farther out it grows with the
-        distance, as that of differences does of what has no scale of its own (a linear variogram: Matheron, Economic
-        Geology 1963)."""
+        """By what factor (n,) the covariance of what a part leaves grows so ``far`` (n,) outside the poses: from a
+        tenth of the range on it is at least what regions show that were left out whole, and farther out it grows with
+        the distance, as that of differences does of what has no scale of its own (a linear variogram: Matheron,
+        Economic Geology 1963)."""
         return 1.0 + np.minimum(far / MARGIN, 1.0) * (part.elsewhere**2 * (1.0 + far) - 1.0)
 
     def part_at(self, coordinates: Floats) -> IdentifiedModel:
