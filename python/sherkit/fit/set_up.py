@@ -25,6 +25,7 @@ from .plausible import (
 )
 from .set_up_frames import set_up_anew, turned_frame
 from .set_up_hypotheses import SetUpHypothesis, hypotheses
+from .set_up_rows import moved_from_a_row_on
 from .set_up_zeros import several_joints
 
 # -- The mistakes ----------------------------------------------------------------------------------------------------
@@ -155,8 +156,14 @@ def _wrong(
     # a fit that wild rows do not move may leave little of most, and the others were read from elsewhere
     asked = now is not None and model.stands_anywhere and most == _MOST_MISTAKES
     anew = _anew(model, data, datum) if asked else None
-    if now is not None and anew is not None and (since := _since(model, data, now, *anew)):
-        return since
+    if now is not None and most == _MOST_MISTAKES:
+        moved = (
+            SetUpHypothesis(looks, advice, model, there) for looks, advice, there in moved_from_a_row_on(model, data)
+        )
+        later = ((one, plausible_fit(model, one.data, datum)) for one in moved)
+        for one, found in chain(later, () if anew is None else [anew]):
+            if since := _since(model, data, now, one, found):
+                return since
     if now is not None and _is_small(now, data):
         return []
     stands = min((p for p in (now, free) if p is not None), key=lambda p: p.misfit, default=None)
@@ -311,8 +318,9 @@ def _turned(
 def _since(
     model: ModelWithEffects, data: Measurements, now: Plausible, one: SetUpHypothesis, found: Plausible | None
 ) -> list[Mistake]:
-    """That the instrument was set up anew, where a fit that wild rows do not move leaves much of all rows on one side
-    of a moment, and of next to none beyond it, and that is all that is wrong with them."""
+    """That the instrument was set up anew, or readings have moved by a row, where a fit that wild rows do not move
+    leaves much of all rows on one side of a moment, and of next to none beyond it, and that is all that is wrong with
+    them."""
     if found is None:
         return []
     moved: Bools = np.asarray((one.data.readings != data.readings).any(axis=1))
@@ -322,7 +330,7 @@ def _since(
 
     was, now_is = off(data, now.values), off(one.data, found.values)
     wild = np.abs(was) > _WILD * np.where(np.isfinite(now.rms), now.rms, np.inf)
-    far, used = np.asarray(wild.any(axis=1)), np.asarray(data.used.any(axis=1))
+    far, used = np.asarray(wild.any(axis=1)), np.asarray((data.used & one.data.used).any(axis=1))
     side = moved if far[moved & used].mean() > far[~moved & used].mean() else ~moved
     rms = [float(np.sqrt(np.mean(each[side & used] ** 2))) for each in (was, now_is)]
     right = min(_BETTER * rms[0], _NOT_RIGHT * float(np.nanmax(found.spread)))

@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from ..base.types import Floats, Ints
+from ..base.types import Floats
 from ..data import Measurements
 from ..data.columns import unit_in
 from ..errors import SherkitError
 from ..model.base import ModelWithEffects
 from ..model.chain import ChainModel
 from ..model.kinds import kind_of, robot_from_tables
+from .set_up_rows import of_rows
 
 #: What stands under a name by mistake: the unit it is in, how many of the name's units it has, what to do.
 UNITS: dict[str, tuple[tuple[str, float], ...]] = {
@@ -33,8 +34,6 @@ UNITS: dict[str, tuple[tuple[str, float], ...]] = {
 _QUARTERS = ((-1.0, 0.5), (-1.0, 1.0), (1.0, 0.5), (1.0, -0.5), (1.0, 1.0))
 #: By how much a joint moves otherwise with another screw, gear, pulley or setting of its drive.
 _GEARS = (2.0, 1.25, 1.5, 1.6, 4.0)
-#: Rows by which readings may stand below their joints.
-_ROWS = (1, -1, 2, -2, 3, -3)
 #: Joints leave the ranges that a file gives them by no more than this part of each.
 _BEYOND = 0.1
 #: All subsets of so few columns are tried; of more, single ones and all together.
@@ -57,7 +56,7 @@ def hypotheses(model: ModelWithEffects, data: Measurements) -> Iterator[SetUpHyp
     """Every mistake that may have been made, the usual ones first."""
     for looks, advice, changed in _of_columns(model, data):
         yield SetUpHypothesis(looks, advice, model, changed)
-    for looks, advice, changed in _of_rows(data):
+    for looks, advice, changed in of_rows(model, data):
         yield SetUpHypothesis(looks, advice, model, changed)
     for looks, advice, other in _of_robot(model):
         yield SetUpHypothesis(looks, advice, other, data)
@@ -275,34 +274,6 @@ def _other_units(
                     f"{joints.names[k]} looks {looks} (another pitch, gear or pulley?)",
                     f"multiply by {times:g}, or write what is built in", joints.changed([k], factor=times),
                 )  # fmt: skip
-
-
-# -- rows ----------------------------------------------------------------------------------------------------------
-
-
-def _of_rows(data: Measurements) -> Iterator[tuple[str, str, Measurements]]:
-    """Readings that stand some rows away from the joints they belong to."""
-    n = len(data)
-    for by in _ROWS:
-        if n <= 4 * abs(by):
-            continue
-        rows = np.arange(max(-by, 0), n - max(by, 0))
-        rows_there: Ints = rows + by
-        kept = data.select(rows)
-        changed = replace(
-            kept,
-            readings=data.readings[rows_there],
-            taken=data.taken[rows_there],
-            sigma=data.sigma[rows_there],
-            outlier=data.outlier[rows] | data.outlier[rows_there],
-        )
-        where, there = ("below", "up") if by > 0 else ("above", "down")
-        count = f"{abs(by)} row{'s' if abs(by) > 1 else ''}"
-        yield (
-            f"readings look shifted: they stand {count} {where} the joints that they belong to",
-            f"move them {there} by {count}",
-            changed,
-        )
 
 
 # -- the robot's file ----------------------------------------------------------------------------------------------
