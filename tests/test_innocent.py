@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import sherkit as sk
+from running import slow
 from second_simulator.unnamed import (
     DELTA_KINDS,
     SPHERICAL_KINDS,
@@ -29,6 +30,7 @@ from second_simulator.unnamed import (
 from sherkit.diagnosis import indistinguishable, sentence
 from sherkit.evidence.made import distinguishable_waves
 from sherkit.evidence.thresholds import LOUDER
+from strategies import EXAMPLE
 from worlds import Answer, World
 
 Make = Callable[[Kind, float, Any, int], Unnamed]
@@ -195,3 +197,18 @@ class Straight:
 
     def covariates(self, data: sk.Measurements) -> dict[str, Any]:
         return {"time_s": data.time_s, "humidity_pct": data["humidity_pct"]}
+
+
+@pytest.mark.parametrize("seed", [1, *slow(2, 3)])
+def test_what_swings_between_rows_is_no_noise(seed: int) -> None:
+    """Catches "adequate" of an instrument that swings to and fro within four rows, by more than its noise: repeats of a
+    pose tell of it as of noise, and no wave so quick was tried."""
+    run = (
+        sk.delta.VirtualDelta.draw(EXAMPLE, seed).measure(sk.delta.paper_whole()[::4], repeats=4, seed=seed).to_frame()
+    )
+    time = run["time_s"].to_numpy()
+    angle = 2.0 * np.pi * time / (3.3 * np.median(np.diff(np.sort(time))))
+    swing = np.random.default_rng(seed).normal(size=3)
+    swing *= 0.008 / np.linalg.norm(swing)
+    swung = {f"{a}_mm": run[f"{a}_mm"].to_numpy() + by * np.sin(angle) for a, by in zip("xyz", swing, strict=True)}
+    assert sk.diagnose(EXAMPLE, sk.from_frame({**run.to_dict(as_series=False), **swung})).verdict == "unexplained"

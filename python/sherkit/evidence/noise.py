@@ -16,6 +16,7 @@ from ..model.effect import Effect
 from .base import Base, log_bayes
 from .blocks import Block
 from .family import Family
+from .quick_waves import quick_wave_of
 from .ripple import ripple_of
 from .run import Run, shared_by_targets
 from .settings import refined, unit_columns
@@ -33,7 +34,7 @@ def base_of(run: Run, effects: Sequence[Effect]) -> Base:
     if run.of.is_exact:
         return base
     # waves with a period for each joint are too many to try all: those that take most beside all other effects
-    found = [ripple_of(base, effect, alone=False) for effect, _ in run.view.periodic]
+    found = [*(ripple_of(base, effect, alone=False) for effect, _ in run.view.periodic), quick_wave_of(base)]
     waves = [one for one in found if one is not None]
     if not waves:
         return base
