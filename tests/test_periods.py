@@ -15,6 +15,8 @@ import pytest
 import sherkit as sk
 import worlds
 from running import slow
+from sherkit.diagnosis.selection import adopting
+from sherkit.model.kinds import model_of
 from strategies import EXAMPLE
 from worlds import NOISE_UM, World, settings_without
 
@@ -136,6 +138,10 @@ def test_a_ring_of_unknown_period_is_refused_or_searched() -> None:
         sk.identify(world.robot, study.data, effects=["encoder_cyclic"])
     study.add("encoder_cyclic")
     assert 2 * np.pi / study.model.period_rad == pytest.approx(24, rel=1e-12)
+    # as `sherkit diagnose --effect` and `calibrate` put it in
+    model = model_of(world.robot)
+    made = adopting(model, [model.known_effects["encoder_cyclic"]], study.data)
+    assert 2 * np.pi / made.period_rad == pytest.approx(24, rel=1e-12)
     made = study.calibration()
     assert made.whole.settings["period_rad"] == study.model.period_rad
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 import test_discovery as delta
@@ -16,6 +17,7 @@ from running import slow
 from sherkit.diagnosis import template
 from sherkit.diagnosis.template import course
 from sherkit.model.effect import load_effects
+from strategies import EXAMPLE
 from worlds import WrongDerivative
 
 
@@ -80,3 +82,21 @@ def test_the_template_of_what_is_left_explains_it(of: Any, tmp_path: Path) -> No
         before = study.diagnose().steps[0].error.rms
         assert study.add(effect).error.rms
         assert study.diagnose().steps[0].error.rms < 0.5 * before
+
+
+@pytest.mark.parametrize("seed", [1, *slow(0, 2)])
+def test_a_template_of_places_holds_wherever_the_instrument_stands(seed: int, tmp_path: Path) -> None:
+    """Catches numbers of the base in a template whose rows give places as a tracker reads them that stands turned: of a
+    saddle of 25 µm 13 to 23 were left."""
+    run = sk.delta.VirtualDelta.draw(EXAMPLE, seed).measure(sk.delta.paper_whole()[::3], repeats=2, seed=seed)
+    at = run.readings[:, :3]
+    at = at + 0.06 * np.outer(at[:, 0] * at[:, 1] / 400.0, [0.0, 0.0, 1.0])
+    seen = Rotation.random(random_state=seed).apply(at) + np.array([300.0, -200.0, 500.0])
+    data = sk.from_frame(run.to_frame().with_columns(**{f"{a}_mm": pl.Series(seen[:, k]) for k, a in enumerate("xyz")}))
+    found = sk.diagnose(EXAMPLE, data)
+    assert found.signature is not None
+    assert set(found.signature["depends_on"]) == {"x_mm", "y_mm"}
+    path = tmp_path / "my_effects.py"
+    path.write_text(template(found.signature, data.layout, "unknown_effect", path.name), encoding="utf-8")
+    with_it = sk.identify(EXAMPLE, data, effects=load_effects(path))
+    assert with_it.error.rms < 1.3 * sum(v**2 for v in found.noise.values()) ** 0.5

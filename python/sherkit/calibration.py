@@ -17,7 +17,7 @@ from .data import Measurements
 from .data.doubts import doubts
 from .data.reader import RunLike
 from .diagnosis.outliers import gross_errors, warn_of_outliers
-from .diagnosis.selection import setting_for
+from .diagnosis.selection import adopting
 from .errors import EffectError, FitError, SherkitWarning
 from .evidence.plausible import refuse_absurd
 from .evidence.thresholds import SURE
@@ -135,8 +135,7 @@ def calibrate(
             missing = missing_columns(effect, data)
             if missing:
                 raise EffectError(f"{data.source}: '{effect.name}' needs the column {listed(missing)}")
-            at = setting_for(identify(model, data), effect) if effect.search else None
-            model = model.adopting(effect, at=at)
+            model = adopting(model, [effect], data)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         for mistake in set_up_mistakes(fit.model, data, fit.values):
             if np.isfinite(mistake.after):

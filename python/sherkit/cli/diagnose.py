@@ -19,8 +19,10 @@ from ..diagnosis import diagnose as run_diagnosis
 from ..diagnosis.findings import figure, p_value, plausibility
 from ..diagnosis.next_poses import SEPARATION
 from ..diagnosis.result import APART, MISSING, NEXT, WHERE, WHICH, Check, Finding
+from ..diagnosis.selection import adopting
 from ..fit.identify import identify
 from ..model.effect import effects_by_name, load_effects
+from ..model.kinds import model_of
 from ..model.thermometers import thermometers_of
 from . import output
 from .file_kinds import TEMPLATE, TOOL
@@ -65,7 +67,8 @@ def diagnose(
         every = (*own, *thermometers_of(model, data))
         step("identifying the model as it is")
         freed = [name.strip() for name in free.split(",") if name.strip()]
-        fit = identify(model, data, free=freed, effects=effects_by_name(model.known_effects, added, every))
+        inside = effects_by_name(model.known_effects, added, every)
+        fit = identify(adopting(model_of(model, freed), inside, data), data)
         found = run_diagnosis(fit, effects=own, level=level, seed=seed, step=step)
         said: list[str] = []
         if written is not None:

@@ -6,10 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
 from ..base.types import Floats, Ints
+from ..data import Measurements
 from ..errors import EffectError
 from ..evidence.base import Base
 from ..evidence.blocks import Block
@@ -22,10 +24,13 @@ from ..evidence.run import Run, weighed_run
 from ..evidence.sets import EffectSet, Sets, ShapeDescription
 from ..evidence.settings import refined, unit_columns
 from ..evidence.thresholds import MOST, SURE_SIGMA
-from ..fit.identify import Fit
+from ..fit.identify import Fit, identify
+from ..model.base import ModelWithEffects
 from ..model.effect import Effect, Setting
 from .held_out import HeldOutGain, error_held_out, held_out_gain, strongest
 from .result import StepReport
+
+M = TypeVar("M", bound=ModelWithEffects)
 
 TOO_MANY = "all that is fitted takes more numbers than these poses leave to judge it by"
 
@@ -286,6 +291,14 @@ def on_all_rows(run: FittedRun, added: Sequence[Block]) -> tuple[list[Block], tu
         if effect.is_lagging and (lag := out[-1].setting):
             told.append(f"{block.name}: it comes {lag:.3g} s after the recorded temperature")
     return out, tuple(told)
+
+
+def adopting(model: M, effects: Sequence[Effect], data: Measurements) -> M:
+    """A model with these effects, each at the setting that the rows give it beside those before. Raises
+    :class:`~sherkit.errors.EffectError`."""
+    for effect in effects:
+        model = model.adopting(effect, at=setting_for(identify(model, data), effect) if effect.search else None)
+    return model
 
 
 def setting_for(fit: Fit, effect: Effect) -> Setting | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -350,8 +350,8 @@ class ChainModel(SeenModel):
         return 3 if effect.link == "body" else data.coordinates
 
     def rows(self, data: Measurements, values: Floats) -> EffectRows:
-        """The rows, with the position that the built-in model gives. It raises as :meth:`predict`; of outliers out of
-        reach it is NaN."""
+        """The rows, with the position that the built-in model gives, as the instrument sees it or from the base. It
+        raises as :meth:`predict`; of outliers out of reach it is NaN."""
 
         def position() -> Floats:
             full = self.full(values)
@@ -360,7 +360,7 @@ class ChainModel(SeenModel):
             self.require(data, np.flatnonzero(~reached & ~data.outlier), values)
             return out[:, : data.coordinates]
 
-        return EffectRows(data, position)
+        return EffectRows(data, position, partial(self.at_base, values=values) if self.reads_places(data) else None)
 
     def linearised(self, data: Measurements, values: Floats) -> Derivatives:
         """All at once by the core; the user's effects carried from their link to the readings."""

@@ -18,15 +18,28 @@ class EffectRows:
     ``joints`` (n, k), mm or rad; ``time`` (n,) s; ``direction`` (n, k) sign of the last motion; ``position`` (n, m),
     the coordinates that the model gives; every covariate of the file under its column name, with or without its unit
     (``rows.humidity_pct`` or ``rows.humidity``). Inputs and covariates are also found by ``rows["name"]``. ``position``
-    is computed when it is asked for. Of a distance between two places an effect is asked at each end by itself:
+    is computed when it is asked for: an effect of the instrument has it as the instrument does, any other as seen from
+    the base. Of a distance between two places an effect is asked at each end by itself:
     ``joints`` and ``position`` are those there, ``direction`` is zero, since nobody knows it.
     """
 
-    def __init__(self, data: Measurements, position: Callable[[], Floats]) -> None:
+    def __init__(
+        self, data: Measurements, position: Callable[[], Floats], at_base: Callable[[Floats], Floats] | None = None
+    ) -> None:
         self._data = data
         self._position = position
+        self._at_base = at_base
         self.joints = data.joints
         self.direction = data.came_from
+
+    def seen_at(self, link: str) -> EffectRows:
+        """The same for an effect at a link of the chain."""
+        return self if link == "sensor" else self._from_base
+
+    @cached_property
+    def _from_base(self) -> EffectRows:
+        by = self._at_base
+        return self if by is None else EffectRows(self._data, lambda: by(self.position))
 
     def __len__(self) -> int:
         return len(self._data)
