@@ -61,27 +61,31 @@ def _check_poses(data: Any, pose: Ints) -> None:
     rows = np.flatnonzero(~data.outlier)
     if not len(rows):
         return
-    extent = float(np.ptp(data.joints[rows], axis=0).max(initial=0.0))
+    units = [c.unit_in(name) for name in data.layout.joints]
+    ranges = np.ptp(data.joints[rows], axis=0)
+    reach = np.array([max(r for r, u in zip(ranges, units, strict=True) if u == unit) for unit in units])
     in_order = len(rows) == len(pose) and bool((pose[1:] >= pose[:-1]).all())
     order = rows if in_order else rows[np.argsort(pose[rows], kind="stable")]
     sorted_pose = pose[order]
     starts = np.flatnonzero(np.diff(sorted_pose, prepend=sorted_pose[0] - 1))
     numbers = sorted_pose[starts]
-    apart = np.zeros(len(starts))
+    # how far apart on each joint, in what those of its unit reach
+    apart = np.zeros((len(starts), len(units)))
     ends = not data.layout.from_fixed and bool(np.isfinite(data.to_joints).any())
     for end in (data.joints, data.to_joints) if ends else (data.joints,):
-        for column in end.T:
+        for k, column in enumerate(end.T):
             # rows that are no distances have no other end: NaN says nothing here
             at = column if in_order else column[order]
-            apart = np.fmax(apart, np.fmax.reduceat(at, starts) - np.fmin.reduceat(at, starts))
-    far = apart > _SAME_POSE * extent
-    if extent == 0 or not far.any():
+            apart[:, k] = np.fmax(apart[:, k], np.fmax.reduceat(at, starts) - np.fmin.reduceat(at, starts))
+    part = np.divide(apart, reach, out=np.zeros_like(apart), where=reach > 0)
+    far = (part > _SAME_POSE).any(axis=1)
+    if not far.any():
         return
-    worst = int(np.argmax(apart))
+    worst, joint = divmod(int(np.argmax(part)), len(units))
     more = f", and {int(far.sum()) - 1} more poses do so" if far.sum() > 1 else ""
     said = (
         f"{data.place(rows[pose[rows] == numbers[worst]])}: pose {numbers[worst]} stands at places "
-        f"{apart[worst]:.3g} {c.unit_in(data.layout.joints[0])} apart{more}; rows with the same pose number are "
+        f"{apart[worst, joint]:.3g} {units[joint]} apart{more}; rows with the same pose number are "
         "taken as repeats, and their spread as noise: give each place its own number, or leave the column out"
     )
     if far.sum() > max(1, _FEW_POSES * len(numbers)) or len(numbers) == 1:
