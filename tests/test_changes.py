@@ -225,7 +225,8 @@ def test_what_the_stand_makes_alike_is_a_tie() -> None:
     assert len(found.indistinguishable[0]) == 3
 
 
-@pytest.mark.parametrize(("seed", "ratio"), [*slow((13, 5.0), (14, 40.0), (15, 40.0)), (16, 40.0)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "ratio"), [(13, 5.0), (14, 40.0), (15, 40.0), (16, 40.0)])
 def test_what_is_in_no_catalogue_is_not_explained(seed: int, ratio: float) -> None:
     """Catches a name for a plate that warped: of one that bent by a twentieth of a millimetre effects that take a third
     of it each were named, a beam that is 26° out of square among them."""
@@ -236,7 +237,8 @@ def test_what_is_in_no_catalogue_is_not_explained(seed: int, ratio: float) -> No
 
 def test_the_change_that_is_nearly_all_of_it_is_named_alone() -> None:
     """Catches a rail that was knocked, named with a helper or not at all, where a plate has bent a little as well."""
-    found = DeltaPair(31, ("rail_lean",), 120.0, unknown="saddle", ratio_unknown=3.0).compare()
+    world = DeltaPair(31, ("rail_lean",), 120.0, unknown="saddle", ratio_unknown=5.0, poses=(30, 24))
+    found = world.compare()
     assert (found.verdict, found.changed) == ("partly explained", ("rail_lean",))
 
 

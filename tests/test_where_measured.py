@@ -15,7 +15,7 @@ from second_arms import SecondArm
 from sherkit.model.kinds import known_kinds
 from sherkit.robots.calibrated import MIDDLE
 from sherkit.robots.delta import VirtualDelta, paper_local
-from sherkit.robots.poses_hull import beyond, outermost
+from sherkit.robots.poses_hull import MARGIN, beyond, outermost
 from sherkit.robots.serial import SerialCalibration
 from sherkit.robots.unobserved_effects import Search
 from strategies import EXAMPLE
@@ -36,8 +36,8 @@ def arm() -> tuple[SecondArm, SerialCalibration]:
 
 
 def test_the_hull_is_that_of_linear_programming() -> None:
-    """Catches a posture inside that counts as outside or the other way round, beyond the margin of a tenth: 40 in six
-    joints, asked of a linear program written down otherwise; and a run cut to its rim that has another hull."""
+    """Catches a posture inside that counts as outside or the other way round: 40 in six joints, asked of a linear
+    program written down otherwise; and a run cut to its rim that has another hull."""
     rng = np.random.default_rng(0)
     poses = rng.uniform(-1, 1, (80, 6)) * [1, 2, 3, 1, 1, 0.2] + 5.0
     middle = poses.mean(axis=0)
@@ -47,8 +47,7 @@ def test_the_hull_is_that_of_linear_programming() -> None:
         by = linprog(weights, A_eq=(poses - middle).T, b_eq=q - middle)
         far = float(beyond(poses, q[None])[0])
         assert (far > 0) <= (by.fun > 1.0)
-        if by.fun > 1.4:
-            assert far > 0
+        assert (far > 0) >= (by.fun > 1.0 + 1e-3)
     flat = rng.normal(size=(1000, 3))
     few = outermost(flat)
     assert len(few) <= 300
@@ -59,7 +58,7 @@ def test_the_hull_is_that_of_linear_programming() -> None:
 def test_a_joint_that_never_moved_ends_where_it_stood() -> None:
     """Catches a joint that stood still and counts as measured everywhere, and one that is outside by its jitter."""
     poses = np.random.default_rng(0).uniform(-1, 1, (50, 3)) * [1, 1, 1e-5]
-    assert beyond(poses, np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, 0.5]])).tolist()[0] == 0.0
+    assert beyond(poses, np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, 0.5]]))[0] <= MARGIN
     assert beyond(poses, np.array([[0.0, 0.0, 0.5]]))[0] > 1.0
 
 
