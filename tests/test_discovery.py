@@ -50,7 +50,7 @@ LEVEL = 0.01
 RARE = 1e-3
 #: Largest ratio that each grid lets the simulator reach: the twelve parameters hide nearly all of these effects, so
 #: that more of them left over would need sizes (centimetres of stretch or of difference) at which no pose exists.
-CAPS = {("gravity_sag", "local"): 2.0}
+CAPS = {("gravity_sag", "local"): 2.0, ("link_growth", "local"): 1.0, ("link_growth", "whole"): 1.0}
 
 
 @dataclass
