@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import sherkit as sk
+import worlds
 from driven_worlds import UNKNOWN
 from second_arms import SecondArm
 from second_simulator.effects import EFFECTS, draw_pose
@@ -256,3 +257,17 @@ class SphericalPair:
     def compare(self) -> sk.changes.Comparison:
         """As a user does."""
         return sk.compare(self.robot, self.runs)
+
+
+#: What is wrong with a run, as factors of its coordinates, and a word on it.
+MISTAKES = [([1 / 25.4] * 3, "inches"), ([1.0, 1.0, -1.0], "left-handed")]
+
+
+def thirds(factor: list[float]) -> tuple[Any, list[pl.DataFrame]]:
+    """A robot and three runs of it, the last with a mistake."""
+    world = worlds.clean(2)
+    every, poses = pl.DataFrame(world.columns), np.unique(world.columns["pose"])
+    runs = [every.filter(pl.col("pose").is_in(poses[k::3].tolist())) for k in range(3)]
+    axes = ("x_mm", "y_mm", "z_mm")
+    runs[2] = runs[2].with_columns(pl.col(axis) * by for axis, by in zip(axes, factor, strict=True))
+    return world.robot, runs

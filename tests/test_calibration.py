@@ -19,7 +19,7 @@ from scipy.special import comb
 
 from running import slow
 from second_simulator import Robot, truth
-from sherkit import SherkitError, SherkitWarning, calibrate, from_frame
+from sherkit import SherkitError, SherkitWarning, calibrate
 from sherkit.calibration import Result
 from sherkit.errors import CalibrationError, NotFinite, OutOfReach, ShapeError
 from sherkit.model.effect import effects_by_name
@@ -444,13 +444,3 @@ def _branch(one: DeltaPart, joints_mm: Floats) -> Floats:
     far = np.maximum(np.maximum(x - c.high_mm, c.low_mm - x), 0.0) / c.fade_mm
     x = x + value * np.where(far < 1, 1 - far**2 * (3 - 2 * far), 0.0).prod(axis=1)[:, None]
     return np.asarray(seen.apply(x) + pose[3:])
-
-
-def test_a_set_up_that_is_wrong_is_said_where_it_is_calibrated() -> None:
-    """Catches a calibration that misses by a tenth of a metre without a word where a diagnosis knows that two columns
-    are swapped."""
-    run = VirtualDelta.draw(EXAMPLE, 3).measure(paper_whole()[::12], repeats=2, seed=3)
-    frame = run.to_frame()
-    frame = frame.with_columns(q2_mm=frame["q3_mm"], q3_mm=frame["q2_mm"])
-    with pytest.warns(SherkitWarning, match="q2_mm and q3_mm look swapped"):
-        calibrate(EXAMPLE, from_frame(frame), correction="none")

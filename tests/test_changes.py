@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
 from functools import cache
@@ -17,12 +16,11 @@ from scipy.spatial.transform import Rotation
 
 import sherkit as sk
 import worlds
-from changed_worlds import ArmPair, DeltaPair, SphericalPair, truth_of_change
+from changed_worlds import MISTAKES, ArmPair, DeltaPair, SphericalPair, thirds, truth_of_change
 from running import command, slow
-from second_simulator import NOMINAL_CONFIG, Robot, make_plan, simulate
 from sherkit.base.figures import number
 from sherkit.errors import FitError, MeasurementError
-from sherkit.model.kinds import kind_of, robot_from_tables
+from sherkit.model.kinds import kind_of
 
 
 @pytest.fixture(scope="module")
@@ -125,25 +123,6 @@ def test_a_limb_that_leans_pays_for_no_other() -> None:
 
 
 @pytest.mark.slow
-def test_a_limb_that_leans_pays_for_no_other_over_the_years() -> None:
-    """Catches in a history a third change beside these two, with which the search began and which says nothing beside
-    them."""
-    world = DeltaPair(56006)
-    runs = [world.run_with({}, 60)]
-    runs[1:] = [
-        world.run_with(
-            {"rod_length_3": 0.043 * (k >= 2)}, 61 + k,
-            {"rail_lean": [0.0, 0.0, 0.0, -0.0043 * k / 4, 0.0, 0.0]}, -150.0,
-        )
-        for k in range(1, 5)
-    ]  # fmt: skip
-    years = sk.history(world.robot, runs)
-    assert years.verdict == "changed"
-    assert {(one.name, one.kind) for one in years.changes} == {("rail_lean", "ramp"), ("rod_length_3", "step")}
-    assert all(len(one.parameters) == 1 for one in years.changes)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [56006, 56010])
 def test_what_leans_or_scales_does_so_about_any_zero(seed: int) -> None:
     """Catches a change that is looked for about the zero of a convention alone: rails that lean about their feet were
@@ -186,14 +165,6 @@ def test_the_other_joint_that_fits_as_well_stands_in_the_headline() -> None:
     )
     assert {found.parameters[0].name, *found.parameters[0].or_else} == names
     assert "as well fits: joint_offset.offset" in found.headline
-
-
-@pytest.mark.slow
-def test_the_other_joint_that_fits_as_well_stands_in_a_history() -> None:
-    """Catches the same over the years, where as many had no tie."""
-    pair, names = SphericalPair(7700, "joint_offset", 5.0), {"joint_offset.offset_1", "joint_offset.offset_2"}
-    (course,) = sk.history(pair.robot, pair.runs).changes
-    assert {course.parameters[0][0], *course.or_else} >= names
 
 
 @pytest.mark.slow
@@ -406,65 +377,6 @@ def test_verify_and_its_poses(folder: Path, bumped: DeltaPair) -> None:
     assert kind_of(bumped.robot).name == "delta"
 
 
-@pytest.mark.slow
-def test_a_check_is_the_same_wherever_the_tracker_stood() -> None:
-    """Catches rounding where a turn of a tracker ten metres away is a shift to many digits: a machine that is as it was
-    was refused in half of the checks."""
-    before = DeltaPair(3)
-    run = sk.from_frame(before.runs[0])
-    check, found = run.select(np.arange(0, len(run), 3)), []
-    noise = 0.002 * np.random.default_rng(1).normal(size=check.readings.shape)
-    check = check.with_readings(np.where(check.taken, check.readings + noise, np.nan))
-    for by_mm in (0.0, 1e4):
-        there = run.with_readings(np.where(run.taken, run.readings + by_mm, np.nan))
-        made = sk.calibrate(before.robot, there, correction="none").calibration
-        found.append(sk.verify(made, check))
-    near, far = found
-    assert near.verdict == far.verdict
-    for name, value in near.error.items():
-        assert far.error[name] == pytest.approx(value, rel=0.05), name
-
-
-def test_an_instrument_of_more_noise_tells_larger_errors() -> None:
-    """Catches "cannot tell an error of any size" of a check with a tracker ten times as loud as that of the
-    calibration, which refuses a robot that is off by what is required."""
-    before = DeltaPair(3, noise_um=0.5)
-    robot = replace(before.robot, required_um=20.0)
-    made = sk.calibrate(robot, before.runs[0], correction="none").calibration
-    same = DeltaPair(3, noise_um=5.0, poses=(60, 40)).runs[1]
-    found = sk.verify(made, same)
-    assert found.verdict == "valid", found.advice
-    promised, smallest = found.error["promised"], found.error["smallest_found"]
-    assert promised is not None
-    assert smallest is not None
-    assert smallest > 3.0 * promised
-    assert sk.verify(made, DeltaPair(3, ("rod_length_2",), 8.0, noise_um=5.0).runs[1]).verdict == "not valid"
-
-
-def checked(seed: int, changed: str, ratio: float, repeats: int = 2) -> tuple[sk.changes.Verification, float]:
-    """A check of a delta by a dozen poses, and what its model is truly off, µm."""
-    before = DeltaPair(seed)
-    made = sk.calibrate(before.robot, before.runs[0], correction="none").calibration
-    poses = sk.changes.verifying_poses(made, 12, seed=seed)
-    world = DeltaPair(seed, (changed,) if changed else (), ratio, places=poses, poses=(60, 12), repeats=repeats)
-    off = 1e3 * float(np.sqrt(np.square(world.missed(made)).sum(axis=1).mean()))
-    return sk.verify(made, world.runs[1]), off
-
-
-#: What is wrong with a run, as factors of its coordinates, and a word on it.
-MISTAKES = [([1 / 25.4] * 3, "inches"), ([1.0, 1.0, -1.0], "left-handed")]
-
-
-def thirds(factor: list[float]) -> tuple[Any, list[pl.DataFrame]]:
-    """A robot and three runs of it, the last with a mistake."""
-    world = worlds.clean(2)
-    every, poses = pl.DataFrame(world.columns), np.unique(world.columns["pose"])
-    runs = [every.filter(pl.col("pose").is_in(poses[k::3].tolist())) for k in range(3)]
-    axes = ("x_mm", "y_mm", "z_mm")
-    runs[2] = runs[2].with_columns(pl.col(axis) * by for axis, by in zip(axes, factor, strict=True))
-    return world.robot, runs
-
-
 @pytest.mark.parametrize(("factor", "words"), [*slow(MISTAKES[0]), MISTAKES[1]])
 def test_a_run_with_a_mistake_of_its_set_up_blames_no_other(factor: list[float], words: str) -> None:
     """Catches a third run in inches, or with a mirrored axis, that a change of the robot "once, at the second"
@@ -473,17 +385,6 @@ def test_a_run_with_a_mistake_of_its_set_up_blames_no_other(factor: list[float],
     found = sk.history(robot, [sk.from_frame(one) for one in runs], dates=[date(2025, k, 1) for k in (1, 2, 3)])
     assert found.headline.startswith("unchanged; 3: ")
     assert words in found.headline
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("factor", "words"), MISTAKES)
-def test_a_check_with_a_mistake_of_its_set_up_blames_nobody(factor: list[float], words: str) -> None:
-    """Catches such a check of a calibration "not valid: beam_alignment"."""
-    robot, runs = thirds(factor)
-    made = sk.calibrate(robot, sk.from_frame(runs[0]), correction="none").calibration
-    check = sk.verify(made, sk.from_frame(runs[2]))
-    assert check.verdict == "undecided"
-    assert words in check.silent
 
 
 def test_of_two_joints_that_look_alike_neither_is_accused_alone() -> None:
@@ -513,100 +414,6 @@ def test_what_follows_the_temperature_is_said() -> None:
     assert "thermal_growth" in found.advice
 
 
-def test_a_check_without_what_an_effect_needs_names_both() -> None:
-    """Catches "the model cannot reach these joint readings; check units and joint order" of a calibration with backlash
-    whose check has no time."""
-    run = sk.from_frame(pl.DataFrame(worlds.clean(1).columns))
-    made = sk.calibrate(worlds.clean(1).robot, run, effects=["backlash"], correction="none").calibration
-    with pytest.raises(
-        FitError, match="backlash, in the model, cannot be computed without the column direction, or time_s"
-    ):
-        sk.verify(made, sk.from_frame(run.to_frame().drop("time_s", strict=False).head(40)))
-
-
-def test_a_check_that_was_knocked_or_copied_says_so() -> None:
-    """Catches "take twelve times as many readings" of a check in which the tracker was knocked by 0.1 mm, and a machine
-    that is refused since each row of its check stands three times in the file."""
-    world = worlds.clean(1)
-    chosen = np.random.default_rng(1).permutation(np.unique(world.columns["pose"]))
-    every = pl.DataFrame(world.columns)
-    run, check = (every.filter(pl.col("pose").is_in(some.tolist())) for some in (chosen[12:], chosen[:12]))
-    check = pl.concat([check.filter(pl.col("repeat") == k) for k in (1, 2, 3)])
-    check = check.with_columns(time_s=pl.col("time_s").sort())
-    made = sk.calibrate(world.robot, sk.from_frame(run), correction="none").calibration
-    late = pl.when(pl.int_range(pl.len()) >= 20).then(0.1).otherwise(0.0)
-    knocked = sk.verify(made, sk.from_frame(check.with_columns(pl.col("x_mm") + late)))
-    copied = sk.verify(made, sk.from_frame(pl.concat([check, check, check]).drop("repeat")))
-    assert sk.verify(made, sk.from_frame(check)).valid
-    assert knocked.valid is None
-    assert "one step, from row 20 on: the instrument or the target was knocked" in knocked.silent
-    assert "two set-ups" in knocked.advice
-    assert copied.valid is None
-    assert "copies of earlier rows" in copied.silent
-
-
-@pytest.mark.parametrize("correction", ["auto", *slow("none")])
-@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
-def test_what_a_model_lacked_on_its_day_is_no_change(seed: int, correction: str) -> None:
-    """Catches a check that is asked of the model without its correction, and one that takes what the model has always
-    lacked for a change: of deltas whose rails lean, calibrated without that, 36 of 40 were refused that had not
-    changed, and "rail_lean" was said to have moved."""
-    world = worlds.delta_world(seed, {"rail_lean": 6.0 * worlds.NOISE_UM})
-    chosen = np.random.default_rng(seed).permutation(np.unique(world.columns["pose"]))
-    run, check = (
-        sk.from_frame(pl.DataFrame(world.columns).filter(pl.col("pose").is_in(some.tolist())))
-        for some in (chosen[12:], chosen[:12])
-    )
-    found = sk.verify(sk.calibrate(world.robot, run, correction=correction).calibration, check)
-    assert found.valid
-    assert found.changed == ()
-    assert found.advice == "nothing needs to be done"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("seed", "changed"), [(43, ("base_radius_3", "rod_length_1")), (44, ("base_angle_2", "rod_length_3"))]
-)
-def test_two_changes_since_a_calibration_are_named(seed: int, changed: tuple[str, str]) -> None:
-    """Catches "calibrate again; these poses are too few to say what has moved" of two parameters that a comparison
-    names."""
-    before = DeltaPair(seed)
-    made = sk.calibrate(before.robot, before.runs[0], correction="none").calibration
-    poses = sk.changes.verifying_poses(made, 12, seed=seed)
-    world = DeltaPair(seed, changed, 6.0, places=poses, poses=(60, 12))
-    found = sk.verify(made, world.runs[1])
-    assert found.valid is False
-    assert found.changed == changed
-    for one in found.parameters:
-        assert one.change == pytest.approx(world.true[one.name], abs=4.0 * one.std)
-
-
-def test_backlash_is_no_noise() -> None:
-    """Catches lost motion that repeats of the check show, and that is then taken for the noise of its readings."""
-    found, off = checked(41, "backlash", 3.0)
-    assert found.changed == ("backlash",)
-    assert found.valid is False
-    assert found.error["seen"] == pytest.approx(off, rel=0.4)
-
-
-@pytest.mark.slow
-def test_play_that_was_there_already_has_not_come() -> None:
-    """Catches "not valid: backlash has moved" of a robot that has not changed, whose play was never modelled: visits of
-    a pose scattered by it on the day of its calibration. Of six two are 1.1 and 1.3 times what was promised."""
-    lost, robot, valid = np.full(3, 0.02), Robot.from_dict(NOMINAL_CONFIG), 0
-    for seed in range(6):
-        rng = np.random.default_rng([seed, 9])
-        runs = []
-        for k, poses in ((1, 100), (2, 20)):
-            plan = make_plan(robot, rng.uniform(-20.0, 20.0, (poses, 3)), 3, "shuffled", seed + k)
-            runs.append(pl.DataFrame(simulate(robot, plan, {}, {"backlash": lost}, 2e-3, seed + k)))
-        made = sk.calibrate(robot_from_tables(dict(NOMINAL_CONFIG), "nominal"), runs[0], correction="none").calibration
-        found = sk.verify(made, runs[1])
-        assert "backlash" not in found.changed
-        valid += found.valid is True
-    assert valid >= 4
-
-
 def test_one_reading_that_was_mistyped_is_named_and_no_change(bumped: DeltaPair) -> None:
     """Catches "not valid: calibrate again", and "45 times as many readings", of one row that is off by 3 mm, unnamed;
     and a pose that is off whenever it is read taken for an accident."""
@@ -623,29 +430,6 @@ def test_one_reading_that_was_mistyped_is_named_and_no_change(bumped: DeltaPair)
     again = sk.verify(made, sk.from_frame(moved))
     assert again.valid is False
     assert again.set_aside == ()
-
-
-@pytest.mark.slow
-def test_the_smallest_error_that_would_have_been_found() -> None:
-    """Catches a check that does not say what it cannot see, or whose readings more than these do not sharpen; and a
-    machine as it was that is called not valid."""
-    two, six = (checked(42, "", 1.0, repeats=n)[0] for n in (2, 6))
-    assert (two.valid, six.valid) == (True, True)
-    told = [two.error["promised"], six.error["smallest_found"], two.error["smallest_found"]]
-    promised, sharper, least = (np.nan if one is None else one for one in told)
-    assert promised < sharper < least < 4.0 * promised
-
-
-@pytest.mark.slow
-def test_an_error_in_no_catalogue_is_not_valid(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a check that looks at changes of the catalogue alone: a saddle of two promises was valid in 16 of 16, by
-    rows that said that they could tell one and a half. 6 worlds, as they are none is refused."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
-    from changes import verified
-
-    off = [verified((2.0, 2.0), {"unknown": "saddle", "repeats": 6}, 7300 + seed) for seed in range(6)]
-    as_it_is = [verified((0.0, 0.0), {}, 7300 + seed) for seed in range(6)]
-    assert [one.right for one in [*off, *as_it_is] if one is not None] == [True] * 12
 
 
 def test_pictures_of_what_has_changed() -> None:
@@ -676,102 +460,3 @@ def test_pictures_of_what_has_changed() -> None:
 def _figures(root: Any) -> list[Any]:
     """Of a grid."""
     return list(root.children)
-
-
-# -- over the years -------------------------------------------------------------------------------------------------
-
-
-def years(kind: str) -> tuple[Any, list[dict[str, Any]], list[str]]:
-    """Five runs, three months apart: a step of one parameter before the fourth, or a ramp of it."""
-    worlds = [DeltaPair(30 + k, poses=(50, 30)) for k in range(5)]
-    first = worlds[0]
-    dates = [f"2025-{1 + 3 * k:02d}-10" if k < 4 else "2026-01-10" for k in range(5)]
-    runs = []
-    for k in range(5):
-        by = 0.12 * (k >= 3) if kind == "step" else 0.03 * k if kind == "ramp" else 0.0
-        runs.append(first.run_with({"rod_length_2": by}, seed=k))
-    return first.robot, runs, dates
-
-
-@pytest.mark.slow
-def test_a_step_has_its_date() -> None:
-    """Catches a step at another run, another parameter, or as wear."""
-    robot, runs, dates = years("step")
-    found = sk.history(robot, runs, dates=dates)
-    assert found.verdict == "changed"
-    assert [(c.name, c.kind, c.since, c.date) for c in found.changes] == [("rod_length_2", "step", 3, "2025-10-10")]
-    assert found.changes[0].parameters[0][1] == pytest.approx(0.12, rel=0.1)
-    assert set(found.values) == {"rod_length_2"}
-
-
-@pytest.mark.slow
-def test_a_step_has_its_date_whatever_the_order_of_the_runs() -> None:
-    """Catches dates that are taken for the order in which runs are given."""
-    robot, runs, dates = years("step")
-    shuffled = sk.history(robot, [runs[k] for k in (3, 0, 4, 1, 2)], dates=[dates[k] for k in (3, 0, 4, 1, 2)])
-    assert [(c.name, c.since) for c in shuffled.changes] == [("rod_length_2", 3)]
-
-
-@pytest.mark.slow
-def test_wear_is_a_rate() -> None:
-    """Catches wear that is told as steps, or with a rate that is not the true one (0.03 mm in three months)."""
-    robot, runs, dates = years("ramp")
-    found = sk.history(robot, runs, dates=dates)
-    assert [(c.name, c.kind) for c in found.changes] == [("rod_length_2", "ramp")]
-    assert found.changes[0].parameters[0][1] == pytest.approx(0.01, rel=0.1)
-
-
-def test_two_courses_of_two_numbers_have_their_dates() -> None:
-    """Catches "unexplained", and one of them with a bent instrument for the other, as in 39 of 47 histories in which
-    two numbers of a delta had changed, each at its time."""
-    world = DeltaPair(6)
-    dates = [f"2025-{1 + k:02d}-10" for k in range(7)]
-    runs = [world.run_with({"rod_length_2": 0.02 * k, "base_radius_3": 0.15 * (k >= 4)}, seed=60 + k) for k in range(7)]
-    found = sk.history(world.robot, runs, dates=dates)
-    assert found.verdict == "changed"
-    assert {(c.name, c.kind, c.date) for c in found.changes} == {
-        ("rod_length_2", "ramp", ""), ("base_radius_3", "step", "2025-05-10"),
-    }  # fmt: skip
-    assert "calibrate again" in found.advice
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("worn", "expected"),
-    [
-        (lambda k: 0.03 * k - 0.2 * (k >= 6), {("ramp", ""), ("step", "2025-07-10")}),
-        *slow((lambda k: 0.03 * max(k - 4, 0), {("ramp", "2025-05-10")})),
-    ],
-)  # fmt: skip
-def test_wear_and_the_service_that_put_it_back(worn: Callable[[int], float], expected: set[tuple[str, str]]) -> None:
-    """Catches four runs in which something else happened each, in the place of wear that was put right once, or that
-    began late: neither the wear nor the service leads by itself."""
-    world = DeltaPair(6)
-    runs = [world.run_with({"rod_length_2": worn(k)}, seed=60 + k) for k in range(10)]
-    found = sk.history(world.robot, runs, dates=[f"2025-{1 + k:02d}-10" for k in range(10)])
-    assert found.verdict == "changed"
-    assert {(c.kind, c.date) for c in found.changes} == expected
-    assert {c.name for c in found.changes} == {"rod_length_2"}
-    assert "(ramp from 2025-05-10)" in found.headline or len(expected) > 1
-
-
-def test_what_was_there_once_asks_for_no_new_calibration() -> None:
-    """Catches "calibrate again what has changed" of a day that is gone: the calibration in use still holds."""
-    world = DeltaPair(9)
-    runs = [world.run_with({"joint_offset_1": 0.1 * (k == 2)}, seed=90 + k) for k in range(5)]
-    found = sk.history(world.robot, runs, dates=[f"2025-{1 + k:02d}-10" for k in range(5)])
-    assert [(c.name, c.kind, c.date) for c in found.changes] == [("joint_offset_1", "once", "2025-03-10")]
-    assert "the calibration of the other runs holds" in found.advice
-    assert "sherkit calibrate" not in str(found.answer)
-
-
-def test_what_stood_still() -> None:
-    """Catches a course where there is none, dates that are none, and dates for other runs."""
-    robot, runs, dates = years("")
-    found = sk.history(robot, runs, dates=dates)
-    assert (found.verdict, found.changes) == ("unchanged", ())
-    assert "rod_length_2" in found.stood_still
-    with pytest.raises(MeasurementError, match="one for each"):
-        sk.history(robot, runs, dates=dates[:2])
-    with pytest.raises(MeasurementError, match="is no date"):
-        sk.history(robot, runs, dates=["soon"] * 5)

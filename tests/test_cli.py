@@ -272,6 +272,8 @@ def test_bad_runs_end_in_one_sentence(bad: Bad, work: Path, tmp_path: Path) -> N
         (["calibrate", "whole.csv", "whole.csv"], "whole.csv: expected a robot TOML file; the robot stands before"),
         (["calibrate", "robot.toml", "whole.csv", "--exclude", "1"], "--exclude: whole.csv has no row on line 1"),
         (["calibrate", "robot.toml", "whole.csv", "--free", "rod_lenght_1"], "did you mean 'rod_length_1'?"),
+        (["calibrate", "robot.toml", "whole.csv", "--effect", "thermal_growth"], "needs the column temperature_c"),
+        (["diagnose", "robot.toml", "whole.csv", "--effect", "thermal_growth"], "needs the column temperature_c"),
         (["calibrate", "robot.toml", "far.csv"], "far.csv: line 3: the model cannot reach these joint readings"),
         (["calibrate", "robot.toml", "whole.csv", "-o", "no/where.toml"], "no/where.toml: cannot be written"),
         (["simulate", "robot.toml", "-o", "no/where.csv"], "no/where.csv"),

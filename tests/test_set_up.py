@@ -114,32 +114,6 @@ def test_an_instrument_that_was_set_up_anew_is_said_from_its_first_row(
     assert f"row {line} " in said.sentence
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("first", [120, *slow(24, 60, 93)])
-def test_a_reading_that_was_lost_half_way_is_said(first: int) -> None:
-    """Catches an instrument "knocked, and put back", or an instrument that moved, where one reading was lost and all
-    after it stand one row too high."""
-    world = worlds.clean(4)
-    columns = {name: np.array(values) for name, values in world.columns.items()}
-    for name in ("x_mm", "y_mm", "z_mm"):
-        columns[name][first:-1] = columns[name][first + 1 :].copy()
-    found = sk.diagnose(world.robot, sk.from_frame(columns))
-    assert not found.effects
-    assert "stand 1 row above the joints that they belong to, as where one was lost" in found.headline
-    assert int(re.search(r"from (?:row|line) (\d+)", found.headline)[1]) == pytest.approx(first + 2, abs=3)  # type: ignore[index]
-
-
-@pytest.mark.parametrize("name", ["x_mm", *slow("y_mm", "z_mm")])
-def test_one_column_a_row_too_high_is_said_of_that_column(name: str) -> None:
-    """Catches sensor_linearity "explained" beside 30 mm that are left, where one column was pasted one row too high."""
-    world = worlds.clean(4)
-    columns = {each: np.array(values) for each, values in world.columns.items()}
-    columns[name] = np.roll(columns[name], -1)
-    found = sk.diagnose(world.robot, sk.from_frame(columns))
-    assert not found.effects
-    assert f"{name} looks shifted: it stands 1 row above its row" in found.headline
-
-
 def test_an_instrument_that_was_set_up_anew_twice_is_said_twice() -> None:
     """Catches a second move that hides behind the first one: said with it, or once a column 'setup' has the first."""
 
