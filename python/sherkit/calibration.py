@@ -18,7 +18,7 @@ from .data.doubts import doubts
 from .data.reader import RunLike
 from .diagnosis.outliers import gross_errors, warn_of_outliers
 from .diagnosis.selection import adopting
-from .errors import EffectError, FitError, SherkitWarning
+from .errors import FitError, SherkitWarning
 from .evidence.plausible import refuse_absurd
 from .evidence.thresholds import SURE
 from .fit.constant_columns import outside_limits, unread
@@ -26,7 +26,6 @@ from .fit.hold_out import hold_out
 from .fit.identify import identify
 from .fit.known_stand import known_stand
 from .fit.set_up import set_up_mistakes
-from .model.base import missing_columns
 from .model.effect import Effect, named_effects
 from .model.kinds import model_of
 from .model.robot_file import RobotLike, columns_of, robot_of, run_for
@@ -131,11 +130,7 @@ def calibrate(
             outliers = gross_errors(identify(model, data, effects=inside), own)
             data = data.mark_outliers(outliers)
         step(f"identifying the {name} run")
-        for effect in added:
-            missing = missing_columns(effect, data)
-            if missing:
-                raise EffectError(f"{data.source}: '{effect.name}' needs the column {listed(missing)}")
-            model = adopting(model, [effect], data)
+        model = adopting(model, added, data)
         fit = identify(model, data, loss=loss, priors=priors, linear=linear)
         for mistake in set_up_mistakes(fit.model, data, fit.values):
             if np.isfinite(mistake.after):

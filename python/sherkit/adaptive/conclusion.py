@@ -109,20 +109,22 @@ def conclude(loop: BatchLooks) -> Conclusion:
             names, fit = (lead.names, found.best_fit) if lead else ((), found.fit)
             accuracy, hides = accuracy_um(loop, found, names, fit)
         needed = loop.required_um
-        if state.done and not spent and needed is not None and accuracy is not None and accuracy > needed:
-            more = found.readings * (accuracy / needed) ** 2
-            # of a robot of which nothing is known to be missing more readings tell more than that they are more
-            if more <= loop.budget or verdict == "adequate":
-                done, why = False, ""
-            else:
-                short = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
-                notes.insert(0, f"{short} would not bring it{_told_the_side(loop, found)}")
-        if done and verdict == "adequate" and needed is not None and accuracy is not None and accuracy > TIMES * needed:
-            verdict = "undecided"
-            why = (
-                f"nothing is seen to be missing, but calibrated it may be off by {number(accuracy)} µm where the "
-                f"target is {needed:g}{f': by {hides}, which these poses cannot show' if hides else ''}"
-            )
+        if needed is not None and accuracy is not None:
+            times = accuracy / needed
+            if state.done and not spent and times > 1.0:
+                more = found.readings * times**2
+                # of a robot of which nothing is known to be missing more readings tell more than that they are more
+                if more <= loop.budget or verdict == "adequate":
+                    done, why = False, ""
+                else:
+                    short = f"{needed:g} µm is not reached: {accuracy:.3g} µm, and the readings that the budget leaves"
+                    notes.insert(0, f"{short} would not bring it{_told_the_side(loop, found)}")
+            if done and verdict == "adequate" and times > TIMES:
+                verdict = "undecided"
+                why = (
+                    f"nothing is seen to be missing, but calibrated it may be off by {number(accuracy)} µm where the "
+                    f"target is {needed:g}{f': by {hides}, which these poses cannot show' if hides else ''}"
+                )
     if done:
         # a verdict of silence rests on what would have been seen; beside a name it is only told
         layout = found.data.layout

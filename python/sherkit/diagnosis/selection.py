@@ -25,7 +25,7 @@ from ..evidence.sets import EffectSet, Sets, ShapeDescription
 from ..evidence.settings import refined, unit_columns
 from ..evidence.thresholds import MOST, SURE_SIGMA
 from ..fit.identify import Fit, identify
-from ..model.base import ModelWithEffects
+from ..model.base import ModelWithEffects, require_columns
 from ..model.effect import Effect, Setting
 from .held_out import HeldOutGain, error_held_out, held_out_gain, strongest
 from .result import StepReport
@@ -295,8 +295,9 @@ def on_all_rows(run: FittedRun, added: Sequence[Block]) -> tuple[list[Block], tu
 
 def adopting(model: M, effects: Sequence[Effect], data: Measurements) -> M:
     """A model with these effects, each at the setting that the rows give it beside those before. Raises
-    :class:`~sherkit.errors.EffectError`."""
+    :class:`~sherkit.errors.EffectError`, also for a column that an effect needs and rows do not have."""
     for effect in effects:
+        require_columns(effect, data)
         model = model.adopting(effect, at=setting_for(identify(model, data), effect) if effect.search else None)
     return model
 

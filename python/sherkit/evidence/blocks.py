@@ -242,12 +242,16 @@ class Columns:
     def _fill(self, out: Floats, at: Ints, numbers: Ints, p: int, *, posed: bool) -> None:
         """Puts columns of a part at their places (k,) of ``out`` (…, m, r), or (…, 1, r) where all are on one axis."""
         part, local = self.parts[p], numbers - self.starts[p]
-        values = part.values(local)
-        values = values[..., self.visits.pose] if part.posed and not posed else values
+        values = part.values(local) if posed else self._at_rows(part, local)
         if part.alone:
             out[at, part.split(local)[2] if out.shape[1] > 1 else 0] = values[:, 0]
         else:
             out[at] = values
+
+    def _at_rows(self, part: ColumnPart, numbers: Ints) -> Floats:
+        """Columns of a part, by their numbers in it, as :meth:`ColumnPart.values` has them, at every row."""
+        values = part.values(numbers)
+        return values[..., self.visits.pose] if part.posed else values
 
     def _lengths(self, part: ColumnPart) -> Floats:
         """Lengths of a part's columns, zero where they are rounding."""
@@ -260,9 +264,7 @@ class Columns:
         else:
             squares, rows = np.empty(len(part)), len(self.run) * (1 if part.alone else part.axes)
             for few in np.array_split(np.arange(len(part)), max(-(-len(part) * rows // _TOGETHER), 1)):
-                values = part.values(few)
-                values = values[..., self.visits.pose] if part.posed else values
-                squares[few] = np.square(self.run.white(values.T)).sum(axis=(0, 1))
+                squares[few] = np.square(self.run.white(self._at_rows(part, few).T)).sum(axis=(0, 1))
         return np.sqrt(np.where(squares > ROUNDING * power, squares, 0.0))
 
 

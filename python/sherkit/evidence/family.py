@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from ..base.types import Bools, Floats, Ints
+from ..model.effect import Effect
 from .blocks import Block, Columns, ReferenceRows, Visits, apart, block_sizes
 from .made import Maker
 from .run import Run
@@ -22,7 +23,12 @@ EFFECTS = 0.5
 
 
 class Waves(Protocol):
-    """Waves with a period for each joint, found before."""
+    """Waves that were found before: with a period for each joint, of an ``effect``, or of a shape."""
+
+    @property
+    def effect(self) -> Effect | None:
+        """None of a shape."""
+        ...
 
     def add_to(self, made: Maker) -> None:
         """Adds their block."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from ..model.effect import Effect
 from .base import Base
 from .blocks import Block
 from .made import Maker, waves_in_time
@@ -27,6 +28,7 @@ class QuickWave:
     count: float
     length: float
     ways: float
+    effect: Effect | None = None
 
     def add_to(self, made: Maker) -> None:
         """Adds its block."""

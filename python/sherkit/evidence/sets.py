@@ -153,7 +153,7 @@ class Sets:
     def _of_effects(self) -> Base:
         """The base of effects alone: what shapes say of pairs is not asked."""
         alone = Family(self.family.run, self.family.reference, shapes=False)
-        return Base.of(alone.having(self.family.waves), self.family.run)
+        return Base.of(alone.having([one for one in self.family.waves if one.effect is not None]), self.family.run)
 
     def fitted(self, blocks: Sequence[Block]) -> EffectSet | None:
         """The set in a full fit; None where it cannot be fitted."""

@@ -27,7 +27,7 @@ from ..data.reader import RunLike
 from ..data.repeats import Repeatability
 from ..errors import FitError
 from ..model.any import Model
-from ..model.base import ModelWithEffects
+from ..model.base import ModelWithEffects, require_columns
 from ..model.effect import Effect, Parameter, named_effects
 from ..model.kinds import model_of
 from ..model.robot_file import RobotLike, read_robot, run_for
@@ -482,5 +482,7 @@ def extended_by(
     """The model with more effects: by name, of the thermometers of a run too, or the user's own. Raises
     :class:`~sherkit.errors.EffectError`."""
     for effect in named_effects(catalogue_for(model, data), effects):
+        if data is not None:
+            require_columns(effect, data)
         model = model.adopting(effect)
     return model

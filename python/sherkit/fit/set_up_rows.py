@@ -46,8 +46,16 @@ def of_rows(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[str, 
 def moved_from_a_row_on(model: ModelWithEffects, data: Measurements) -> Iterator[tuple[str, str, Measurements]]:
     """The same where a reading was lost, or one was read twice: the others have moved up, or down."""
     readings = [k for k in range(data.coordinates) if data.used[:, k].any()]
-    for by in _ROWS_OF_SOME if len(readings) > 1 else ():
-        if (first := _from_where(model, data, by, readings)) is not None:
+    if len(readings) < 2:
+        return
+    try:
+        drawn = model.predict(data, model.start(data))
+    except SherkitError:
+        return
+    # how far one row is from the next is the same wherever an instrument stands, and near what the drawing says of it
+    way, told = (np.linalg.norm(np.diff(one[:, readings], axis=0), axis=1) for one in (data.readings, drawn))
+    for by in _ROWS_OF_SOME:
+        if (first := _from_where(way, told, by)) is not None:
             where, there, count = _in_words(by)
             looks = (
                 f"readings look shifted from {data.counted} {data.line[first]} on: there they stand {count} {where} "
@@ -87,16 +95,9 @@ def _moved(data: Measurements, by: int, readings: Sequence[int], joints: Sequenc
     )
 
 
-def _from_where(model: ModelWithEffects, data: Measurements, by: int, readings: Sequence[int]) -> int | None:
-    """The row from which on readings are those of ``by`` rows further up; None where they are not.
-
-    How far one row is from the next is the same wherever an instrument stands, and near what the drawing says of it.
-    """
-    try:
-        drawn = model.predict(data, model.start(data))
-    except SherkitError:
-        return None
-    way, told = (np.linalg.norm(np.diff(one[:, list(readings)], axis=0), axis=1) for one in (data.readings, drawn))
+def _from_where(way: Floats, told: Floats, by: int) -> int | None:
+    """The row from which on readings are those of ``by`` rows further up, by the ways (n - 1,) from each to the next
+    and those that the drawing tells; None where they are not."""
     # the way from row i to the next, against that of rows that the readings would belong to
     there = np.arange(len(way)) - by
     inside = (there >= 0) & (there < len(way))

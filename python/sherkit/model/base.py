@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
+from ..base.figures import listed
 from ..base.notebook import Saved
 from ..base.types import Floats, Ints
 from ..data import Measurements
@@ -374,6 +375,12 @@ def asked_for(untestable: Mapping[str, str], data: Measurements) -> dict[str, st
 
 def _lacking(columns: Sequence[str]) -> str:
     return f"it needs the column {' and '.join(columns)}"
+
+
+def require_columns(effect: Effect, data: Measurements) -> None:
+    """Refuses an effect that needs columns which rows do not have. Raises :class:`~sherkit.errors.EffectError`."""
+    if missing := missing_columns(effect, data):
+        raise EffectError(f"{data.source}: '{effect.name}' needs the column {listed(missing)}, which these rows lack")
 
 
 def missing_columns(effect: Effect, data: Measurements) -> tuple[str, ...]:

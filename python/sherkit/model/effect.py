@@ -21,7 +21,7 @@ from ..base.types import Floats
 from ..data.columns import unit_in
 from ..errors import EffectError, SherkitError
 from .python_file import NamedObject, named, run_python
-from .rows import EffectRows, handed_on_run
+from .rows import handed_on_run, seen_at
 
 #: What is searched for besides parameters: a moment, a lag, a period, or a period for each joint that has waves.
 Setting = float | tuple[float, ...]
@@ -189,7 +189,7 @@ class Effect(Shown):
         names = [p.name for p in self.parameters]
         p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
         try:
-            out = np.asarray(self.function(rows.seen_at(self.link) if isinstance(rows, EffectRows) else rows, p))
+            out = np.asarray(self.function(seen_at(self.link, rows), p))
         except EffectError as error:
             raise EffectError(f"effect '{self.name}': {error}") from error
         except SherkitError:
@@ -233,8 +233,7 @@ class Effect(Shown):
         if self.derivative is not None:
             p = SimpleNamespace(**dict(zip(names, values.tolist(), strict=True)))
             try:
-                seen = rows.seen_at(self.link) if isinstance(rows, EffectRows) else rows
-                out = np.asarray(self.derivative(seen, p), dtype=float)
+                out = np.asarray(self.derivative(seen_at(self.link, rows), p), dtype=float)
             except SherkitError:
                 raise
             except (Exception, SystemExit) as error:

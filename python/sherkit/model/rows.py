@@ -32,12 +32,9 @@ class EffectRows:
         self.joints = data.joints
         self.direction = data.came_from
 
-    def seen_at(self, link: str) -> EffectRows:
-        """The same for an effect at a link of the chain."""
-        return self if link == "sensor" else self._from_base
-
     @cached_property
     def _from_base(self) -> EffectRows:
+        """The same with places as seen from the base."""
         by = self._at_base
         return self if by is None else EffectRows(self._data, lambda: by(self.position))
 
@@ -72,6 +69,11 @@ class EffectRows:
             known = ["joints", "time", "direction", "position", *self._data.covariates]
             raise EffectError(f"these rows have no '{name}'{nearest(name, known)}; they have {listed(known, 20)}")
         return self._data.covariates[found]
+
+
+def seen_at(link: str, rows: EffectRows | Measurements) -> EffectRows | Measurements:
+    """Rows as an effect at a link of the chain has them; a run that a model hands on stays as it is."""
+    return rows if link == "sensor" or isinstance(rows, Measurements) else rows._from_base
 
 
 def handed_on_run(rows: EffectRows | Measurements) -> Measurements:

@@ -23,7 +23,7 @@ from ..fit.error import of_residuals
 from ..fit.hold_out import hold_out
 from ..fit.identify import Fit, identify
 from ..fit.least_squares import LOSSES
-from ..model.base import missing_columns
+from ..model.base import require_columns
 from ..model.chain import ChainModel
 from ..model.effect import WITHIN, Effect, Setting, effects_by_name
 from ..model.kinds import model_of, robot_from_table
@@ -202,9 +202,7 @@ class Study(Shown):
             (chosen,) = effects_by_name(known, (effect,), with_thermometers(self.own, self.model, self.data))
         if chosen.name in self.effects or chosen.name in WITHIN:
             raise EffectError(f"'{chosen.name}' is in the model already")
-        missing = missing_columns(chosen, self.data)
-        if missing:
-            raise EffectError(f"'{chosen.name}' needs the column {listed(missing)}, which these rows lack")
+        require_columns(chosen, self.data)
         given = {"time_s": slip_time_s, "period_mm": period_mm, "period_rad": period_rad, "lag_s": lag_s}
         wanted = given.get(chosen.search or "")
         at: Setting | None = tuple(wanted) if isinstance(wanted, Sequence) else wanted
